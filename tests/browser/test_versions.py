@@ -68,6 +68,14 @@ def test_old_and_new_are_played_side_by_side(tab, versions, tmp_path):
         "() => ['selected', 'beside'].map((slot) => boxesAt(cornercase.replay.panel.panes[slot].recording, 1)[1].x)"
     )
     assert boxes == pytest.approx([10.0, 4.0], abs=1e-3)
+    # Scenarios that the verdict names are played where they are chosen there.
+    assert page.locator("#answer h2").inner_text() == "Worse"
+    assert page.locator("#answer .worse li").first.inner_text().startswith("1 new collision: 3")
+    page.get_by_title("Play scenario 4").first.click()
+    tab.settle()
+    assert titles.nth(0).inner_text() == f"Old: scenario 4 of {versions[0].name}"
+    page.get_by_title("Play scenario 3").first.click()
+    tab.settle()
     # The neighbour's key would take the new version away.
     page.locator("[data-replay=selected] canvas").focus()
     page.keyboard.press("n")

@@ -113,8 +113,11 @@ def test_compare(folder, tmp_path):
     assert found["changed"]
     assert found["changed_pairs"]
     assert found["space"]["gained"]
+    assert found["verdict"] in ("worse", "better", "mixed")
+    assert found["worse"] or found["better"]
     same = validate("compare", cornercase("compare", folder / "study.db", folder / "study.db", "--json").stdout)
     assert not same["changed"]
+    assert same["verdict"] == "the same"
 
 
 def test_compare_of_suites(folder, tmp_path):

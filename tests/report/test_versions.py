@@ -49,6 +49,15 @@ def test_it_holds_each_telling_scenario_with_both_versions(versions, tmp_path):
     found = cc.compare(*versions)
     page = page_of(versions, tmp_path / "page.html").read_text(encoding="utf-8")
     assert found.reason in page
+    assert f"<h2>{found.verdict.capitalize()}</h2>" in page
+    shown = re.findall(r"<b>(.*?)</b>: (.*?)</li>", page.partition('id="telling"')[0], re.DOTALL)
+    told = [(what, re.sub(r"<[^>]*>|\n", "", scenarios)) for what, scenarios in shown]
+    assert told == [(one.what, one.name_scenarios(40)) for one in (*found.worse, *found.better)]
+    # Those that the page plays can be chosen where they are named.
+    numbers = {str(one.pair.ids[0]): str(2 * k + 1) for k, one in enumerate(found.telling)}
+    chosen = re.findall(r'data-old="(\d+)" data-new="\d+" title="Play scenario (\d+)"', page)
+    assert chosen
+    assert all(numbers[name] == old for old, name in chosen)
     contents = contents_of(page)
     count = len(found.telling)
     assert 1 <= count <= 5
@@ -78,7 +87,8 @@ def test_versions_that_do_not_differ_have_a_page_too(versions, tmp_path):
     result = CliRunner().invoke(app, ["compare", str(old), str(old), "-o", str(tmp_path / "page.html")])
     assert result.exit_code == 0, result.output
     page = (tmp_path / "page.html").read_text(encoding="utf-8")
-    assert "No change: all 30 scenarios" in page
+    assert "<h2>The same</h2>" in page
+    assert "<p>all 30 scenarios that both ran are the same bytes</p>" in page
     assert 'id="replay"' not in page
 
 

@@ -82,7 +82,7 @@ def test_a_study_compared_with_itself_shows_no_change(tmp_path):
     assert all(before == after for before, after in found.outcomes)
     result = ran("compare", path, path)
     assert result.exit_code == 0
-    assert result.stdout.startswith("No change: all 36 scenarios")
+    assert result.stdout.startswith("The same: all 36 scenarios")
 
 
 def test_scenarios_are_paired_by_their_values_whatever_their_order(tmp_path):
@@ -436,7 +436,8 @@ def versions(tmp_path_factory, x_intersection):
 def test_a_driver_that_reacts_later_is_told_from_the_original(versions):
     result = ran("compare", *versions)
     assert result.exit_code == 1, result.output
-    assert result.stdout.startswith("Changed: ")
+    assert result.stdout.startswith("Mixed. Worse: ")
+    assert "\n  Changed: " in result.stdout
     assert "drivers Ego reaction time: 0.5 → 0.6" in result.stdout
     plain = json.loads(ran("compare", *versions, "--json").stdout)
     assert plain["changed"]

@@ -1,4 +1,4 @@
-"""The command that tells what changed between two versions."""
+"""The command that tells whether a version is better or worse than another, and what changed."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from cornercase._common.texts import json_text
+from cornercase.cli import parsing
 from cornercase.cli.options import app, err, out
 
 if TYPE_CHECKING:
@@ -27,6 +28,15 @@ def compare(
         float | None,
         typer.Option(metavar="X", help="Use this threshold for both studies, which keep their own."),
     ] = None,
+    tolerance: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--tolerance",
+            metavar="METRIC=NUMBER",
+            help="Moves of this metric's score up to NUMBER count as the same; repeat it for several. Default: 0.1 s,"
+            " m, m/s, m/s² or s²; 0.01 for metrics without unit.",
+        ),
+    ] = None,
     as_json: Annotated[bool, typer.Option("--json", help="Print JSON, for programs.")] = False,
     output: Annotated[
         Path | None, typer.Option("--output", "-o", metavar="FILE.html", help="Page to write, with replays.")
@@ -36,21 +46,27 @@ def compare(
         typer.Option(metavar="FILE.xosc", help="Scenario that was explored, for the page; default: beside the study."),
     ] = None,
 ) -> None:
-    """Compare two versions of a system, by a study of each.
+    """Say whether a new version of a system is better or worse, by a study of each version, and what changed.
 
     It compares scenarios with the same parameters one by one. To get such pairs, explore both versions with the same
-    seed.
-    Exit code 0: no change; 1: something changed; 2: bad input.
+    seed. A new collision, a requirement that newly fails, a scenario that can no longer be run or is newly critical,
+    and a score that is more critical by more than its tolerance are worse.
+    Exit code 0: nothing is worse; 1: something is worse, even if something else is better; 2: nothing can be said,
+    or bad input.
 
     \b
     Example:
       cornercase compare old.db new.db
       cornercase compare old.db new.db --metric wttc --json
       cornercase compare old.db new.db -o compare.html
+    In a nightly job, which fails if something is worse:
+      cornercase compare last-night.db tonight.db --tolerance ttc=0.2 -o compare.html
     """
     from cornercase import suite
 
-    found = suite.compare(old, new, metrics=metric, critical=critical)
+    found = suite.compare(
+        old, new, metrics=metric, critical=critical, tolerances=parsing.numbers(tolerance or (), "--tolerance")
+    )
     if output is not None:
         from cornercase.report import write_comparison
 
@@ -61,7 +77,10 @@ def compare(
     else:
         for section in suite.tell_comparison(found):
             _show(section)
-    if found.changed:
+    if found.verdict == "cannot say":
+        err.print(f"cornercase: {old} and {new}: cannot say whether anything is worse, as {found.verdict_reason}.")
+        raise typer.Exit(2)
+    if found.worse:
         raise typer.Exit(1)
 
 

@@ -33,6 +33,7 @@ _RENAMED: Final = {
     "ranges": "--range",
     "study": "-o",
     "table": "--parameters",
+    "tolerances": "--tolerance",
     "values": "--set",
     "weights": "--weight",
 }

@@ -27,19 +27,19 @@ def pairs(texts: Sequence[str], option: str) -> dict[str, str]:
     return pairs
 
 
-def weights(texts: Sequence[str]) -> dict[str, float]:
+def numbers(texts: Sequence[str], option: str) -> dict[str, float]:
     """Texts like METRIC=NUMBER, by metric."""
-    weights = {}
+    numbers = {}
     for text in texts:
         # A metric may have options with an equals sign of their own.
         name, _, value = text.rpartition("=")
         try:
-            weights[name] = float(value)
+            numbers[name] = float(value)
         except ValueError:
             name = ""
         if not name:
-            raise InputError(f"--weight {text}: write it as METRIC=NUMBER.")
-    return weights
+            raise InputError(f"{option} {text}: write it as METRIC=NUMBER.")
+    return numbers
 
 
 def number_or_auto(text: str, option: str) -> float | Literal["auto"]:

@@ -184,7 +184,7 @@ def explore(
         optimizer=optimizer,
         critical=critical,
         critical_if=critical_if,
-        weights=parsing.weights(weight or ()),
+        weights=parsing.numbers(weight or (), "--weight"),
         pareto=pareto,
         stop_when=stop_when or (),
         budget=budget,

@@ -16,11 +16,12 @@ from cornercase.drivers import DRIVERS
 from cornercase.metrics import METRICS
 from cornercase.simulators import SIMULATORS
 from cornercase.study import Study, StudyMeta, open_study
-from cornercase.suite.comparing_pairs import Side, read_pairs, require_comparable, sample_of
+from cornercase.suite.comparing_pairs import Side, deciding_metrics, read_pairs, require_comparable, sample_of
 from cornercase.suite.comparing_results import LEVEL, ChangeTest, Comparison, KindChange, Pair, ScoreChange
 from cornercase.suite.comparing_space import find_space_change
 from cornercase.suite.comparing_telling import choose_telling
 from cornercase.suite.comparing_tests import FEWEST, correct, moved_by, tests_of_pairs, tests_of_samples
+from cornercase.suite.comparing_verdict import find_tolerances, find_verdict, judge_version
 from cornercase.suite.verdicts import verdicts_of
 
 # What is named where it differs; seed and search say which scenarios were run, not what with.
@@ -33,8 +34,11 @@ def compare(
     *,
     metrics: str | Sequence[str] | None = None,
     critical: float | None = None,
+    tolerances: Mapping[str, float] | None = None,
 ) -> Comparison:
-    """Tell what changed between two versions of what is tested, each of which was run into a study.
+    """Tell what changed between two versions of what is tested, and whether the new one is better or worse.
+
+    Each version was run into a study.
 
     Scenarios with the same parameters are compared one by one; where both studies were explored, their critical sets
     too. What a search chose by scores never grades them, unless the simulators repeat themselves to the last bit: then
@@ -49,19 +53,23 @@ def compare(
         Metrics to compare by; by default all, which have to be the same in both.
     critical : float, optional
         Threshold for both studies, which keep their own; by default these, which have to be the same.
+    tolerances : mapping of str to float, optional
+        By metric, in its unit: by how much a score may move and still count as the same. By default 0.1 for s, m, m/s,
+        m/s² and s², 0.01 for rad and for metrics without unit, and 0 for other units.
 
     Returns
     -------
     Comparison
-        True where the versions differ. Where simulators do not repeat themselves that is wrong in at most 5 % of all
-        comparisons of a version with itself, over all tests together.
+        `verdict` says whether the new version is better, worse, mixed or the same, or that nothing can be said. As a
+        bool it is true if the versions differ at all. Where simulators do not repeat themselves, either is wrong in at
+        most 5 % of all comparisons of a version with itself, over all tests together.
 
     Raises
     ------
     InputError
         The studies are of other scenarios, parameters, entities, metrics or thresholds; or they have nothing in common:
         no scenario, and fewer than 20 each that were chosen whatever the scores are; or one is of a suite that has not
-        been run to its end.
+        been run to its end; or a tolerance is negative, or of a metric that is not compared.
     """
     with (
         open_study(old, readonly=True, critical=critical) as before,
@@ -70,17 +78,28 @@ def compare(
         chosen = require_comparable(before, after, None if metrics is None else texts("metrics", metrics))
         for study in (before, after):
             _require_finished(study)
-        sides = [Side.of(study, chosen, verdicts_of(study)) for study in (before, after)]
-        pairs = read_pairs(*sides)
+        both = set(before.meta.requirements) & set(after.meta.requirements)
+        needed = tuple(dict.fromkeys((*chosen, *(deciding_metrics(before) if deciding_metrics(after) else ()))))
+        allowed = find_tolerances(needed, sorted(both), tolerances)
+        sides = [Side.of(study, needed, verdicts_of(study)) for study in (before, after)]
+        pairs = read_pairs(sides[0], sides[1], chosen)
         certain = all(_repeats_itself(study.meta.simulator) for study in (before, after))
         tests = _tests(sides[0], sides[1], pairs, chosen, certain)
         changed, reason = _judged(pairs, tests, certain)
+        worse, better, within = find_verdict(pairs, tests, allowed, certain)
+        verdict, verdict_reason = judge_version((worse, better), pairs, tests, (changed, reason), certain)
         return Comparison(
             names=(before.path.name, after.path.name),
             title=before.meta.title,
             differences=tuple(_differences(before.meta, after.meta)),
             changed=changed,
             reason=reason,
+            verdict=verdict,
+            verdict_reason=verdict_reason,
+            worse=worse,
+            better=better,
+            within=within,
+            tolerances=allowed,
             certain=certain,
             pairs=pairs,
             alone=(len(sides[0].rows) - len(pairs), len(sides[1].rows) - len(pairs)),

@@ -15,6 +15,8 @@ from cornercase.recordings import Recording
 from cornercase.study import IMPORTED, Row, Study, StudyMeta
 from cornercase.suite.comparing_results import Pair, Run
 from cornercase.suite.difference import ARRAYS, same_bytes
+from cornercase.suite.judging import find_margin
+from cornercase.suite.requirement import Requirement
 from cornercase.suite.verdict import Verdict
 
 # Of m, s, rad, m/s and m/s²: what another processor or compiler makes of the same motion.
@@ -35,7 +37,7 @@ class Side:
     searched : bool
         Whether a search chose scenarios; else they were chosen before anything was run.
     scores : mapping of int to mapping of str to float
-        By id and metric, of those that were run.
+        By id and metric, of those that were run: metrics to compare, and those that decide what is critical.
     critical : mapping of int to bool
         Empty where nothing says it.
     verdicts : mapping of int to sequence of Verdict
@@ -144,13 +146,32 @@ def key_of(study: Study, row: Row) -> tuple[object, ...]:
     )
 
 
-def read_pairs(old: Side, new: Side) -> tuple[Pair, ...]:
+def deciding_metrics(study: Study) -> tuple[str, ...]:
+    """Name the metrics whose scores say which scenarios of a study are critical.
+
+    Parameters
+    ----------
+    study : Study
+
+    Returns
+    -------
+    tuple of str
+        Empty where nothing says it.
+    """
+    if not knows_critical(study):
+        return ()
+    return tuple(study.meta.weights) or study.meta.metrics[:1]
+
+
+def read_pairs(old: Side, new: Side, metrics: Sequence[str]) -> tuple[Pair, ...]:
     """Find the scenarios that ended in both studies, and what became of them.
 
     Parameters
     ----------
     old, new : Side
         Of the same space.
+    metrics : sequence of str
+        Metrics to compare.
 
     Returns
     -------
@@ -168,11 +189,11 @@ def read_pairs(old: Side, new: Side) -> tuple[Pair, ...]:
     for row in old.rows:
         partner = partners.get(key_of(old.study, row))
         if partner is not None:
-            found.append(_pair(old, new, row, partner, main))
+            found.append(_pair(old, new, row, partner, main, metrics))
     return tuple(found)
 
 
-def _pair(old: Side, new: Side, before: Row, after: Row, other: str) -> Pair:
+def _pair(old: Side, new: Side, before: Row, after: Row, other: str, metrics: Sequence[str]) -> Pair:
     ids = before.id, after.id
     unselected = old.unselected(before.id) and new.unselected(after.id)
     point = tuple(before.point.tolist())
@@ -186,18 +207,43 @@ def _pair(old: Side, new: Side, before: Row, after: Row, other: str) -> Pair:
     # Encounters with others than `other` change neither in words nor in collisions how it ended.
     first = find_outcome(recordings[0].with_absent(others), ego, other, others=False)
     last = first if run == "the same" else find_outcome(recordings[1].with_absent(others), ego, other, others=False)
+    verdicts = _on_the_same(old.verdicts.get(before.id, ()), new.verdicts.get(after.id, ()))
+    known = bool(old.critical and new.critical)
     return Pair(
         ids,
         before.values,
         point,
         run,
         unselected,
-        scores={name: (one, new.scores[after.id][name]) for name, one in old.scores[before.id].items()},
+        scores=_scores(old, new, ids, metrics),
         outcomes=(first.text, last.text),
         collides=(bool(first.impacts), bool(last.impacts)),
-        critical=(old.critical[before.id], new.critical[after.id]) if old.critical and new.critical else None,
-        verdicts=_on_the_same(old.verdicts.get(before.id, ()), new.verdicts.get(after.id, ())),
+        critical=(old.critical[before.id], new.critical[after.id]) if known else None,
+        verdicts=verdicts,
+        margins=_margins(verdicts, recordings, ego, others),
+        deciding=_scores(old, new, ids, deciding_metrics(old.study) if known else ()),
     )
+
+
+def _scores(old: Side, new: Side, ids: tuple[int, int], metrics: Sequence[str]) -> dict[str, tuple[float, float]]:
+    return {name: (old.scores[ids[0]][name], new.scores[ids[1]][name]) for name in metrics}
+
+
+def _margins(
+    verdicts: tuple[tuple[Verdict, ...], tuple[Verdict, ...]],
+    recordings: Sequence[Recording],
+    ego: str,
+    others: Sequence[str],
+) -> dict[str, tuple[float, float]]:
+    """How far requirements hold that turned from passed to failed or back, where that is a matter of degree."""
+    margins = {}
+    for before, after in zip(*verdicts, strict=True):
+        if {before.state, after.state} == {"passed", "failed"}:
+            requirement = Requirement.parse(before.requirement)
+            old, new = (find_margin(requirement, one, ego, others) for one in recordings)
+            if old is not None and new is not None:
+                margins[requirement.text] = old, new
+    return margins
 
 
 def compare_recordings(old: Recording, new: Recording) -> Run:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from typing import Any, Final, Literal
 
@@ -14,6 +14,15 @@ LEVEL: Final = 0.05
 """Probability that two runs of one version are said to differ by any of the tests, at most."""
 
 Run = Literal["the same", "within rounding", "otherwise", "not in one", "in neither"]
+
+Answer = Literal["better", "worse", "mixed", "the same", "cannot say"]
+"""What a comparison comes to."""
+
+Direction = Literal["worse", "better"]
+
+# Scenarios that a finding names in a sentence, and findings that one sentence names.
+_NAMED: Final = 5
+_TOLD: Final = 4
 
 
 @dataclass(frozen=True)
@@ -45,6 +54,11 @@ class Pair:
         None where nothing says it.
     verdicts : tuple of (tuple of Verdict, tuple of Verdict)
         On the requirements that both studies have; empty without any.
+    margins : mapping of str to tuple of (float, float)
+        By requirement that turned from passed to failed or back: how far it holds, negative if it is violated. Only
+        for bounds, formulas and places; whether there is a collision is not a matter of degree.
+    deciding : mapping of str to tuple of (float, float)
+        Scores that decide whether the scenario is critical, by metric; empty where nothing does.
     """
 
     ids: tuple[int, int]
@@ -58,6 +72,8 @@ class Pair:
     collides: tuple[bool, bool] = (False, False)
     critical: tuple[bool, bool] | None = None
     verdicts: tuple[tuple[Verdict, ...], tuple[Verdict, ...]] = ((), ())
+    margins: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+    deciding: Mapping[str, tuple[float, float]] = field(default_factory=dict)
 
     @property
     def ran(self) -> bool:
@@ -117,6 +133,11 @@ class ChangeTest:
     p, corrected : float
         Probability of what was found, or more, where the versions are the same: by itself, and by Holm's correction
         for all tests that were made.
+    direction : {"worse", "better"} or None
+        Where the new version lies, whether or not the test is significant; None where neither is ahead.
+    shift : float
+        Mean score of the new version less that of the old one, in the metric's unit; of what is so or not, the
+        difference of the shares.
     """
 
     about: str
@@ -126,6 +147,103 @@ class ChangeTest:
     differ: int | None
     p: float
     corrected: float
+    direction: Direction | None
+    shift: float
+
+
+@dataclass(frozen=True)
+class Finding:
+    """What became worse or better with the new version, or changed within the tolerances.
+
+    Attributes
+    ----------
+    kind : {"collision", "requirement", "run", "critical", "score"}
+    about : str
+        The requirement, or the metric of the score; empty for other kinds, and where a test looks at all requirements.
+    direction : {"worse", "better"}
+    ids : tuple of (int, int)
+        Scenarios in which that happened, in the old and in the new study; empty where a test found it in scenarios
+        that are not the same.
+    against : int, default 0
+        Scenarios in which the opposite happened; counted where a test decides.
+    largest : float or None, default None
+        Largest move of a score, with its sign.
+    unit : str, default ""
+        Of the score.
+    test : ChangeTest or None, default None
+        What decided it; None where the scenarios themselves show it.
+    """
+
+    kind: Literal["collision", "requirement", "run", "critical", "score"]
+    about: str
+    direction: Direction
+    ids: tuple[tuple[int, int], ...]
+    against: int = 0
+    largest: float | None = None
+    unit: str = ""
+    test: ChangeTest | None = None
+
+    @property
+    def what(self) -> str:
+        """In words, with the number of scenarios."""
+        count, worse = len(self.ids), self.direction == "worse"
+        if self.test is not None and not self.ids:
+            return f"{self._trend(worse)} among the scenarios that fill the space"
+        scenarios = f"{count} scenario{'' if count == 1 else 's'}"
+        if self.kind == "collision":
+            collisions = f"collision{'' if count == 1 else 's'}"
+            return f"{count} new {collisions}" if worse else f"{count} {collisions} gone"
+        if self.kind == "run":
+            return f"{scenarios} can {'no longer be run' if worse else 'be run now'}"
+        if self.kind == "critical":
+            return f"{scenarios} {'newly' if worse else 'no longer'} critical"
+        if self.kind == "requirement":
+            which = f"'{self.about}'" if self.about else "a requirement"
+            return f"{scenarios} {'newly' if worse else 'no longer'} fail{'s' if count == 1 else ''} {which}"
+        moved = "" if self.largest is None else f", by up to {abs(self.largest):.3g}"
+        unit = f" {self.unit}" if moved and self.unit not in ("", "1") else ""
+        return f"{scenarios} {'more' if worse else 'less'} critical by {self.about}{moved}{unit}"
+
+    def _trend(self, worse: bool) -> str:
+        if self.kind == "score":
+            return f"scores by {self.about} {'more' if worse else 'less'} critical"
+        what = {"collision": "collisions", "critical": "critical scenarios"}[self.kind]
+        return f"{'more' if worse else 'fewer'} {what}"
+
+    def name_scenarios(self, most: int = _NAMED) -> str:
+        """Name the scenarios.
+
+        Parameters
+        ----------
+        most : int, default 5
+            The others are counted.
+
+        Returns
+        -------
+        str
+            ``"4, 9 and 3 more"``; a scenario that has another number in the new study as ``"4→7"``.
+        """
+        more = len(self.ids) - most
+        return ", ".join(map(name_pair, self.ids[:most])) + (f" and {more} more" if more > 0 else "")
+
+    def tell_test(self) -> str:
+        """Say which test decided, and how many scenarios went the other way.
+
+        Returns
+        -------
+        str
+            Empty if the scenarios themselves decide.
+        """
+        if self.test is None:
+            return ""
+        opposite = f"{self.against} the other way, " if self.ids else ""
+        return f"{opposite}{self.test.method}, p = {self.test.corrected:.2g} corrected"
+
+    @property
+    def text(self) -> str:
+        """In words, with the numbers of the first scenarios."""
+        inside = "; ".join(filter(None, (self.name_scenarios(), self.tell_test())))
+        return f"{self.what} ({inside})" if inside else self.what
 
 
 @dataclass(frozen=True)
@@ -196,7 +314,7 @@ class Telling:
 
 @dataclass(frozen=True)
 class Comparison:
-    """What changed between two versions; `bool` says whether anything did.
+    """What changed between two versions, and whether it is for the worse; `bool` says whether anything changed.
 
     Attributes
     ----------
@@ -210,6 +328,16 @@ class Comparison:
         Whether the versions differ.
     reason : str
         Why that is said, in one sentence.
+    verdict : {"better", "worse", "mixed", "the same", "cannot say"}
+        Of the new version; mixed where some is worse and some better, the same where neither is.
+    verdict_reason : str
+        Why that is said.
+    worse, better : tuple of Finding
+        What speaks for it, what matters most first.
+    within : tuple of Finding
+        Requirements and thresholds that were crossed within the tolerances, so that they do not count.
+    tolerances : mapping of str to float
+        By metric: by how much its score may move and still count as the same.
     certain : bool
         Whether both simulators repeat themselves, so that every difference of a pair is one of the versions.
     pairs : tuple of Pair
@@ -238,6 +366,12 @@ class Comparison:
     differences: tuple[str, ...]
     changed: bool
     reason: str
+    verdict: Answer
+    verdict_reason: str
+    worse: tuple[Finding, ...]
+    better: tuple[Finding, ...]
+    within: tuple[Finding, ...]
+    tolerances: Mapping[str, float]
     certain: bool
     pairs: tuple[Pair, ...]
     alone: tuple[int, int]
@@ -254,7 +388,12 @@ class Comparison:
         return self.changed
 
     def __repr__(self) -> str:
-        return f"<Comparison of {self.names[0]} and {self.names[1]}: {self.reason}>"
+        return f"<Comparison of {self.names[0]} and {self.names[1]}: {self.headline}>"
+
+    @property
+    def headline(self) -> str:
+        """The verdict and why, without a full stop."""
+        return f"{self.verdict.capitalize()}{'.' if self.verdict == 'mixed' else ':'} {self.verdict_reason}"
 
     def count(self, run: Run) -> int:
         """Count pairs by how they ran.
@@ -283,6 +422,12 @@ class Comparison:
             "old": self.names[0],
             "new": self.names[1],
             "scenario": self.title,
+            "verdict": self.verdict,
+            "verdict_reason": self.verdict_reason,
+            "worse": [_plain_finding(one) for one in self.worse],
+            "better": [_plain_finding(one) for one in self.better],
+            "within_tolerance": [_plain_finding(one) for one in self.within],
+            "tolerances": dict(self.tolerances),
             "changed": self.changed,
             "reason": self.reason,
             "level": LEVEL,
@@ -311,6 +456,50 @@ class Comparison:
             "telling": [_plain_pair(one.pair) | {"why": one.why} for one in self.telling],
             "changed_pairs": [_plain_pair(one) for one in self.pairs if one.run != "the same"],
         }
+
+
+def name_pair(ids: tuple[int, int]) -> str:
+    """Name a scenario by its number in both studies.
+
+    Parameters
+    ----------
+    ids : tuple of (int, int)
+
+    Returns
+    -------
+    str
+        ``"4"``, or ``"4→7"`` if it has another number in the new study.
+    """
+    return str(ids[0]) if ids[0] == ids[1] else f"{ids[0]}→{ids[1]}"
+
+
+def tell_findings(findings: Sequence[Finding]) -> str:
+    """Put findings in one line.
+
+    Parameters
+    ----------
+    findings : sequence of Finding
+
+    Returns
+    -------
+    str
+        The first four of them; the others are counted.
+    """
+    more = len(findings) - _TOLD
+    return ", ".join(one.text for one in findings[:_TOLD]) + (f", and {more} more" if more > 0 else "")
+
+
+def _plain_finding(finding: Finding) -> dict[str, Any]:
+    return {
+        "kind": finding.kind,
+        "about": finding.about,
+        "direction": finding.direction,
+        "count": len(finding.ids),
+        "against": finding.against,
+        "largest": finding.largest,
+        "text": finding.text,
+        "pairs": [list(one) for one in finding.ids],
+    }
 
 
 def _plain_pair(pair: Pair) -> dict[str, Any]:

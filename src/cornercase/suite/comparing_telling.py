@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import Final
+from typing import Final, TypeAlias
 
 import numpy as np
 
@@ -20,15 +20,17 @@ _CLOSE: Final = 0.5
 # Root mean square of the differences of all parameters, in parts of their ranges, below which a scenario shows the
 # same thing again.
 _NEAR: Final = 0.05
+# How important a manner of change is, 0 is most, and whether it is one for the worse: those have False.
+_Tier: TypeAlias = tuple[int, bool]
 
 
 def choose_telling(pairs: Sequence[Pair], metrics: Sequence[str], searched: str = "") -> tuple[Telling, ...]:
     """Choose scenarios that show what changed, spread over the space.
 
     First those with another verdict, or that ran with one version only; then those of which one collides; then another
-    outcome; then critical or not; then a score, in units of the spread of its old scores. Among those that changed in
-    the same manner it begins with the largest change, and goes on with the one that is farthest from all that are
-    chosen, of those that changed half as much as the largest or more.
+    outcome; then critical or not; then a score, in units of the spread of its old scores. Of each manner those come
+    first that became worse. Among those that changed in the same manner it begins with the largest change, and goes on
+    with the one that is farthest from all that are chosen, of those that changed half as much as the largest or more.
 
     Parameters
     ----------
@@ -43,7 +45,7 @@ def choose_telling(pairs: Sequence[Pair], metrics: Sequence[str], searched: str 
         At most `MOST`.
     """
     spreads = _spreads(pairs, metrics)
-    tiers: dict[int, list[tuple[float, Pair, str]]] = {}
+    tiers: dict[_Tier, list[tuple[float, Pair, str]]] = {}
     for pair in pairs:
         tier, size, why = _change(pair, spreads, searched)
         if why:
@@ -67,7 +69,7 @@ def choose_telling(pairs: Sequence[Pair], metrics: Sequence[str], searched: str 
     return tuple(chosen)
 
 
-def _first(tier: int, tiers: Mapping[int, list[tuple[float, Pair, str]]], chosen: Sequence[Telling]) -> bool:
+def _first(tier: _Tier, tiers: Mapping[_Tier, list[tuple[float, Pair, str]]], chosen: Sequence[Telling]) -> bool:
     of_tier = {id(pair) for _, pair, _ in tiers[tier]}
     return not any(id(one.pair) in of_tier for one in chosen)
 
@@ -89,37 +91,40 @@ def _spreads(pairs: Sequence[Pair], metrics: Sequence[str]) -> dict[str, float]:
     return found
 
 
-def _change(pair: Pair, spreads: Mapping[str, float], searched: str) -> tuple[int, float, str]:
-    """How important a change is (0 is most), how large, and what it is in words; no words where nothing changed."""
+def _change(pair: Pair, spreads: Mapping[str, float], searched: str) -> tuple[_Tier, float, str]:
+    """How important a change is, how large, and what it is in words; no words where nothing changed."""
     if pair.run == "not in one":
         which = "old" if pair.errors[0] is not None else "new"
-        return 0, 0.0, f"could not be run with the {which} version"
+        return (0, which == "old"), 0.0, f"could not be run with the {which} version"
     if not pair.ran:
-        return 9, 0.0, ""
-    size, moved = _largest(pair, spreads)
+        return (9, True), 0.0, ""
+    size, moved, worse = _largest(pair, spreads)
     if pair.turned:
-        old, new = pair.turned[0]
-        return 0, size, f"{old.requirement}: {old.state}, now {new.state}"
+        # One that newly fails, if there is one.
+        old, new = min(pair.turned, key=lambda one: one[1].state != "failed")
+        return (0, new.state != "failed"), size, f"{old.requirement}: {old.state}, now {new.state}"
     tell = f"{pair.outcomes[0]}; now {pair.outcomes[1]}"
     if pair.collides[0] != pair.collides[1]:
-        return 1, size, tell
+        return (1, pair.collides[0]), size, tell
     if pair.outcomes[0] != pair.outcomes[1]:
-        return 2, size, tell
+        return (2, not worse), size, tell
     if pair.critical is not None and pair.critical[0] != pair.critical[1]:
         why = _moved(searched, *pair.scores[searched]) if searched else moved
-        return 3, size, f"{'critical now' if pair.critical[1] else 'critical no more'}, {why}"
-    return 4, size, moved
+        return (3, pair.critical[0]), size, f"{'critical now' if pair.critical[1] else 'critical no more'}, {why}"
+    return (4, not worse), size, moved
 
 
-def _largest(pair: Pair, spreads: Mapping[str, float]) -> tuple[float, str]:
-    """Largest change of a score in units of its spread, and which."""
-    found, words = 0.0, ""
+def _largest(pair: Pair, spreads: Mapping[str, float]) -> tuple[float, str, bool]:
+    """Largest change of a score in units of its spread, which, and whether it is one for the worse."""
+    found, words, worse = 0.0, "", False
     for name, spread in spreads.items():
         old, new = pair.scores[name]
         (change,) = np.abs(moved_by(np.array([old]), np.array([new]))).tolist()
         if change / spread > found:
             found, words = change / spread, _moved(name, old, new)
-    return found, words
+            metric = METRICS.create(name)
+            worse = metric.oriented(new) < metric.oriented(old)
+    return found, words, worse
 
 
 def _moved(name: str, old: float, new: float) -> str:

@@ -9,7 +9,8 @@ from typing import Final
 import numpy as np
 
 from cornercase._common.typing import BoolArray, FloatArray
-from cornercase.suite.comparing_results import ChangeTest, Pair
+from cornercase.metrics import METRICS
+from cornercase.suite.comparing_results import ChangeTest, Direction, Pair
 from cornercase.suite.verdict import Verdict
 
 FEWEST: Final = 20
@@ -131,8 +132,9 @@ def tests_of_pairs(pairs: Sequence[Pair], metrics: Sequence[str]) -> list[Change
         scores = np.array([one.scores[name] for one in ran])
         differences = moved_by(scores[:, 0], scores[:, 1])
         differ = int((differences != 0.0).sum())
-        p = signed_ranks(differences)
-        found.append(ChangeTest(name, "Wilcoxon signed-rank", len(ran), len(ran), differ, p, p))
+        p, direction = signed_ranks(differences), _direction(name, _sum_of_ranks(differences))
+        method, shift = "Wilcoxon signed-rank", float(differences.mean())
+        found.append(ChangeTest(name, method, len(ran), len(ran), differ, p, p, direction, shift))
     facts: dict[str, list[tuple[bool, bool]]] = {"collision": [one.collides for one in ran]}
     facts["critical"] = [one.critical for one in ran if one.critical is not None]
     judged = [one.verdicts for one in ran if one.verdicts[0]]
@@ -143,9 +145,24 @@ def tests_of_pairs(pairs: Sequence[Pair], metrics: Sequence[str]) -> list[Change
         if states:
             before, after = np.array(states, dtype=np.bool_).T
             p = discordant(before, after)
-            differ = int((before != after).sum())
-            found.append(ChangeTest(about, "exact McNemar", len(states), len(states), differ, p, p))
+            differ, shift = int((before != after).sum()), float(after.mean() - before.mean())
+            count, direction = len(states), _direction("", -shift)
+            found.append(ChangeTest(about, "exact McNemar", count, count, differ, p, p, direction, shift))
     return found
+
+
+def _sum_of_ranks(differences: FloatArray) -> float:
+    """Sum of the ranks of what moved up, less that of what moved down: what Wilcoxon's test looks at."""
+    from scipy.stats import rankdata
+
+    moved = differences[differences != 0.0]
+    return float((np.sign(moved) * rankdata(np.abs(moved))).sum()) if len(moved) else 0.0
+
+
+def _direction(metric: str, moved: float) -> Direction | None:
+    """Whether a move of scores is for the worse; without a metric, less is worse."""
+    oriented = METRICS.create(metric).oriented(moved) if metric else moved
+    return "worse" if oriented < 0.0 else "better" if oriented > 0.0 else None
 
 
 def _failed(verdicts: Sequence[Verdict]) -> bool:
@@ -184,11 +201,16 @@ def tests_of_samples(
     for name, old in scores[0].items():
         new = scores[1][name]
         same = len(np.unique(np.concatenate([old, new]))) < 2
-        p = 1.0 if same else float(mannwhitneyu(old, new).pvalue)
-        found.append(ChangeTest(name, "Mann-Whitney", len(old), len(new), None, p, p))
+        test = None if same else mannwhitneyu(old, new)
+        p = 1.0 if test is None else float(test.pvalue)
+        # Pairs of an old and a new score in which the new one is higher, less half of all.
+        lead = 0.0 if test is None else len(old) * len(new) / 2.0 - float(test.statistic)
+        direction, shift = _direction(name, lead), float(new.mean() - old.mean())
+        found.append(ChangeTest(name, "Mann-Whitney", len(old), len(new), None, p, p, direction, shift))
     for name, before in facts[0].items():
         after = facts[1][name]
         table = np.array([[one.sum(), (~one).sum()] for one in (before, after)], dtype=np.int64)
-        p = float(fisher_exact(table).pvalue)
-        found.append(ChangeTest(name, "exact Fisher", len(before), len(after), None, p, p))
+        p, shift = float(fisher_exact(table).pvalue), float(after.mean() - before.mean())
+        direction = _direction("", -shift)
+        found.append(ChangeTest(name, "exact Fisher", len(before), len(after), None, p, p, direction, shift))
     return found

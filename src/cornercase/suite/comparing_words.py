@@ -5,9 +5,14 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass
+from typing import Final
 
 from cornercase.evidence import Estimate
-from cornercase.suite.comparing_results import LEVEL, Comparison, Pair, SpaceChange
+from cornercase.metrics import METRICS
+from cornercase.suite.comparing_results import LEVEL, Comparison, Pair, SpaceChange, tell_findings
+
+NAMED: Final = 40
+"""Scenarios that a finding names in a table."""
 
 
 @dataclass(frozen=True)
@@ -17,8 +22,8 @@ class Section:
     Attributes
     ----------
     key : str
-        What it is about: ``"answer"``, ``"pairs"``, ``"scores"``, ``"outcomes"``, ``"verdicts"``, ``"tests"``,
-        ``"space"``, ``"kinds"`` or ``"telling"``.
+        What it is about: ``"answer"``, ``"findings"``, ``"pairs"``, ``"scores"``, ``"outcomes"``, ``"verdicts"``,
+        ``"tests"``, ``"space"``, ``"kinds"`` or ``"telling"``.
     title : str
     sentences : tuple of str
     header : tuple of str
@@ -50,6 +55,8 @@ def tell_comparison(found: Comparison) -> tuple[Section, ...]:
 
 def _sections(found: Comparison) -> Iterator[Section]:
     yield _answer(found)
+    if found.worse or found.better:
+        yield _findings(found)
     yield from _pairs(found)
     if found.tests:
         yield _tests(found)
@@ -64,10 +71,31 @@ def _sections(found: Comparison) -> Iterator[Section]:
 
 
 def _answer(found: Comparison) -> Section:
-    word = "Changed" if found.changed else "No change"
     other = found.differences or ("The studies were made with the same settings.",)
-    asked = () if found.critical is None else (f"Scenarios count as critical from a score of {found.critical:g} on.",)
-    return Section("answer", f"{word}: {found.reason}", (*other, *asked))
+    sentences = list(other)
+    if not found.verdict_reason.startswith(found.reason):
+        sentences.append(f"{'Changed' if found.changed else 'No change'}: {found.reason}")
+    if found.within:
+        sentences.append(f"Within the tolerances, so that it does not count: {tell_findings(found.within)}")
+    sentences.append(f"Tolerances: {', '.join(_tolerances(found))}")
+    if found.critical is not None:
+        sentences.append(f"Scenarios count as critical from a score of {found.critical:g} on.")
+    return Section("answer", found.headline, tuple(sentences))
+
+
+def _tolerances(found: Comparison) -> Iterator[str]:
+    for name, value in found.tolerances.items():
+        unit = METRICS.create(name).unit
+        yield f"{name} {value:g}" if unit == "1" else f"{name} {value:g} {unit}"
+
+
+def _findings(found: Comparison) -> Section:
+    each = (*found.worse, *found.better)
+    tests = ("test",) if any(one.test for one in each) else ()
+    rows = tuple(
+        (one.direction, one.what, one.name_scenarios(NAMED), *([one.tell_test()] if tests else [])) for one in each
+    )
+    return Section("findings", "Worse and better", header=("", "what", "scenarios", *tests), rows=rows)
 
 
 def _pairs(found: Comparison) -> Iterator[Section]:

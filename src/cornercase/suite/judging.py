@@ -86,6 +86,36 @@ def judge(
     return verdict
 
 
+def find_margin(requirement: Requirement, recording: Recording, ego: str, others: Sequence[str]) -> float | None:
+    """Find how far a recording is from the bound of a requirement.
+
+    Parameters
+    ----------
+    requirement : Requirement
+    recording : Recording
+    ego : str
+    others : sequence of str
+        As for `judge`.
+
+    Returns
+    -------
+    float or None
+        The smallest robustness of a formula, or how much nearer than asked the ego comes to a place, in m; negative if
+        the requirement is violated. None if it is not known, and for collisions, which there are or are not.
+    """
+    margin = np.nan
+    if requirement.formula is not None:
+        signals = [signals_of(recording, ego, other) for other in others_there(recording, others)]
+        each = [float(requirement.formula.robustness(one)[0]) for one in signals]
+        margin = min((one for one in each if not np.isnan(one)), default=np.nan)
+    elif requirement.place is not None:
+        x, y, radius = requirement.place
+        in_time = recording.time - recording.time[0] <= requirement.within + _CLOCK
+        away = np.hypot(*(recording.center(ego)[in_time] - (x, y)).T)
+        margin = radius - min(away[np.isfinite(away)], default=np.nan)
+    return None if np.isnan(margin) else float(margin)
+
+
 def _judge_collision(requirement: Requirement, recording: Recording, ego: str) -> Verdict:
     i, whom = recording.index(ego), requirement.entity
     there = np.isfinite(recording.x[i])

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import base64
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, Final
 
@@ -20,7 +20,7 @@ from cornercase.report.templates import fill_template
 from cornercase.report.versions.charts import draw_charts
 from cornercase.scenario import Scenario
 from cornercase.study import Study, open_study
-from cornercase.suite import Comparison, Telling, tell_comparison
+from cornercase.suite import NAMED, Comparison, Finding, Telling, name_pair, tell_comparison
 
 _STYLES: Final = ("style.css", "replay.css", "versions.css")
 _SCRIPTS: Final = ("store.js", "recordings.js", *REPLAY_SCRIPTS, "versions.js")
@@ -35,7 +35,7 @@ def write_comparison(
     *,
     scenario: Path | str | Scenario | None = None,
 ) -> Path:
-    """Write the page of a comparison: what changed, in words and charts, and the scenarios that show it, to play.
+    """Write the page of a comparison: verdict, changes in words and charts, and the scenarios that show them, to play.
 
     Parameters
     ----------
@@ -81,7 +81,7 @@ def _filled(found: Comparison, old: Study, new: Study, scenario: Path | str | Sc
                 records.append((one, pack_record(one, recordings[-1], _courses(study, scenario_id, found))))
     block, offsets = pack_block([record for _, record in records])
     index = {str(one): [0, offset] for (one, _), offset in zip(records, offsets, strict=True)}
-    sections = [one for one in tell_comparison(found) if one.key not in ("answer", "telling")]
+    sections = [one for one in tell_comparison(found) if one.key not in ("answer", "findings", "telling")]
     answer = tell_comparison(found)[0]
     contents = _contents(found, old, new) | {"recordings": index} | _roads(found, old, recordings, scenario)
     return fill_template(
@@ -92,13 +92,33 @@ def _filled(found: Comparison, old: Study, new: Study, scenario: Path | str | Sc
         title=f"{found.title}: {found.names[0]} and {found.names[1]}",
         about=f"{found.names[0]} is the old version, {found.names[1]} the new one.",
         answer=answer,
-        changed=found.changed,
+        verdict=found.verdict,
+        reason=found.verdict_reason,
+        findings=[(title, _findings(each, found)) for title, each in _directions(found) if each],
         sections=sections,
         charts=list(draw_charts(found, old.space.parameters)),
         telling=[(2 * k + 1, 2 * k + 2, one.why, _ids(one)) for k, one in enumerate(found.telling)],
         contents=contents,
         blocks=[base64.b64encode(block).decode()],
     )
+
+
+def _directions(found: Comparison) -> tuple[tuple[str, tuple[Finding, ...]], ...]:
+    return ("Worse", found.worse), ("Better", found.better)
+
+
+def _findings(findings: Sequence[Finding], found: Comparison) -> list[dict[str, Any]]:
+    """What the page says of findings, and the numbers that it gives to their scenarios, if it can play them."""
+    played = {one.pair.ids: (2 * k + 1, 2 * k + 2) for k, one in enumerate(found.telling)}
+    return [
+        {
+            "what": one.what,
+            "test": one.tell_test(),
+            "scenarios": [(name_pair(ids), *played.get(ids, (None, None))) for ids in one.ids[:NAMED]],
+            "more": max(len(one.ids) - NAMED, 0),
+        }
+        for one in findings
+    ]
 
 
 def _both(k: int, telling: Telling, old: Study, new: Study) -> tuple[tuple[int, Study, int], ...]:

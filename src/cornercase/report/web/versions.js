@@ -13,6 +13,13 @@ async function beginVersions() {
       store.select(Number(button.dataset.new), "beside");
     };
     for (const button of buttons) button.addEventListener("click", () => choose(button));
+    // The verdict names scenarios, too: those that are played here can be chosen there.
+    for (const link of document.querySelectorAll("#answer button")) {
+      link.addEventListener("click", () => {
+        choose(buttons.find((one) => one.dataset.old === link.dataset.old));
+        section.scrollIntoView({ block: "start" });
+      });
+    }
     choose(buttons[0]);
     const recordings = new EmbeddedRecordings(contents.recordings);
     const replay = showReplay(section, store, recordings);

@@ -1,0 +1,274 @@
+"""Whether a new version is better or worse than the old one, within tolerances."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from types import MappingProxyType
+from typing import Final, Literal, TypeAlias
+
+import numpy as np
+
+from cornercase._common import arguments
+from cornercase._common.errors import InputError, suggestion
+from cornercase.metrics import METRICS
+from cornercase.suite.comparing_results import (
+    LEVEL,
+    Answer,
+    ChangeTest,
+    Direction,
+    Finding,
+    Pair,
+    tell_findings,
+)
+from cornercase.suite.comparing_tests import moved_by
+from cornercase.suite.requirement import Requirement
+
+TOLERANCES: Final = MappingProxyType({"s": 0.1, "m": 0.1, "m/s": 0.1, "m/s²": 0.1, "s²": 0.1, "rad": 0.01, "1": 0.01})
+"""By how much a score may move and still count as the same, by its unit; 0 for other units."""
+
+_Kind: TypeAlias = Literal["collision", "requirement", "run", "critical", "score"]
+# What matters most comes first.
+_ORDER: Final[tuple[_Kind, ...]] = ("collision", "requirement", "run", "critical", "score")
+_TESTED: Final[Mapping[str, _Kind]] = MappingProxyType(
+    {"collision": "collision", "failed verdict": "requirement", "not run": "run", "critical": "critical"}
+)
+
+
+@dataclass(frozen=True)
+class Step:
+    """One change of a pair for the worse or the better; `size` is the move of a score, in its unit."""
+
+    kind: _Kind
+    about: str
+    direction: Direction
+    ids: tuple[int, int]
+    counts: bool = True
+    size: float | None = None
+
+
+def find_tolerances(
+    metrics: Iterable[str], requirements: Iterable[str], given: Mapping[str, float] | None
+) -> dict[str, float]:
+    """Find the tolerance of each metric.
+
+    Parameters
+    ----------
+    metrics : iterable of str
+        Metrics that are compared.
+    requirements : iterable of str
+        Requirements of both studies; the metrics that they name have a tolerance too.
+    given : mapping of str to float, optional
+        Tolerances in place of the defaults, by metric.
+
+    Returns
+    -------
+    dict of str to float
+
+    Raises
+    ------
+    InputError
+        A tolerance is negative or no number, or its metric is not compared.
+    """
+    formulas = (Requirement.parse(one).formula for one in requirements)
+    named = [name for one in formulas if one is not None for name in one.metrics]
+    found = {name: _default(METRICS.create(name).unit) for name in (*metrics, *named)}
+    for name, value in arguments.by_name("tolerances", given or {}).items():
+        if name not in found:
+            raise InputError(
+                f"`tolerances` {name}: is none of the metrics that are compared; {suggestion(name, found)}"
+            )
+        try:
+            found[name] = arguments.number("tolerances", value, least=0.0)
+        except InputError as error:
+            raise InputError(f"`tolerances` {name}={arguments.shown(value)}: give a number of 0 or more.") from error
+    return found
+
+
+def _default(unit: str) -> float:
+    return TOLERANCES.get(unit, 0.0)
+
+
+def find_verdict(
+    pairs: Sequence[Pair], tests: Sequence[ChangeTest], tolerances: Mapping[str, float], certain: bool
+) -> tuple[tuple[Finding, ...], tuple[Finding, ...], tuple[Finding, ...]]:
+    """Find what became worse and what became better with the new version.
+
+    If both simulators repeat themselves, each pair shows it. Otherwise a single pair shows nothing: then the
+    significant tests count, each of them if more scenarios changed in its direction by more than the tolerances than
+    in the other. Tests of scenarios that are not the same ones count in either case.
+
+    Parameters
+    ----------
+    pairs : sequence of Pair
+    tests : sequence of ChangeTest
+        Corrected.
+    tolerances : mapping of str to float
+        By metric.
+    certain : bool
+        Whether both simulators repeat themselves.
+
+    Returns
+    -------
+    worse, better : tuple of Finding
+        What matters most first.
+    within : tuple of Finding
+        Thresholds and bounds that were crossed within the tolerances.
+    """
+    steps = [step for pair in pairs if certain or pair.unselected for step in _steps(pair, tolerances)]
+    counted, within = [one for one in steps if one.counts], [one for one in steps if not one.counts]
+    findings = list(_grouped(counted, tolerances)) if certain else []
+    for test in tests:
+        if test.corrected <= LEVEL and test.direction is not None and (not certain or test.differ is None):
+            findings += _tested(test, test.direction, counted, tolerances)
+    worse, better = (tuple(one for one in findings if one.direction == each) for each in ("worse", "better"))
+    return worse, better, tuple(_grouped(within, tolerances))
+
+
+def _steps(pair: Pair, tolerances: Mapping[str, float]) -> Iterator[Step]:
+    """Go through the changes of a pair for the worse and the better."""
+    if pair.run == "not in one":
+        yield Step("run", "", "worse" if pair.errors[0] is None else "better", pair.ids)
+    # What went the same but for rounding may still cross a bound, which is told and does not count.
+    otherwise = pair.run == "otherwise"
+    if pair.collides[0] != pair.collides[1]:
+        yield Step("collision", "", "worse" if pair.collides[1] else "better", pair.ids)
+    for old, new in pair.turned:
+        failed = [one.state == "failed" for one in (old, new)]
+        if failed[0] != failed[1]:
+            margins = pair.margins.get(old.requirement)
+            allowed = _tolerance_of(old.requirement, tolerances)
+            counts = margins is None or (otherwise and _exceeds(*margins, allowed))
+            yield Step("requirement", old.requirement, "worse" if failed[1] else "better", pair.ids, counts)
+    if pair.critical is not None and pair.critical[0] != pair.critical[1]:
+        # If several metrics decide together, one that moved is enough.
+        counts = otherwise and any(_exceeds(*both, tolerances[name]) for name, both in pair.deciding.items())
+        yield Step("critical", "", "worse" if pair.critical[1] else "better", pair.ids, counts)
+    for name, (before, after) in pair.scores.items():
+        if otherwise and _exceeds(before, after, tolerances[name]):
+            metric = METRICS.create(name)
+            worse = metric.oriented(after) < metric.oriented(before)
+            yield Step("score", name, "worse" if worse else "better", pair.ids, size=after - before)
+
+
+def _exceeds(before: float, after: float, tolerance: float) -> bool:
+    """Whether a number moved by more than a tolerance, and not by rounding alone."""
+    if not (np.isfinite(before) and np.isfinite(after)):
+        return before != after
+    size = abs(float(moved_by(np.array([before]), np.array([after]))[0]))
+    # A move by the tolerance itself does not exceed it, whatever the last digits are.
+    return bool(moved_by(np.array([tolerance]), np.array([size]))[0] > 0.0)
+
+
+def _tolerance_of(requirement: str, tolerances: Mapping[str, float]) -> float:
+    """Tolerance of the margin of a requirement: the smallest one of the signals that it compares."""
+    formula = Requirement.parse(requirement).formula
+    if formula is None:
+        # How near the ego comes to a place.
+        return TOLERANCES["m"]
+    signals = [one.left for one in formula.comparisons]
+    return min(tolerances[one.name] if one.name in tolerances else _default(one.unit) for one in signals)
+
+
+def _grouped(steps: Iterable[Step], metrics: Iterable[str]) -> Iterator[Finding]:
+    """Put the changes of one kind and direction together; scores in the order of the metrics."""
+    places = {name: k for k, name in enumerate(metrics)}
+    groups: dict[tuple[_Kind, str, Direction], list[Step]] = {}
+    for step in steps:
+        groups.setdefault((step.kind, step.about, step.direction), []).append(step)
+
+    def place(group: tuple[_Kind, str, Direction]) -> tuple[int, int, str, bool]:
+        kind, about, direction = group
+        return _ORDER.index(kind), places.get(about, 0), about, direction == "better"
+
+    for kind, about, direction in sorted(groups, key=place):
+        yield _finding(kind, about, direction, groups[kind, about, direction])
+
+
+def _finding(
+    kind: _Kind,
+    about: str,
+    direction: Direction,
+    steps: Sequence[Step],
+    against: int = 0,
+    test: ChangeTest | None = None,
+) -> Finding:
+    unit = METRICS.create(about).unit if kind == "score" else ""
+    largest = max((one.size for one in steps if one.size is not None), key=abs, default=None)
+    ids = tuple(dict.fromkeys(one.ids for one in steps))
+    return Finding(kind, about, direction, ids, against, largest, unit, test)
+
+
+def _tested(
+    test: ChangeTest, direction: Direction, steps: Sequence[Step], tolerances: Mapping[str, float]
+) -> Iterator[Finding]:
+    """Give the finding of a significant test, unless it is within the tolerances."""
+    kind = _TESTED.get(test.about, "score")
+    about = test.about if kind == "score" else ""
+    if test.differ is None:
+        # A shift of the mean in the other direction would contradict the test, which looks at ranks.
+        oriented = METRICS.create(about).oriented(test.shift) if about else -test.shift
+        ahead = oriented < 0.0 if direction == "worse" else oriented > 0.0
+        if ahead and (not about or _exceeds(0.0, test.shift, tolerances[about])):
+            yield _finding(kind, about, direction, (), test=test)
+        return
+    mine = [one for one in steps if one.kind == kind and (not about or one.about == about)]
+    there = [one for one in mine if one.direction == direction]
+    against = len({one.ids for one in mine if one.direction != direction})
+    if len({one.ids for one in there}) > against:
+        yield _finding(kind, about, direction, there, against, test)
+
+
+def judge_version(
+    findings: tuple[Sequence[Finding], Sequence[Finding]],
+    pairs: Sequence[Pair],
+    tests: Sequence[ChangeTest],
+    changed: tuple[bool, str],
+    certain: bool,
+) -> tuple[Answer, str]:
+    """Come to a verdict on the new version.
+
+    Parameters
+    ----------
+    findings : tuple of sequence of Finding
+        What is worse, and what is better.
+    pairs : sequence of Pair
+    tests : sequence of ChangeTest
+    changed : tuple of (bool, str)
+        Whether the versions differ at all, and why that is said.
+    certain : bool
+        Whether both simulators repeat themselves.
+
+    Returns
+    -------
+    verdict : {"better", "worse", "mixed", "the same", "cannot say"}
+    reason : str
+        Why, without a full stop.
+    """
+    worse, better = (tell_findings(one) for one in findings)
+    if worse and better:
+        return "mixed", f"Worse: {worse}; better: {better}"
+    if worse or better:
+        return ("worse", worse) if worse else ("better", better)
+    ran, otherwise = sum(one.ran for one in pairs), sum(one.run == "otherwise" for one in pairs)
+    if all(one.run in ("the same", "in neither") for one in pairs) and ran and not changed[0]:
+        return "the same", changed[1]
+    if certain and otherwise:
+        return "the same", f"{otherwise} of {ran} scenarios that both ran went otherwise, within the tolerances"
+    if changed[0]:
+        return "the same", "nothing that the tests show is beyond the tolerances"
+    if certain and ran:
+        return "the same", changed[1]
+    if not tests:
+        return "cannot say", f"{changed[1]}; explore both with audits, which no search chooses"
+    if not any(_can_reject(one, len(tests)) for one in tests):
+        count, needed = max(one.old for one in tests), math.ceil(math.log2(2.0 * len(tests) / LEVEL))
+        return "cannot say", f"{count} scenarios are too few for {len(tests)} tests, which need {needed}"
+    return "the same", changed[1]
+
+
+def _can_reject(test: ChangeTest, count: int) -> bool:
+    """Whether a test could be significant at all among `count` tests, if all its scenarios changed in one direction."""
+    # Samples have 20 scenarios each, which is enough for any number of tests.
+    return test.differ is None or count * 2.0 * 0.5**test.old <= LEVEL
