@@ -86,7 +86,7 @@ BLOCKS = [block for page in PAGES for block in blocks_of(page)]
 # Pages for users build on what they did before: test_pages_in_order.py runs them as a whole.
 IN_ORDER = {"start", "guide", "howto"}
 # Their code reads a study: test_pages_with_files.py has one.
-WITH_FILES = {"recordings.md", "mutants.md", "study-format.md"}
+WITH_FILES = {"compare.md", "recordings.md", "mutants.md", "study-format.md"}
 PYTHON = [
     block
     for block in BLOCKS

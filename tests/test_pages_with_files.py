@@ -35,7 +35,7 @@ DRIVER = "from cornercase.drivers import SimpleDriver\n\n\nclass MyDriver(Simple
 
 def lines_of(page: Path) -> Iterator[tuple[str, str]]:
     for block in blocks_of(page):
-        if block.language == "python" and page.name in ("mutants.md", "study-format.md"):
+        if block.language == "python" and page.name in ("compare.md", "mutants.md", "study-format.md"):
             yield "python", block.text
         elif block.language in ("", "sh"):
             lines = block.text.replace("\\\n", " ").splitlines()
