@@ -9,9 +9,10 @@ version is explored with so many scenarios and 20 seeds. Compared are:
 - ``later, same seed``: the original and the later driver, of which the scenarios that fill the space are the same;
 - ``later, other seed``: the same with different seeds, so that there is no pair.
 
-``changed`` is what the command says. ``by tests`` is what its tests alone say, as where simulators do not repeat
-themselves. ``first`` is the median number of scenarios after which one went otherwise. ``share`` is how often the 90 %
-interval of the change of the critical share holds 0, where there is one.
+``changed`` is whether the versions differ. ``worse`` and ``better`` are how often something is, by the verdict.
+``by tests`` is what the tests alone say of a change, as where simulators do not repeat themselves. ``first`` is the
+median number of scenarios after which one went otherwise. ``share`` is how often the 90 % interval of the change of the
+critical share holds 0, where there is one.
 """
 
 from __future__ import annotations
@@ -57,6 +58,8 @@ def told(found: Comparison) -> dict[str, Any]:
     sets = None if found.space is None else found.space.sets
     return {
         "changed": found.changed,
+        "worse": bool(found.worse),
+        "better": bool(found.better),
         "by tests": any(one.corrected <= LEVEL for one in found.tests),
         "pairs": len(found.pairs),
         "first": min(otherwise, default=None),
@@ -92,7 +95,10 @@ def main() -> None:
     seeds = 2 if options.quick else options.seeds
     rows = []
     print(f"{options.optimizer}, {options.budget} scenarios, {seeds} seeds")
-    print(f"{'example':16}{'compared':20}{'changed':>8}{'by tests':>9}{'pairs':>6}{'first':>6}  share holds 0")
+    print(
+        f"{'example':16}{'compared':20}{'changed':>8}{'worse':>6}{'better':>7}{'by tests':>9}{'pairs':>6}{'first':>6}"
+        "  share holds 0"
+    )
     with tempfile.TemporaryDirectory() as folder:
         for example in EXAMPLES:
             for kind, found in compared(Path(folder), example, options.optimizer, seeds, options.budget):
@@ -102,6 +108,8 @@ def main() -> None:
                     "example": example,
                     "compared": kind,
                     "changed": sum(one["changed"] for one in found),
+                    "worse": sum(one["worse"] for one in found),
+                    "better": sum(one["better"] for one in found),
                     "by tests": sum(one["by tests"] for one in found),
                     "pairs": float(np.median([one["pairs"] for one in found])),
                     "first": float(np.median(first)) if first else None,
@@ -109,8 +117,9 @@ def main() -> None:
                 }
                 rows.append(row | {"seeds": found})
                 print(
-                    f"{example:16}{kind:20}{row['changed']:8}{row['by tests']:9}{row['pairs']:6.0f}"
-                    f"{'–' if row['first'] is None else format(row['first'], '.0f'):>6}  {row['share']}",
+                    f"{example:16}{kind:20}{row['changed']:8}{row['worse']:6}{row['better']:7}{row['by tests']:9}"
+                    f"{row['pairs']:6.0f}{'–' if row['first'] is None else format(row['first'], '.0f'):>6}"
+                    f"  {row['share']}",
                     flush=True,
                 )
     if options.json:

@@ -43,15 +43,16 @@ def recording(gap: float, hit: bool = False) -> Recording:
     )  # fmt: skip
 
 
-def written(path, gaps, hits=(), failed=(), points=POINTS, **more):
-    meta = about(SPACE, "distance", **({"critical": 1.0, "simulator": "builtin"} | more))
+def written(path, gaps, hits=(), failed=(), points=POINTS, metrics=("distance",), **more):
+    """A study of scenarios in which the other stands so far away, which is the score of all metrics."""
+    meta = about(SPACE, *metrics, **({"critical": 1.0, "simulator": "builtin"} | more))
     with Study.create(path, meta) as study:
         for k, row in enumerate(study.propose(1, points, SPACE.values(points))):
             if k in failed:
                 study.fail(row.id, SimulationError("it broke"))
                 continue
             gap = float(gaps[k])
-            study.finish(row.id, recording(gap, k in hits), {"distance": (np.full(3, gap), gap)})
+            study.finish(row.id, recording(gap, k in hits), {name: (np.full(3, gap), gap) for name in metrics})
     return path
 
 
@@ -153,6 +154,21 @@ def test_a_threshold_that_is_crossed_within_the_tolerance_does_not_count(tmp_pat
     assert {one["kind"]: one["pairs"] for one in plain["better"]} == {"critical": [[10, 10]], "score": [[10, 10]]}
     # What another processor makes of the same motion is no change, whatever the tolerance is.
     assert {one["kind"]: one["pairs"] for one in plain["within_tolerance"]} == {"critical": [[5, 5]]}
+
+
+@pytest.mark.parametrize("weights", [{}, {"ttc": 0.5, "distance": 0.5}])
+def test_what_is_critical_counts_by_the_metrics_that_decide_it_whichever_are_compared(tmp_path, weights):
+    gaps, changed = GAPS.copy(), GAPS.copy()
+    gaps[[4, 9]], changed[[4, 9]] = 1.02, (0.98, 0.5)
+    more = {"metrics": ("ttc", "distance"), "weights": weights}
+    old, new = written(tmp_path / "old.db", gaps, **more), written(tmp_path / "new.db", changed, **more)
+    found = compared(old, new, metrics="distance")
+    assert found.tolerances == {"distance": 0.1, "ttc": 0.1}
+    assert [(one.kind, one.ids) for one in found.worse] == [("critical", ((10, 10),)), ("score", ((10, 10),))]
+    assert [(one.kind, one.ids) for one in found.within] == [("critical", ((5, 5),))]
+    assert compared(old, new, metrics="distance", tolerances={"ttc": 0.01, "distance": 9.0}).worse[0].ids == (
+        (5, 5), (10, 10),
+    )  # fmt: skip
 
 
 def test_a_requirement_that_turns_within_the_tolerance_does_not_count(tmp_path):
