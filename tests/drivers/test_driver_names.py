@@ -114,9 +114,9 @@ def test_a_driver_that_derives_from_the_base_class_needs_only_its_decision():
         ("broken_drivers:Steady", "its module fails: RuntimeError: no licence"),
         ("own_drivers:Absent", "has no class 'Absent'"),
         ("own_drivers:constant", "has no class 'constant'"),
-        ("own_drivers:Picky", "cannot be made without arguments"),
+        ("own_drivers:Picky", "needs the option 'level'; give it as in 'own_drivers:Picky:level=value'"),
         ("own_drivers:Engine", "is not a driver"),
-        ("own_drivers:Forgetful", "cannot be made without arguments"),
+        ("own_drivers:Forgetful", "cannot be made: TypeError"),
         ("own_drivers:Nameless", "is not a driver"),
     ],
 )

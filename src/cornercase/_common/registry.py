@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Container, Mapping
 from functools import partial
 from importlib.metadata import EntryPoint, entry_points
 from inspect import Parameter, signature
@@ -101,6 +101,7 @@ class Registry(Generic[T]):
         if not text:
             if name != base:
                 raise InputError(f"The {self._kind} '{name}' ends in a colon; give options as in '{base}:name=value'.")
+            require_options(self._kind, base, factory, options)
             return factory(**options)
         if any(one.kind is one.POSITIONAL_ONLY for one in signature(factory).parameters.values()):
             whole: Any = factory(text, **options)
@@ -108,25 +109,8 @@ class Registry(Generic[T]):
             return cast(T, whole)
         # What belongs to the name, as which preset it is, is no option.
         given = {*options, *(factory.keywords if isinstance(factory, partial) else ())}
-        twice: set[str] = set()
-        for option in text.split(","):
-            key, equals, value = (part.strip() for part in option.partition("="))
-            if not (key.isidentifier() and equals):
-                raise InputError(
-                    f"The {self._kind} '{name}' has the option '{option}'; give options as in '{base}:name=value'."
-                )
-            if key in twice:
-                raise InputError(f"The {self._kind} '{name}' has the option '{key}' twice; give it once.")
-            twice.add(key)
-            taken = signature(factory).parameters
-            unknown = key not in taken and not any(one.kind is one.VAR_KEYWORD for one in taken.values())
-            if unknown or key in given:
-                own = [name for name in taken if name not in given]
-                raise InputError(f"The {self._kind} '{base}' has no option '{key}'; {suggestion(key, own)}")
-            try:
-                options[key] = _value(value, _taken_by(taken.get(key)))
-            except ValueError as error:
-                raise InputError(f"The {self._kind} '{base}' takes {error} for '{key}', not '{value}'.") from None
+        options |= read_options(self._kind, base, factory, text, given)
+        require_options(self._kind, base, factory, options)
         try:
             made: Any = factory(**options)
         except (TypeError, AttributeError) as error:
@@ -201,10 +185,112 @@ class Registry(Generic[T]):
         return loaded
 
 
-def _taken_by(parameter: Parameter | None) -> type[Any] | None:
+def declared_options(factory: Callable[..., Any]) -> dict[str, Parameter]:
+    """Find the options that a factory declares, by name.
+
+    A class that takes others too (``**options``) hands them on to the class that it derives from, so it has the options
+    of that class as well. What no constructor names is no option, since nobody would notice that it is misspelt.
+
+    Parameters
+    ----------
+    factory : callable
+
+    Returns
+    -------
+    dict of str to Parameter
+    """
+    taken = dict(signature(factory).parameters)
+    made = factory.func if isinstance(factory, partial) else factory
+    for above in made.__mro__ if isinstance(made, type) else ():
+        if not any(one.kind is one.VAR_KEYWORD for one in taken.values()):
+            break
+        if "__init__" in vars(above):
+            _, *own = signature(vars(above)["__init__"]).parameters.values()
+            taken = {name: one for name, one in taken.items() if one.kind is not one.VAR_KEYWORD}
+            taken = {one.name: one for one in own} | taken
+    named = (Parameter.POSITIONAL_OR_KEYWORD, Parameter.KEYWORD_ONLY)
+    return {name: one for name, one in taken.items() if one.kind in named}
+
+
+def read_options(
+    kind: str, name: str, factory: Callable[..., Any], text: str, given: Container[str] = ()
+) -> dict[str, Any]:
+    """Read the options that stand behind the colon of a name.
+
+    Parameters
+    ----------
+    kind : str
+        What is made, for messages: ``"driver"``.
+    name : str
+        What stands before the colon.
+    factory : callable
+        Says which options there are, and what their values are.
+    text : str
+        ``"reaction=0.3,seed=1"``.
+    given : container of str
+        Names of what the factory gets besides.
+
+    Returns
+    -------
+    dict of str to bool, float or str
+
+    Raises
+    ------
+    InputError
+        The factory declares no such option, or does not take its value.
+    """
+    known = {key: one for key, one in declared_options(factory).items() if key not in given}
+    options: dict[str, Any] = {}
+    for option in text.split(","):
+        key, equals, value = (part.strip() for part in option.partition("="))
+        if not (key.isidentifier() and equals):
+            raise InputError(
+                f"The {kind} '{name}:{text}' has the option '{option}'; give options as in '{name}:name=value'."
+            )
+        if key in options:
+            raise InputError(f"The {kind} '{name}:{text}' has the option '{key}' twice; give it once.")
+        if key not in known:
+            raise InputError(f"The {kind} '{name}' has no option '{key}'; {suggestion(key, known)}")
+        try:
+            options[key] = _value(value, _taken_by(known[key]))
+        except ValueError as error:
+            raise InputError(f"The {kind} '{name}' takes {error} for '{key}', not '{value}'.") from None
+    return options
+
+
+def require_options(kind: str, name: str, factory: Callable[..., Any], options: Mapping[str, Any]) -> None:
+    """Refuse to make something without an option that it needs, or with one that its constructor does not take.
+
+    Parameters
+    ----------
+    kind, name : str
+        For messages.
+    factory : callable
+    options : mapping of str to object
+
+    Raises
+    ------
+    InputError
+        The first such option.
+    """
+    try:
+        taken = signature(factory)
+    except ValueError:
+        # Compiled code need not say what it takes.
+        return
+    named = (Parameter.POSITIONAL_OR_KEYWORD, Parameter.KEYWORD_ONLY)
+    for key, one in taken.parameters.items():
+        if one.kind in named and one.default is one.empty and key not in options:
+            raise InputError(f"The {kind} '{name}' needs the option '{key}'; give it as in '{name}:{key}=value'.")
+    if any(one.kind is one.VAR_KEYWORD for one in taken.parameters.values()):
+        return
+    for key in options:
+        if key not in taken.parameters:
+            raise InputError(f"The {kind} '{name}' does not take '{key}', which it gets; declare it in its class.")
+
+
+def _taken_by(parameter: Parameter) -> type[Any] | None:
     """Find the plain type that a parameter takes; None where it says none, or another one."""
-    if parameter is None:
-        return None
     if parameter.annotation is not parameter.empty:
         # Where annotations are not evaluated they are texts.
         return _PLAIN.get(getattr(parameter.annotation, "__name__", str(parameter.annotation)))

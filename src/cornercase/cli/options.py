@@ -86,7 +86,7 @@ Drivers = Annotated[
     typer.Option(
         "--driver",
         metavar="ENTITY=NAME",
-        help="Driver of an entity: normal, normal:horizon=4, or package.module:Class.",
+        help="Driver of an entity: normal, normal:horizon=4, or a class of your own, package.module:Class:option=3.",
     ),
 ]
 Values = Annotated[list[str] | None, typer.Option("--set", metavar="NAME=VALUE", help="Value of a parameter.")]

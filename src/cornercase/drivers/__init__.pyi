@@ -5,12 +5,15 @@ from .behaviour import BehaviourDriver as BehaviourDriver
 from .deciding import accelerate as accelerate
 from .deciding import route_row as route_row
 from .deciding import workspace as workspace
+from .description import describe_driver as describe_driver
+from .description import driver_changes as driver_changes
+from .description import driver_command as driver_command
+from .description import driver_text as driver_text
 from .fleet import form_fleet as form_fleet
 from .fleet import with_route as with_route
 from .loading import decides_compiled as decides_compiled
 from .loading import driver_of_file as driver_of_file
 from .loading import is_driver as is_driver
-from .loading import is_registered as is_registered
 from .loading import load_driver as load_driver
 from .loading import named_driver as named_driver
 from .loading import told_driver as told_driver
@@ -30,6 +33,7 @@ from .references.models import REFERENCES as REFERENCES
 from .references.outcomes import ReferenceOutcome as ReferenceOutcome
 from .references.outcomes import judge_reference as judge_reference
 from .registry import DRIVERS as DRIVERS
+from .registry import is_registered as is_registered
 from .simple import SimpleDriver as SimpleDriver
 from .traffic import BEHAVIOUR as BEHAVIOUR
 from .traffic import FOREIGN as FOREIGN

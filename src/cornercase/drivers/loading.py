@@ -2,18 +2,16 @@
 
 from __future__ import annotations
 
-import hashlib
-import inspect
-from contextlib import suppress
-from types import ModuleType
 from typing import Protocol, TypeGuard, runtime_checkable
 
 from cornercase._common.current_folder import import_here
 from cornercase._common.errors import InputError, suggestion
+from cornercase._common.registry import read_options, require_options
 from cornercase._common.texts import in_one_line
 from cornercase._common.typing import FloatArray
 from cornercase.drivers.base import Driver, Situation
-from cornercase.drivers.registry import DRIVERS
+from cornercase.drivers.description import note_name
+from cornercase.drivers.registry import DRIVERS, is_registered
 
 
 @runtime_checkable
@@ -40,21 +38,6 @@ def is_driver(made: object) -> TypeGuard[Driver]:
         False for a class, of which a driver is still to be made.
     """
     return not isinstance(made, type) and isinstance(made, _Drives) and isinstance(made.settings, dict)
-
-
-def is_registered(name: str) -> bool:
-    """Whether a name is that of a registered driver, with options or without.
-
-    Parameters
-    ----------
-    name : str
-
-    Returns
-    -------
-    bool
-        False for a class of one's own.
-    """
-    return name.partition(":")[0] in DRIVERS
 
 
 def driver_of_file(name: str) -> Driver:
@@ -117,14 +100,13 @@ def decides_compiled(name: str) -> bool:
 def load_driver(name: str) -> Driver:
     """Build a user's own driver.
 
-    This runs the module, so the name must come from the person at the command line, never from a file. Its settings
-    get a digest of the module's file as ``source``; what that file imports is not looked at.
+    This runs the module, so the name must come from the person at the command line, never from a file.
 
     Parameters
     ----------
     name : str
-        ``"package.module:Class"``; the module is looked for in the current folder and among what is
-        installed. The class is called without arguments.
+        ``"package.module:Class"``, possibly with options of its constructor: ``"package.module:Class:reaction=0.3"``.
+        The module is looked for in the current folder and among what is installed.
 
     Returns
     -------
@@ -133,13 +115,18 @@ def load_driver(name: str) -> Driver:
     Raises
     ------
     InputError
-        The name has no such form, the module or the class is not there or fails, or it makes no driver.
+        The name has no such form, the module or the class is not there or fails, the class has no such option, or it
+        makes no driver.
     """
-    module_name, _, class_name = name.partition(":")
+    module_name, _, rest = name.partition(":")
+    class_name, colon, text = rest.partition(":")
     if "=" in class_name:
         raise InputError(f"There is no driver '{module_name}'; {suggestion(module_name, DRIVERS.names())}")
     if not all(part.isidentifier() for part in module_name.split(".")) or not class_name.isidentifier():
         raise InputError(f"The driver '{name}' is not of the form package.module:Class.")
+    place = f"{module_name}:{class_name}"
+    if colon and not text:
+        raise InputError(f"The driver '{name}' ends in a colon; give options as in '{place}:name=value'.")
     try:
         module = import_here(module_name)
     except ModuleNotFoundError as error:
@@ -154,24 +141,21 @@ def load_driver(name: str) -> Driver:
     made = getattr(module, class_name, None)
     if not isinstance(made, type):
         raise InputError(f"The driver '{name}' cannot be loaded since '{module_name}' has no class '{class_name}'.")
+    options = read_options("driver", place, made, text) if text else {}
+    require_options("driver", place, made, options)
     try:
-        driver = made()
+        driver = made(**options)
+    except InputError:
+        raise
     except Exception as error:
-        raise InputError(f"The driver '{name}' cannot be made without arguments: {in_one_line(error)}.") from error
+        raise InputError(f"The driver '{name}' cannot be made: {in_one_line(error)}.") from error
     if not is_driver(driver):
         raise InputError(
-            f"The class '{name}' is not a driver: it neither derives from cornercase.drivers.Driver nor has start(),"
+            f"The class '{place}' is not a driver: it neither derives from cornercase.drivers.Driver nor has start(),"
             " acceleration() and a dict called settings."
         )
-    _note_source(driver, module)
+    note_name(driver, place, options)
     return driver
-
-
-def _note_source(driver: Driver, module: ModuleType) -> None:
-    """Add what the driver's file holds to its settings, so that no study goes on with another version of it."""
-    with suppress(OSError, TypeError, AttributeError):
-        source = inspect.getsource(module)
-        driver.settings = {**driver.settings, "source": hashlib.sha256(source.encode()).hexdigest()[:16]}
 
 
 def named_driver(name: str) -> Driver:
@@ -180,7 +164,7 @@ def named_driver(name: str) -> Driver:
     Parameters
     ----------
     name : str
-        As it is registered, possibly with options after a colon, or ``"package.module:Class"``.
+        As it is registered or ``"package.module:Class"``, either possibly with options after a colon.
 
     Returns
     -------
@@ -211,6 +195,11 @@ def told_driver(driver: str | Driver) -> str | Driver:
     InputError
         There is no such driver.
     """
-    made = named_driver(driver) if isinstance(driver, str) else driver
-    named = isinstance(driver, str) and is_registered(driver) and _other_option(driver) is None
-    return driver if named else made
+    if not isinstance(driver, str):
+        return driver
+    made = named_driver(driver)
+    if is_registered(driver):
+        if _other_option(driver) is None:
+            return driver
+        note_name(made, driver, {})
+    return made

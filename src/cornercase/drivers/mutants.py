@@ -13,8 +13,7 @@ from cornercase._common.arguments import text, whole_number
 from cornercase._common.errors import InputError
 from cornercase.drivers.base import Driver
 from cornercase.drivers.fleet import CompiledDriver
-from cornercase.drivers.loading import is_registered
-from cornercase.drivers.registry import DRIVERS
+from cornercase.drivers.registry import DRIVERS, is_registered
 
 MOST_MUTANTS: Final = 1000
 """So many at most are drawn of a driver."""

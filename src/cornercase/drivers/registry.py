@@ -15,3 +15,18 @@ for _preset in ("cautious", "normal", "aggressive"):
 DRIVERS.register("simple", "cornercase.drivers.simple:SimpleDriver")
 for _reference in ("cc-human", "fsm", "rss", "reg157"):
     DRIVERS.register(_reference, "cornercase.drivers.references.driver:ReferenceDriver", name=_reference)
+
+
+def is_registered(name: str) -> bool:
+    """Whether a name is that of a registered driver, with options or without.
+
+    Parameters
+    ----------
+    name : str
+
+    Returns
+    -------
+    bool
+        False for a class of one's own.
+    """
+    return name.partition(":")[0] in DRIVERS

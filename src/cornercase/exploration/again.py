@@ -8,7 +8,7 @@ from typing import Any
 
 from cornercase._common.arguments import by_name
 from cornercase._common.errors import InputError
-from cornercase.drivers import Driver
+from cornercase.drivers import Driver, driver_changes, driver_command, driver_of_file, driver_text
 from cornercase.exploration.configuration import Configuration
 from cornercase.metrics import condition_of
 from cornercase.scenario import LogicalScenario, Scenario
@@ -53,10 +53,14 @@ def configuration_of(
     known: dict[str, str | Driver] = dict(by_name("drivers", drivers))
     for entity, driver in settings.get("drivers", {}).items():
         # What a study names is no reason to import a module.
-        if isinstance(driver, str) and ":" not in driver:
+        if isinstance(driver, str) and _is_for_file(driver):
             known.setdefault(entity, driver)
         elif entity not in known:
-            raise InputError(f"`drivers` {entity}: the study was run with a custom driver there; give it again.")
+            command = driver_command(driver)
+            again = "give it again" if command is None else f"give it again with `drivers` {entity}={command}"
+            raise InputError(
+                f"{file}: {driver_text(driver)} drove {entity}, and a study is no reason to run code; {again}."
+            )
     given: dict[str, Any] = {
         name: settings[name] for name in ("time_step", "duration", "on_collision") if name in settings
     }
@@ -84,6 +88,15 @@ def configuration_of(
     )
 
 
+def _is_for_file(driver: str) -> bool:
+    """Whether a driver may be made because a file names it."""
+    try:
+        driver_of_file(driver)
+    except InputError:
+        return False
+    return True
+
+
 def require_same_runs(study: Path, meta: StudyMeta, simulator: Simulator) -> None:
     """Refuse a simulator that would not run scenarios as those of the study were run.
 
@@ -102,6 +115,9 @@ def require_same_runs(study: Path, meta: StudyMeta, simulator: Simulator) -> Non
     mine: dict[str, Any] = dict(simulator.settings)
     other = [name for name in sorted({*mine, *meta.settings}) if mine.get(name) != meta.settings.get(name)]
     if other:
+        changes = driver_changes(meta.settings.get("drivers"), mine.get("drivers"))
+        drivers = "".join(f"; {there} drove {entity}, not {here}" for entity, there, here, _ in changes)
         raise InputError(
-            f"{study}: was explored with another {', '.join(other)}; give `simulator` and `drivers` as for `explore`."
+            f"{study}: was explored with another {', '.join(other)}{drivers}; give `simulator` and `drivers` as for"
+            " `explore`."
         )

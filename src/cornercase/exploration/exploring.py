@@ -143,7 +143,7 @@ def explore(
     on_collision : {"continue", "stop"}
         What a collision does to the run.
     drivers : mapping of str to str or Driver, optional
-        Who drives, by entity: a preset, ``package.module:Class``, or a driver.
+        Who drives, by entity: a preset or ``package.module:Class``, either with options after a colon, or a driver.
     replay : bool, default False
         Simulate nothing; look whether the results in the study give the same proposals again.
     from_study : path, optional

@@ -8,6 +8,7 @@ from dataclasses import asdict
 from typing import Any, Final
 
 from cornercase.clustering import EVERYWHERE, Analysis, Profile, Rule
+from cornercase.drivers import driver_text
 from cornercase.evidence import Estimate, Sensitivity
 from cornercase.reduction import ClusterShape, Coverage, CriticalCoverage, HeldOut, HeldOutCritical, ReducedSet
 from cornercase.report.summary import MetricSummary, Summary
@@ -29,7 +30,7 @@ from cornercase.study import StudyMeta
 NAMED: Final = {
     "parameters": 1, "metrics": 1, "at": 1, "clusters": 1, "collisions not measured against": 1, "scenarios against": 1,
     "mutual information with": 1, "outcomes": 1, "median": 1, "front": 2, "agreement": 1, "references": 1,
-    "coverage": 1,
+    "coverage": 1, "drivers": 1,
 }  # fmt: skip
 """Below these keys the keys of so many levels are names: of metrics, parameters, aspects."""
 _COVERAGE: Final = {
@@ -83,6 +84,7 @@ def put_in_words(summary: Summary) -> dict[str, Any]:
         "optimizer": meta.optimizer,
         "seed": meta.seed,
         "simulator": meta.simulator,
+        **({"drivers": {name: driver_text(one) for name, one in meta.drivers.items()}} if meta.drivers else {}),
         "parameters": {one.name: name_range(one) for one in meta.space.parameters},
         "run": summary.run,
         "failed": summary.failed,

@@ -8,6 +8,7 @@ from collections.abc import Iterator
 from dataclasses import replace
 from typing import Final
 
+from cornercase.drivers import driver_command, driver_text
 from cornercase.metrics import condition_of
 from cornercase.scenario import Parameter
 from cornercase.study import IMPORTED, StudyMeta
@@ -19,6 +20,7 @@ _SPACE: Final = "SPACE.xosc"
 _BOOLEANS: Final = ("false", "true")
 _FLAGS: Final = ("--pareto", "--asynchronous")
 _ESTIMATE: Final = "importance-sampling:"
+_UNNAMED: Final = "DRIVER"
 
 
 def name_command(meta: StudyMeta) -> str:
@@ -86,11 +88,35 @@ def tell_limits(meta: StudyMeta, run: int) -> Iterator[str]:
     """
     if meta.optimizer.startswith(_ESTIMATE):
         yield "STUDY.db stands for the study that the estimate was made of."
-    elif meta.simulator != IMPORTED and not meta.suite:
+    elif meta.suite:
+        yield from tell_unnamed_drivers(meta)
+    elif meta.simulator != IMPORTED:
         if not all(map(_is_range, meta.space.parameters)):
             yield f"{_SPACE} stands for the file that says what varies: the study holds its content, but not its name."
+        yield from tell_unnamed_drivers(meta)
         if run < meta.budget:
             yield f"The study holds {run} scenarios of {meta.budget}: the search was ended before, or goes on."
+
+
+def tell_unnamed_drivers(meta: StudyMeta) -> Iterator[str]:
+    """Say which drivers no command can name, since Python code made them.
+
+    Parameters
+    ----------
+    meta : StudyMeta
+        What the study is about.
+
+    Yields
+    ------
+    str
+        A sentence.
+    """
+    for entity, driver in meta.drivers.items():
+        if driver_command(driver) is None:
+            yield (
+                f"{_UNNAMED} stands for the driver of {entity}, an object that Python code made"
+                f" ({driver_text(driver)}): the study does not hold how."
+            )
 
 
 def tell_again(meta: StudyMeta) -> str:
@@ -183,8 +209,9 @@ def _simulator(meta: StudyMeta) -> Iterator[str]:
         if name in meta.settings:
             value = meta.settings[name]
             yield from (option, _plain(value) if isinstance(value, int | float) else str(value))
-    for entity, driver in dict(meta.settings.get("drivers", {})).items():
-        yield from ("--driver", f"{entity}={driver}")
+    for entity, driver in meta.drivers.items():
+        command = driver_command(driver)
+        yield from ("--driver", f"{entity}={_UNNAMED if command is None else command}")
 
 
 def _table(meta: StudyMeta) -> Iterator[str]:

@@ -13,8 +13,9 @@ from lxml import etree
 from cornercase._common.errors import InputError
 from cornercase._common.files import portable_name
 from cornercase._common.texts import plain_text
+from cornercase.drivers import driver_command
 from cornercase.reduction import read_reduction
-from cornercase.report.repeating import SIMULATOR_OPTIONS
+from cornercase.report.repeating import SIMULATOR_OPTIONS, tell_unnamed_drivers
 from cornercase.scenario import INTEGERS, Scenario, Value, fill_concrete, typed_value, value_text
 from cornercase.study import IMPORTED, Row, Study, StudyMeta, explored_scenario
 
@@ -114,20 +115,16 @@ def write_one(meta: StudyMeta, scenario: Scenario, row: Row, why: str | None) ->
 def _why_no_command(meta: StudyMeta) -> str:
     if meta.simulator == IMPORTED:
         return "Its recording was imported: what made it is not known."
-    if not all(isinstance(one, str) for one in _drivers(meta).values()):
-        return "A driver of one's own drove, whose name the study does not hold."
+    if any(tell_unnamed_drivers(meta)):
+        return "A driver that Python code made drove, and the study does not hold how."
     return ""
-
-
-def _drivers(meta: StudyMeta) -> Mapping[str, Any]:
-    return dict(meta.settings.get("drivers", {}))
 
 
 def _settings(meta: StudyMeta) -> list[str]:
     words = [f"{option}={meta.settings[name]}" for name, option in SIMULATOR_OPTIONS.items() if name in meta.settings]
     if meta.simulator != _BUILTIN:
         words += [f"--simulator={meta.simulator}", f"--ego={meta.ego}"]
-    return [*words, *(f"--driver={entity}={driver}" for entity, driver in _drivers(meta).items())]
+    return [*words, *(f"--driver={entity}={driver_command(driver)}" for entity, driver in meta.drivers.items())]
 
 
 def _describe(meta: StudyMeta, scenario: str, why: str | None) -> str:
@@ -136,7 +133,7 @@ def _describe(meta: StudyMeta, scenario: str, why: str | None) -> str:
 
 
 def _fill(meta: StudyMeta, scenario: Scenario, values: Mapping[str, Value], description: str) -> bytes:
-    presets = {entity: driver for entity, driver in _drivers(meta).items() if isinstance(driver, str)}
+    presets = {entity: driver for entity, driver in meta.drivers.items() if isinstance(driver, str)}
     return fill_concrete(scenario, values, Path(meta.file_name), presets, description).content
 
 

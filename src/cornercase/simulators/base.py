@@ -10,7 +10,7 @@ from typing import ClassVar, Literal, Self
 from cornercase._common.arguments import number, text
 from cornercase._common.errors import InputError, SimulationError
 from cornercase._common.ledger import Notice
-from cornercase.drivers import Driver
+from cornercase.drivers import Driver, describe_driver
 from cornercase.recordings import Recording
 from cornercase.scenario import ConcreteScenario, Scenario, Value
 
@@ -249,8 +249,5 @@ def checked_settings(
         "time_step": time_step,
         "duration": duration,
         "on_collision": on_collision,
-        "drivers": {
-            entity: driver if isinstance(driver, str) else driver.settings
-            for entity, driver in sorted((drivers or {}).items())
-        },
+        "drivers": {entity: describe_driver(driver) for entity, driver in sorted((drivers or {}).items())},
     }

@@ -13,6 +13,7 @@ from cornercase._common.errors import InputError
 from cornercase._common.files import read_file, written_whole
 from cornercase._common.texts import cell_text, json_text, loaded_json
 from cornercase._common.version import __version__
+from cornercase.drivers import driver_changes
 from cornercase.scenario import FILE_COLUMN, ConcreteScenario, value_text
 
 NOTES: Final = "simulation.json"
@@ -163,6 +164,9 @@ class RecordingsFolder:
         mine = self._settings
         other = [name for name in sorted({*mine, *before}) if mine.get(name) != before.get(name)]
         if other:
+            changes = driver_changes(before.get("drivers"), mine.get("drivers"))
+            drivers = "".join(f"; {there} drove {entity}, not {here}" for entity, there, here, _ in changes)
             raise InputError(
-                f"`folder` {self._path}: holds recordings with another {', '.join(other)}; choose another folder."
+                f"`folder` {self._path}: holds recordings with another {', '.join(other)}{drivers}; choose another"
+                " folder."
             )

@@ -12,6 +12,7 @@ from typing import Any, Final
 from cornercase._common.errors import InputError
 from cornercase._common.texts import plain_text, shorten
 from cornercase._common.version import __version__
+from cornercase.drivers import driver_changes
 from cornercase.metrics import condition_of
 from cornercase.scenario import Parameter, ParameterSpace
 
@@ -46,6 +47,7 @@ _TYPES: Final[dict[str, Any]] = (
 )
 # Characters of a setting in a message.
 _LONGEST_SETTING: Final = 60
+_DRIVERS: Final = "drivers"
 # What only later versions write.
 _LATER: Final = ("asynchronous", "elsewhere", "kinds", "most_repeats", "origin", "requirements", "suite")
 _YES_OR_NO: Final = ("asynchronous", "pareto")
@@ -172,6 +174,11 @@ class StudyMeta:
     def file_name(self) -> str:
         """Name of the scenario file, the or the first of a suite, or of the folder of recordings, without folders."""
         return _last_part(self.files[0] if self.suite and self.files else self.scenario)
+
+    @property
+    def drivers(self) -> dict[str, Any]:
+        """Who drives, by entity, as `cornercase.drivers.describe_driver` says it; empty where the file alone does."""
+        return dict(self.settings.get(_DRIVERS, {}))
 
     @property
     def title(self) -> str:
@@ -306,6 +313,7 @@ class StudyMeta:
                 words = "another condition of what is critical"
             if mine != given:
                 if name == "settings":
+                    _require_same_files(mine, given, path)
                     words += f" ({_differences(mine, given)})"
                 raise InputError(
                     f"{path}: belongs to {words}; name another study with `study`, or give the same options."
@@ -343,11 +351,30 @@ def _last_part(path: str) -> str:
     return re.split(r"[\\/]", path.rstrip("\\/"))[-1]
 
 
+def _require_same_files(mine: Mapping[str, Any], given: Mapping[str, Any], path: Path) -> None:
+    """Refuse to go on with another version of a driver: a study holds runs of one."""
+    if {**mine, _DRIVERS: None} != {**given, _DRIVERS: None}:
+        return
+    changes = list(driver_changes(mine.get(_DRIVERS), given.get(_DRIVERS)))
+    for entity, there, here, only_the_file in changes:
+        if only_the_file and all(one[-1] for one in changes):
+            raise InputError(
+                f"{path}: the file of the driver of {entity} has changed since ({plain_text(there)} there,"
+                f" {plain_text(here)} here), and a study holds runs of one version; name another study with `study`, or"
+                " restore the file."
+            )
+
+
 def _differences(mine: Mapping[str, Any], given: Mapping[str, Any]) -> str:
     """Which settings differ, with both values where these are short."""
     found = []
     for name in sorted({*mine, *given}):
-        if mine.get(name) != given.get(name):
+        if name == _DRIVERS:
+            found += [
+                f"driver of {entity}: {plain_text(there)} there, {plain_text(here)} here"
+                for entity, there, here, _ in driver_changes(mine.get(name), given.get(name))
+            ]
+        elif mine.get(name) != given.get(name):
             values = [shorten(plain_text(str(one.get(name, "none"))), _LONGEST_SETTING) for one in (mine, given)]
             found.append(f"{name}: {values[0]} there, {values[1]} here")
     return "; ".join(found)

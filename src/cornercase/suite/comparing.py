@@ -12,7 +12,7 @@ import numpy as np
 from cornercase._common.arguments import texts
 from cornercase._common.errors import InputError
 from cornercase.clustering import join_kinds, read_analyses
-from cornercase.drivers import DRIVERS
+from cornercase.drivers import DRIVERS, driver_text
 from cornercase.metrics import METRICS
 from cornercase.simulators import SIMULATORS
 from cornercase.study import Study, StudyMeta, open_study
@@ -24,6 +24,7 @@ from cornercase.suite.comparing_tests import FEWEST, correct, moved_by, tests_of
 from cornercase.suite.comparing_verdict import find_tolerances, find_verdict, judge_version
 from cornercase.suite.verdicts import verdicts_of
 
+_DRIVER: Final = "drivers "
 # What is named where it differs; seed and search say which scenarios were run, not what with.
 _NAMED: Final = {"simulator": "simulator", "version": "version of cornercase", "runs_of_each": "runs of each scenario"}
 
@@ -221,6 +222,11 @@ def _differences(old: StudyMeta, new: StudyMeta) -> Iterator[str]:
 def _unlike(name: str, old: Any, new: Any) -> Iterator[str]:
     if old == new:
         return
+    if name.startswith(_DRIVER) and (_is_own(old) or _is_own(new)):
+        texts = driver_text(old), driver_text(new)
+        if texts[0] != texts[1]:
+            yield f"driver {name.removeprefix(_DRIVER)}: {texts[0]} → {texts[1]}"
+            return
     if isinstance(old, str) != isinstance(new, str):
         old, new = _spelt(old), _spelt(new)
     if isinstance(old, Mapping) and isinstance(new, Mapping) and old.get("driver") == new.get("driver"):
@@ -228,6 +234,11 @@ def _unlike(name: str, old: Any, new: Any) -> Iterator[str]:
             yield from _unlike(f"{name} {key}".lstrip(), old.get(key), new.get(key))
     else:
         yield f"{name.replace('_', ' ')}: {_plain(old)} → {_plain(new)}"
+
+
+def _is_own(driver: Any) -> bool:
+    """Whether a driver is none of those that stand in a study by their name or parameters."""
+    return isinstance(driver, Mapping) and not {"options", "sha256", "settings"}.isdisjoint(driver)
 
 
 def _spelt(driver: Any) -> Any:

@@ -71,8 +71,9 @@ class SuiteContents:
         What ran them, with its options; empty where nothing says it.
     settings : mapping of str to object
         Of ``time_step``, ``duration`` and ``on_collision`` those that are known.
-    lost_drivers : tuple of str
-        Entities that a driver of somebody's own drove, which no file can name.
+    lost_drivers : mapping of str to str
+        By entity that a driver of somebody's own drove, what a command calls that driver; empty where that is not
+        known. No file makes such a driver drive.
     study, fingerprint : str
         Name of the study that the scenarios were kept from, and SHA-256 of the files that were explored; empty
         where there is none.
@@ -87,7 +88,7 @@ class SuiteContents:
     critical: float | None = None
     simulator: str = ""
     settings: Mapping[str, Any] = field(default_factory=dict)
-    lost_drivers: tuple[str, ...] = ()
+    lost_drivers: Mapping[str, str] = field(default_factory=dict)
     study: str = ""
     fingerprint: str = ""
 

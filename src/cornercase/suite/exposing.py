@@ -14,7 +14,7 @@ from cornercase._common.errors import InputError
 from cornercase._common.interrupts import noted_interrupts
 from cornercase._common.progress import ProgressBar
 from cornercase._common.typing import BoolArray
-from cornercase.drivers import Driver, Mutant, mutants_of, name_driver
+from cornercase.drivers import Driver, Mutant, driver_text, mutants_of, name_driver
 from cornercase.recordings import Recording
 from cornercase.reduction import Exposure
 from cornercase.scenario import ConcreteScenario, Scenario
@@ -112,7 +112,9 @@ def find_exposure(
     options["drivers"] = {name: one for name, one in drivers.items() if name != who[0]}
     for name, one in options["drivers"].items():
         if not isinstance(one, str):
-            raise InputError(f"Mutants cannot be run: a custom driver drove {name}, and a study does not hold it.")
+            raise InputError(
+                f"Mutants cannot be run: {driver_text(one)} drove {name}, and a study is no reason to run code."
+            )
     with connected(cluster, workers, else_none=True) as client:
         failed, exposed = run_mutants(
             concretes, who, (driver, drawn), [known] * len(rows), options, client=client, progress=progress

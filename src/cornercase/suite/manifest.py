@@ -14,6 +14,7 @@ import numpy as np
 from cornercase._common.errors import InputError
 from cornercase._common.files import read_file
 from cornercase._common.texts import loaded_json, plain_text
+from cornercase.drivers import driver_command
 from cornercase.metrics import METRICS
 from cornercase.reduction import MANIFEST, MANIFEST_FORMAT, finish_set
 from cornercase.scenario import Declaration, ParameterSpace, Scenario, Value, read_declarations, typed_value
@@ -136,10 +137,12 @@ def _contents(path: Path, plain: Mapping[str, Any]) -> SuiteContents:
         critical=None if critical is None else _finite(critical),
         simulator=_text(plain["simulator"]),
         settings={name: settings[name] for name in _SETTINGS if name in settings},
-        # A driver of one's own stands there with its settings, and not by its name.
-        lost_drivers=tuple(
-            entity for entity, driver in dict(settings.get("drivers", {})).items() if not isinstance(driver, str)
-        ),
+        # A file names no code to run: a driver of one's own has to be given again.
+        lost_drivers={
+            _text(entity): driver_command(driver) or ""
+            for entity, driver in dict(settings.get("drivers", {})).items()
+            if not isinstance(driver, str)
+        },
         study=_text(plain["study"]),
         fingerprint=_text(plain["fingerprint"]),
     )

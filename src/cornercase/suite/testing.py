@@ -14,7 +14,7 @@ from cornercase._common.arguments import path as path_argument
 from cornercase._common.dask_client import connected
 from cornercase._common.errors import InputError
 from cornercase._common.files import require_apart, require_other_file, require_place
-from cornercase._common.texts import without_folders
+from cornercase._common.texts import plain_text, without_folders
 from cornercase.drivers import Driver, is_driver, told_driver
 from cornercase.metrics import EVERYBODY, METRICS, condition_of, name_others
 from cornercase.simulators import MOST_WORKERS, Simulator, start_simulator
@@ -106,7 +106,8 @@ def test(
     on_collision : {"continue", "stop"}, optional
         What a collision does to the run; by default as in the manifest, without one it goes on.
     drivers : mapping of str to str or Driver, optional
-        Who drives, by entity: a preset, ``package.module:Class``, or a driver. By default what the files say.
+        Who drives, by entity: a preset or ``package.module:Class``, either with options after a colon, or a driver. By
+        default what the files say.
     against : path, optional
         Study with earlier recordings: the one that was reduced, or another run of the suite. By default the former,
         where it lies beside the manifest or in the folder above.
@@ -301,11 +302,12 @@ def _drivers(suite: SuiteContents, given: Mapping[str, str | Driver] | None) -> 
             drivers[entity] = told_driver(driver)
         else:
             raise InputError(f"`drivers` {entity}={shown(driver)}: give the name of a driver, or an instance.")
-    for entity in suite.lost_drivers:
+    for entity, command in suite.lost_drivers.items():
         if entity not in drivers:
+            who = plain_text(command) or "an object that Python code made"
             raise InputError(
-                f"`drivers`: a custom driver drove {entity} when {suite.place} was made, and a file cannot"
-                " name it; give a driver."
+                f"`drivers`: {who} drove {entity} when {suite.place} was made, and a file is no reason to run code;"
+                f" give a driver, as {entity}={plain_text(command) or 'normal'}."
             )
     return drivers
 

@@ -106,7 +106,7 @@ def _bound(words: Words) -> ScoreBound:
 
 
 def _driver(words: Words) -> str:
-    """Name of a driver: a registered one, with options, or ``package.module:Class``."""
+    """Name of a driver: a registered one or ``package.module:Class``, either with options."""
     first = words.next
     if first.kind != "name":
         words.expected("the name of a driver, as in reference:cc-human")

@@ -13,6 +13,7 @@ from markupsafe import Markup
 
 from cornercase._common.texts import plain_text
 from cornercase._common.version import __version__
+from cornercase.drivers import driver_text
 from cornercase.report.data import ReportData
 from cornercase.report.repeating import name_command, tell_limits
 from cornercase.report.sections.part import Part, make_part
@@ -124,8 +125,9 @@ def tell_provenance(study: str, summary: Summary) -> Markup:
         **{
             f"simulator's {key}": _plain(value)
             for key, value in meta.settings.items()
-            if value not in ({}, [], None, "")
+            if key != "drivers" and value not in ({}, [], None, "")
         },
+        **{f"driver of {entity}": driver_text(one) for entity, one in meta.drivers.items()},
         **{
             f"time to {_STAGES.get(stage, stage)} [s]": _in_seconds(seconds)
             for stage, seconds in summary.seconds.items()

@@ -1,0 +1,184 @@
+"""What a driver is: as studies store it, in words, and as a command takes it."""
+
+from __future__ import annotations
+
+import hashlib
+import sys
+from collections.abc import Iterator, Mapping
+from contextlib import suppress
+from pathlib import Path
+from typing import Any, Final
+from weakref import WeakKeyDictionary
+
+from cornercase._common.errors import InputError
+from cornercase.drivers.base import Driver
+from cornercase.drivers.mutants import name_driver
+from cornercase.drivers.registry import DRIVERS
+
+# Where a driver that was made by its name keeps that name.
+_NOTED: Final = "_cornercase_name"
+_OF_A_DIGEST: Final = 8
+_checksums: Final[WeakKeyDictionary[type, str]] = WeakKeyDictionary()
+
+
+def note_name(driver: Driver, name: str, options: Mapping[str, object]) -> None:
+    """Note by which name and with which options a driver was made.
+
+    Parameters
+    ----------
+    driver : Driver
+    name : str
+        ``"package.module:Class"``, or a registered name with its options.
+    options : mapping of str to object
+
+    Raises
+    ------
+    InputError
+        Nothing can be noted with the driver, and it has options.
+    """
+    try:
+        vars(driver)[_NOTED] = (name, dict(sorted(options.items())))
+    except TypeError:
+        if options:
+            raise InputError(
+                f"The driver '{name}' takes no options, since its class has __slots__ and no __dict__ to keep them;"
+                " derive it from cornercase.drivers.Driver."
+            ) from None
+
+
+def describe_driver(driver: str | Driver) -> str | dict[str, Any]:
+    """Say what a driver is, as plain JSON values.
+
+    Parameters
+    ----------
+    driver : str or Driver
+
+    Returns
+    -------
+    str or dict of str to object
+        The name of a registered driver. The settings of an object of cornercase's own classes. Of any other driver
+        ``driver``, its class as ``"package.module:Class"``; ``options``, where it was made by its name; ``sha256`` of
+        the file that defines the class, where there is one; and its ``settings``, where the class defines them.
+    """
+    if isinstance(driver, str):
+        return driver
+    cls = type(driver)
+    place = f"{cls.__module__}:{cls.__qualname__}"
+    noted = getattr(driver, "__dict__", {}).get(_NOTED)
+    if noted is None and cls.__module__.startswith("cornercase."):
+        return dict(driver.settings)
+    name, options = (place, None) if noted is None else noted
+    found: dict[str, Any] = {"driver": name}
+    if options is not None:
+        found["options"] = dict(options)
+    if checksum := _checksum(cls):
+        found["sha256"] = checksum
+    if driver.settings != {"driver": place}:
+        found["settings"] = dict(driver.settings)
+    return found
+
+
+def _checksum(cls: type) -> str:
+    """SHA-256 of the file that defines a class, as it was when the class was first seen here; empty without a file."""
+    # A module that is edited meanwhile is not loaded again.
+    if cls not in _checksums:
+        file = getattr(sys.modules.get(cls.__module__), "__file__", None)
+        content = None
+        with suppress(OSError, TypeError):
+            content = Path(file or "").read_bytes()
+        _checksums[cls] = "" if content is None else hashlib.sha256(content).hexdigest()
+    return _checksums[cls]
+
+
+def driver_command(description: object) -> str | None:
+    """Give the name by which a command makes a driver again.
+
+    Parameters
+    ----------
+    description : object
+        As of `describe_driver`; a study from elsewhere may hold anything.
+
+    Returns
+    -------
+    str or None
+        ``"my_aeb:Aeb:reaction=0.3"``; None where that is not known, as of an object that Python code made.
+    """
+    if isinstance(description, str):
+        return description
+    if not isinstance(description, Mapping):
+        return None
+    name, options = description.get("driver"), description.get("options")
+    if isinstance(name, str) and isinstance(options, Mapping):
+        return ":".join([name, ",".join(f"{key}={_value(one)}" for key, one in options.items())] if options else [name])
+    with suppress(InputError):
+        return name_driver(description)
+    if isinstance(name, str) and ":" not in name and name in DRIVERS:
+        given = f"{name}:" + ",".join(f"{key}={_value(one)}" for key, one in description.items() if key != "driver")
+        with suppress(InputError):
+            if DRIVERS.create(given).settings == description:
+                return given
+    return None
+
+
+def driver_text(description: object) -> str:
+    """Say in words what a driver is.
+
+    Parameters
+    ----------
+    description : object
+        As of `describe_driver`.
+
+    Returns
+    -------
+    str
+        ``"my_aeb:Aeb, reaction=0.3, sha256 1234abcd…"``.
+    """
+    if isinstance(description, str):
+        return description
+    if not isinstance(description, Mapping):
+        return "as the file says" if description is None else str(description)
+    checksum, options = description.get("sha256"), description.get("options")
+    if checksum is None and options is None and (command := driver_command(description)) is not None:
+        return command
+    parts = [str(description.get("driver", "a driver"))]
+    if isinstance(options, Mapping):
+        parts += [f"{key}={_value(one)}" for key, one in options.items()]
+    else:
+        # Without options its settings are all that tells it from another one.
+        own = description.get("settings", description)
+        parts += [f"{key}={_value(one)}" for key, one in own.items() if key not in ("driver", "sha256")]
+    if isinstance(checksum, str):
+        parts.append(f"sha256 {checksum[:_OF_A_DIGEST]}…")
+    return ", ".join(parts)
+
+
+def _value(value: object) -> str:
+    return str(value).lower() if isinstance(value, bool) else str(value)
+
+
+def driver_changes(there: object, here: object) -> Iterator[tuple[str, str, str, bool]]:
+    """Find the entities that somebody else drives.
+
+    Parameters
+    ----------
+    there, here : object
+        Descriptions by entity, as settings hold them under ``"drivers"``.
+
+    Yields
+    ------
+    entity, before, now : str
+        In words.
+    only_the_file : bool
+        Whether it is the same class with the same options, and its file has changed.
+    """
+    old, new = (dict(one) if isinstance(one, Mapping) else {} for one in (there, here))
+    for entity in sorted({*old, *new}):
+        before, now = old.get(entity), new.get(entity)
+        if before != now:
+            both = isinstance(before, Mapping) and isinstance(now, Mapping)
+            same = both and _without_checksum(before) == _without_checksum(now)
+            yield entity, driver_text(before), driver_text(now), same
+
+
+def _without_checksum(description: Any) -> dict[str, object]:
+    return {key: one for key, one in description.items() if key != "sha256"}
