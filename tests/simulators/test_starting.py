@@ -102,9 +102,9 @@ def test_a_simulator_is_given_what_it_says_it_needs(monkeypatch):
 
     monkeypatch.setitem(SIMULATORS._factories, "needy", (Needy, {}))
     monkeypatch.setitem(SIMULATORS._factories, "plain", (type("Plain", (Least,), {"in_process": True}), {}))
-    needy: Any = start_simulator("needy", {"duration": 9.0}, ego="Hero")
+    needy: Any = start_simulator("needy", {"duration": 60.0}, ego="Hero")
     plain: Any = start_simulator("plain", ego="Hero")
-    assert needy.options == {"duration": 9.0, "ego": "Hero"}
+    assert needy.options == {"duration": 60.0, "ego": "Hero"}
     assert plain.options == {}
 
 

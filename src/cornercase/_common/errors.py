@@ -43,7 +43,7 @@ class LostError(SimulatorError):
 
 
 class NoticeWarning(UserWarning):
-    """Something in a file has no effect."""
+    """Something has no effect, or is not what it is said to be."""
 
 
 def is_of_the_machine(error: BaseException | None) -> bool:

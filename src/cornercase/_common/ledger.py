@@ -117,11 +117,16 @@ def distinct(notices: Iterable[Notice]) -> tuple[Notice, ...]:
 
 def warn_of(notices: Iterable[Notice]) -> None:
     """Give each notice as a `NoticeWarning` of whoever called cornercase."""
+    for notice in notices:
+        warn(f"without effect: {notice}")
+
+
+def warn(sentence: str) -> None:
+    """Give a sentence, without a full stop at its end, as a `NoticeWarning` of whoever called cornercase."""
     level, frame = 1, sys._getframe()
     while frame.f_back is not None and frame.f_globals.get("__name__", "").startswith("cornercase."):
         level, frame = level + 1, frame.f_back
-    for notice in notices:
-        warnings.warn(f"without effect: {notice}", NoticeWarning, stacklevel=level)
+    warnings.warn(sentence, NoticeWarning, stacklevel=level)
 
 
 class Ledger:

@@ -250,7 +250,8 @@ def read_options(
         if key in options:
             raise InputError(f"The {kind} '{name}:{text}' has the option '{key}' twice; give it once.")
         if key not in known:
-            raise InputError(f"The {kind} '{name}' has no option '{key}'; {suggestion(key, known)}")
+            advice = suggestion(key, known) if known else "its constructor declares none."
+            raise InputError(f"The {kind} '{name}' has no option '{key}'; {advice}")
         try:
             options[key] = _value(value, _taken_by(known[key]))
         except ValueError as error:

@@ -41,9 +41,10 @@ class Simulator(ABC):
     ``cornercase.simulators``. What it declares besides has defaults that are right for a program that runs one
     scenario after the other.
 
-    The options of its constructor are keyword arguments. All simulators get ``time_step`` and ``duration`` in s,
-    ``on_collision``, which is ``"continue"`` or ``"stop"``, and ``drivers``, a driver or its name by entity. More come
-    from behind the colon of its name (``"esmini:seed=3"``).
+    The options of its constructor are keyword arguments. It gets those that it declares of ``time_step`` and
+    ``duration`` in s, ``on_collision``, which is ``"continue"`` or ``"stop"``, and ``drivers``, a driver or its name by
+    entity; drivers for a simulator that does not declare them are refused. More come from behind the colon of its name
+    (``"esmini:seed=3"``); those that it does not declare are refused, also if it takes ``**options``.
 
     Attributes
     ----------
@@ -76,7 +77,7 @@ class Simulator(ABC):
     >>> class Standing(Simulator):
     ...     name = "standing"
     ...
-    ...     def __init__(self, **options):
+    ...     def __init__(self):
     ...         self.settings = {}
     ...
     ...     def run(self, concretes):

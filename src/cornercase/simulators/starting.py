@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 from cornercase._common.arguments import number, text, whole_number
 from cornercase.simulators.base import Simulator
 from cornercase.simulators.cluster import ClusterSimulator
+from cornercase.simulators.common_options import take_options
 from cornercase.simulators.registry import SIMULATORS
 from cornercase.simulators.workers import MOST_WORKERS, WorkerSimulator
 
@@ -35,8 +36,8 @@ def start_simulator(
     name : str
         Registered simulator, with options after a colon if need be: ``"esmini:seed=3"``.
     options : mapping, optional
-        Keyword arguments that all simulators take: ``time_step``, ``duration``, ``on_collision``, ``drivers``; their
-        values have to be picklable.
+        Keyword arguments that all simulators are offered: ``time_step``, ``duration``, ``on_collision``, ``drivers``;
+        their values have to be picklable. A simulator gets those that its constructor declares.
     ego : str, default "Ego"
         Entity under test, for a simulator that needs to know it.
     workers : int, default 1
@@ -57,7 +58,13 @@ def start_simulator(
     Raises
     ------
     InputError
-        There is no such simulator, it cannot run here, or an option is out of range.
+        There is no such simulator, it cannot run here, an option is out of range, or drivers or an end at collisions
+        are asked for of one whose constructor does not declare them.
+
+    Warns
+    -----
+    NoticeWarning
+        A time step or duration has no effect, since the constructor does not declare it.
 
     Examples
     --------
@@ -70,7 +77,7 @@ def start_simulator(
     workers = whole_number("workers", workers, 1, MOST_WORKERS)
     retries = whole_number("retries", retries)
     declared = SIMULATORS.class_of(text("simulator", name))
-    given = dict(options or {}) | ({"ego": ego} if "ego" in declared.needs else {})
+    given = take_options(name, declared, options or {}) | ({"ego": ego} if "ego" in declared.needs else {})
     if cluster is not None:
         return ClusterSimulator(name, given, cluster, workers, timeout, retries)
     if declared.in_process and workers == 1 and timeout is None:

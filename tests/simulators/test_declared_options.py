@@ -1,0 +1,147 @@
+"""Options of simulators, metrics and others of one's own: declared, or refused."""
+
+from __future__ import annotations
+
+import pytest
+
+import cornercase as cc
+from cornercase import InputError
+from cornercase._common.errors import NoticeWarning
+from cornercase._common.registry import Registry
+from cornercase.optimizers import OPTIMIZERS, create_optimizer
+from cornercase.scenario import ParameterSpace
+from cornercase.simulators import SIMULATORS, BuiltinSimulator, Simulator, start_simulator
+from fake_simulators import recording
+
+
+class Swallowing(Simulator):
+    """Takes everything, as constructors do that are written in a hurry."""
+
+    name = "swallowing"
+    in_process = True
+
+    def __init__(self, *, crash: float = 10.0, **options):
+        self.settings = {"crash": crash}
+        self.given = options
+
+    def run(self, concretes):
+        for _ in concretes:
+            yield recording(0)
+
+
+class Terse(Swallowing):
+    """Takes a time step, and nothing else."""
+
+    name = "terse"
+
+    def __init__(self, *, time_step: float = 0.1):
+        super().__init__()
+        self.time_step = time_step
+
+
+class Longer(BuiltinSimulator):
+    """Hands on to its base class what it does not take itself."""
+
+    name = "longer"
+
+    def __init__(self, *, more: float = 1.0, **options):
+        super().__init__(**options)
+        self.more = more
+
+
+class Needy(Swallowing):
+    name = "needy"
+
+    def __init__(self, *, licence: str):
+        super().__init__()
+
+
+class Drifting(Swallowing):
+    name = "drifting"
+    needs = ("ego",)
+
+    def __init__(self):
+        super().__init__()
+
+
+@pytest.fixture(autouse=True)
+def registered(monkeypatch):
+    monkeypatch.setattr(SIMULATORS, "_factories", dict(SIMULATORS._factories))
+    for one in (Swallowing, Terse, Longer, Needy, Drifting):
+        SIMULATORS.register(one.name, one)
+
+
+@pytest.mark.parametrize(
+    ("name", "says"),
+    [
+        ("swallowing:crash=15,typo=3", "The simulator 'swallowing' has no option 'typo'; known are: crash."),
+        ("swallowing:crsh=15", "has no option 'crsh'; did you mean 'crash'?"),
+        ("terse:crash=15", "The simulator 'terse' has no option 'crash'; its constructor declares none."),
+        ("longer:typo=3", "The simulator 'longer' has no option 'typo'; known are: more."),
+        ("needy", "The simulator 'needy' needs the option 'licence'; give it as in 'needy:licence=value'."),
+        ("drifting", "The simulator 'drifting' does not take 'ego', which it gets; declare it in its class."),
+    ],
+)
+def test_42_7_options_that_a_simulator_does_not_declare_are_refused(name, says):
+    options = {"time_step": 0.05, "duration": 60.0, "on_collision": "continue", "drivers": {}}
+    with pytest.raises(InputError) as caught:
+        start_simulator(name, options)
+    assert says in str(caught.value)
+
+
+@pytest.mark.parametrize("name", ["swallowing", "terse"])
+def test_42_7_a_simulator_without_drivers_is_not_given_any(name, x_intersection, tmp_path):
+    says = f"`drivers` Ego: the simulator '{name}' takes no drivers; leave them out, or declare 'drivers'"
+    with pytest.raises(InputError) as caught:
+        start_simulator(name, {"drivers": {"Ego": "normal"}})
+    assert str(caught.value).startswith(says)
+    with pytest.raises(InputError, match="takes no drivers"):
+        cc.explore(
+            x_intersection, tmp_path / "s.db", ego="Ego", other="C", metrics=["distance"], simulator=name,
+            drivers={"Ego": "normal"},
+        )  # fmt: skip
+    assert not (tmp_path / "s.db").exists()
+    with pytest.raises(InputError, match=r"`on_collision` stop: the simulator .* does not declare 'on_collision'"):
+        start_simulator(name, {"on_collision": "stop"})
+
+
+def test_42_7_a_time_that_a_simulator_does_not_declare_is_named_as_without_effect():
+    with pytest.warns(NoticeWarning, match=r"without effect: duration 20.0 s, since the simulator 'terse' does not"):
+        made = start_simulator("terse", {"time_step": 0.01, "duration": 20.0, "on_collision": "continue"})
+    assert isinstance(made, Terse)
+    assert made.time_step == 0.01
+
+
+@pytest.mark.filterwarnings("error")
+def test_42_7_what_nobody_asked_for_is_said_of_nobody():
+    usual = {"time_step": 0.05, "duration": 60.0, "on_collision": "continue", "drivers": {}}
+    assert isinstance(start_simulator("terse", usual), Terse)
+    made = start_simulator("swallowing:crash=15", usual)
+    assert isinstance(made, Swallowing)
+    # Who takes others gets them, as before.
+    assert (made.settings, made.given) == ({"crash": 15.0}, usual)
+
+
+@pytest.mark.filterwarnings("error")
+def test_42_7_options_of_the_base_class_count_where_they_are_handed_on():
+    made = start_simulator("longer:more=2", {"drivers": {"Ego": "normal"}, "on_collision": "stop", "duration": 9.0})
+    assert isinstance(made, Longer)
+    assert made.more == 2.0
+    assert made.settings["drivers"] == {"Ego": "normal"}
+
+
+def test_42_7_the_same_holds_of_everything_that_has_a_name(monkeypatch):
+    class Line(OPTIMIZERS.class_of("random")):  # type: ignore[misc]
+        def __init__(self, space, seed, **more):
+            super().__init__(space, seed)
+
+    monkeypatch.setattr(OPTIMIZERS, "_factories", dict(OPTIMIZERS._factories))
+    OPTIMIZERS.register("line", Line)
+    space = ParameterSpace.from_ranges(["a=0:1"])
+    assert create_optimizer("line", space, 1, threshold=None, budget=3).ask(2).shape == (2, 1)
+    with pytest.raises(InputError, match="The optimizer 'line' has no option 'step'; its constructor declares none"):
+        create_optimizer("line:step=3", space, 1, threshold=None, budget=3)
+    things: Registry[object] = Registry("thing", "cornercase.nothing")
+    things.register("all", lambda **more: more)
+    with pytest.raises(InputError, match="The thing 'all' has no option 'a'; its constructor declares none"):
+        things.create("all:a=1")
