@@ -10,6 +10,7 @@ from contextlib import contextmanager
 
 import pytest
 
+from browser.conftest import shared
 from browser.studies import X
 from command_line import cornercase
 from cornercase.study import Study
@@ -53,6 +54,67 @@ def serving(study):
             raise
         finally:
             process.stdout.close()
+
+
+@pytest.fixture(scope="module")
+def plain(tmp_path_factory):
+    """Address of the live page of a study that does not change."""
+    with serving(shared(tmp_path_factory, "plain")[0]) as address:
+        yield address
+
+
+def pane_of(scenario):
+    return f"#replay [data-replay=selected][data-scenario='{scenario}']"
+
+
+def wait_for_replay(page, scenario):
+    """Until the scenario is drawn, or that it cannot be is said."""
+    page.wait_for_selector(f"{pane_of(scenario)}:is([data-time], :has(.pane-message:not([hidden])))")
+    assert page.locator(f"{pane_of(scenario)} .pane-message:visible").all_inner_texts() == []
+    page.wait_for_selector(f"{pane_of(scenario)}[data-time] canvas.scene:visible")
+
+
+def test_42_14_the_first_replay_is_there_and_when_one_comes_back_to_it(tab, plain):
+    page = tab.open(plain)
+    first = page.evaluate("() => cornercase.store.selected")
+    assert first is not None
+    wait_for_replay(page, first)
+    page.locator(f"{pane_of(first)} .pane-facts").get_by_text("cluster").wait_for()
+    other = 1 + first % 60
+    for scenario in (other, first):
+        page.evaluate("(id) => cornercase.store.select(id)", scenario)
+        wait_for_replay(page, scenario)
+
+
+def test_42_14_the_scenario_of_the_address_is_the_first_replay(tab, plain):
+    page = tab.open(f"{plain}#id=17&beside=23")
+    wait_for_replay(page, 17)
+    page.wait_for_selector("#replay [data-replay=beside][data-scenario='23'][data-time]")
+
+
+def test_42_14_a_recording_that_did_not_come_is_asked_for_again(tab, plain):
+    page = tab.open(f"{plain}#id=1")
+    wait_for_replay(page, 1)
+    message = page.locator("#replay .pane-message:visible")
+    page.route("**/recordings/*", lambda route: route.abort("connectionrefused"))
+    page.evaluate("() => cornercase.store.select(5)")
+    message.get_by_text("The server does not answer").wait_for()
+    page.unroute("**/recordings/*")
+    page.evaluate("() => cornercase.store.select(1)")
+    wait_for_replay(page, 1)
+    page.evaluate("() => cornercase.store.select(5)")
+    wait_for_replay(page, 5)
+    # Why it is refused is said, and what is selected is shown once the server is there again.
+    refusal = "Another study has taken its place."
+    page.route("**/recordings/*", lambda route: route.fulfill(status=404, body=f"{refusal}\n"))
+    page.evaluate("() => cornercase.store.select(6)")
+    message.get_by_text(refusal).wait_for()
+    page.unroute("**/recordings/*")
+    assert all("404" in fault for fault in tab.faults)
+    tab.faults.clear()
+    page.evaluate("() => cornercase.following.events.dispatchEvent(new Event('open'))")
+    page.wait_for_selector(f"{pane_of(6)}[data-time]")
+    wait_for_replay(page, 6)
 
 
 def wait_for(page, count):

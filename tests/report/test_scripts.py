@@ -10,6 +10,7 @@ from cornercase.report import page
 
 WEB = importlib.resources.files("cornercase.report.web")
 DECLARED = re.compile(r"^(?:async )?(?:function\*? |class |const |let |var )([A-Za-z_$][\w$]*)", re.MULTILINE)
+SCRIPTS = (*page._SCRIPTS, "versions.js", "replay/alone.js")
 
 
 def test_no_name_is_declared_twice():
@@ -20,3 +21,9 @@ def test_no_name_is_declared_twice():
 
 def test_every_script_is_strict():
     assert [one for one in page._SCRIPTS if not WEB.joinpath(one).read_text().startswith('"use strict";')] == []
+
+
+def test_42_14_no_script_swallows_errors():
+    """Whoever catches an error looks at which one it is, or tells of it."""
+    blind = re.compile(r"catch \{|\.catch\(\(\) => null\)")
+    assert [one for one in SCRIPTS if blind.search(WEB.joinpath(one).read_text())] == []

@@ -77,6 +77,7 @@ class _Answers:
         return Response(base64.b64decode(block), media_type="application/octet-stream")
 
     def table(self, request: Request) -> Response:
+        self._require_same(request)
         scenario = _id(request)
         with Study.open(self._path, readonly=True) as study, tempfile.TemporaryDirectory() as folder:
             study.recording(scenario).to_csv(Path(folder) / "recording.csv")
@@ -84,6 +85,7 @@ class _Answers:
             return _download(content, f"{study.meta.title}-{scenario:05}.csv", "text/csv; charset=utf-8")
 
     def scenario(self, request: Request) -> Response:
+        self._require_same(request)
         scenario = _id(request)
         with Study.open(self._path, readonly=True) as study:
             explored = explored_scenario(study, self._scenario)

@@ -113,8 +113,10 @@ class ActionBar {
   async copy(text, what) {
     if (text === null) return "There is nothing to copy.";
     try {
+      if (!navigator.clipboard) throw new DOMException("This browser gives the page no clipboard.");
       await navigator.clipboard.writeText(text);
-    } catch {
+    } catch (error) {
+      if (!(error instanceof DOMException)) throw error;
       if (!copiedByHand(text)) return `${what} could not be copied: this browser does not let the page.`;
     }
     return `${what} is copied.`;
@@ -122,14 +124,14 @@ class ActionBar {
 
   saveScenario() {
     const name = this.running.told?.name ?? "scenario";
-    if (isLive()) return saveServed(`scenarios/${this.id}.xosc`, `${name}-${padded(this.id)}.xosc`);
+    if (isLive()) return saveServed(this.store, `scenarios/${this.id}.xosc`, `${name}-${padded(this.id)}.xosc`);
     saveFile(this.running.file(this.id), `${name}-${padded(this.id)}.xosc`, "application/xml");
     return "Its roads and catalogs have to lie beside it, as those of the scenario that was explored.";
   }
 
   async saveRecording() {
     const name = `${this.running.told?.name ?? "recording"}-${padded(this.id)}.csv`;
-    if (isLive()) return saveServed(`recordings/${this.id}.csv`, name);
+    if (isLive()) return saveServed(this.store, `recordings/${this.id}.csv`, name);
     saveFile(tableOf(await this.recordings.get(this.id)), name, "text/csv");
     return "Rounded to what the page shows; the study holds all digits.";
   }
@@ -154,12 +156,15 @@ function saveFile(content, name, type) {
   setTimeout(() => URL.revokeObjectURL(link.href), 60000);
 }
 
-async function saveServed(path, name) {
-  const answer = await fetch(servedAt(path)).catch(() => null);
-  if (answer === null) return "The server does not answer.";
-  if (!answer.ok) return await answer.text();
-  saveFile(await answer.blob(), name, answer.headers.get("content-type"));
-  return "";
+async function saveServed(store, path, name) {
+  try {
+    const content = await ask(path, "blob", ofStudy(store));
+    saveFile(content, name, content.type);
+    return "";
+  } catch (error) {
+    if (!(error instanceof ServerError)) throw error;
+    return error.message;
+  }
 }
 
 // For browsers that give a page no clipboard.

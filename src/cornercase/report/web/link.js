@@ -44,8 +44,9 @@ class Link {
     const address = `${location.pathname}${location.search}${text ? `#${text}` : ""}`;
     try {
       history.pushState(null, "", address);
-    } catch {
-      // Pages without an address, in a frame of a notebook, have no history.
+    } catch (error) {
+      // Pages without an address, in a frame of a notebook, have no history, and some browsers take few entries a minute.
+      if (!(error instanceof DOMException)) throw error;
     }
   }
 

@@ -17,15 +17,31 @@ function isLive() {
 }
 
 // Another study may lie there by the time that something of this one is asked for.
-function ofStudy() {
-  const { live } = window.cornercase.store.contents;
-  return live ? { epoch: epochOf({ live }) } : {};
+function ofStudy(store) {
+  return { epoch: epochOf(store.contents) };
+}
+
+// Why the server gave nothing, as a sentence for the reader.
+class ServerError extends Error {}
+
+// What the server answers, read as "json", "text", "blob" or "arrayBuffer".
+async function ask(path, read, more = {}, options = {}) {
+  let answer = null;
+  let content = null;
+  try {
+    answer = await fetch(servedAt(path, more), options);
+    content = await answer[answer.ok ? read : "text"]();
+  } catch (error) {
+    // So a browser tells of a connection that is not there, or that ends amid the answer.
+    if (!(error instanceof TypeError)) throw error;
+    throw new ServerError("The server does not answer.");
+  }
+  if (!answer.ok) throw new ServerError(content.trim());
+  return content;
 }
 
 async function fetchContents() {
-  const answer = await fetch(servedAt("contents"));
-  if (!answer.ok) throw new Error(await answer.text());
-  const contents = await answer.json();
+  const contents = await ask("contents", "json");
   // As arrays, so that more can be added to them.
   for (const course of Object.values(contents.courses ?? {})) {
     const bytes = await unpack(course.values);
@@ -42,8 +58,9 @@ async function firstContents() {
       const contents = await fetchContents();
       if (contents.format) return contents;
       state.show(contents.live);
-    } catch {
-      state.showStopped();
+    } catch (error) {
+      if (!(error instanceof ServerError)) throw error;
+      state.showStopped(error.message);
     }
     await new Promise((resolve) => setTimeout(resolve, 500));
   }
@@ -75,43 +92,39 @@ class LiveState {
     this.box.textContent = parts.join(", ");
   }
 
-  showStopped() {
+  showStopped(why = "The server does not answer.") {
     this.box.dataset.state = "stopped";
-    this.box.textContent = "stopped: the server does not answer; it is asked again each second.";
+    this.box.textContent = `stopped: ${why} It is asked again each second.`;
   }
 }
 
 // Recordings of the server, of which the last few that were looked at are kept.
 class ServedRecordings {
-  constructor() {
+  constructor(store) {
+    this.store = store;
     this.known = new Map();
   }
 
   // Which scenarios have a recording is known by the store.
   has(id) {
-    const { store } = window.cornercase ?? {};
-    const row = store?.rows.get(id);
-    return row === undefined || !store.contents.scenarios.failed[row];
+    const row = this.store.rows.get(id);
+    return row !== undefined && !this.store.contents.scenarios.failed[row];
   }
 
   async get(id) {
     if (!this.has(id)) return null;
     if (!this.known.has(id)) {
-      this.known.set(id, this.fetch(id));
+      const coming = this.fetch(id);
+      this.known.set(id, coming);
       if (this.known.size > 64) this.known.delete(this.known.keys().next().value);
+      // What did not come is asked for again when it is looked at the next time.
+      coming.catch(() => this.known.get(id) === coming && this.known.delete(id));
     }
     return this.known.get(id);
   }
 
   async fetch(id) {
-    try {
-      const answer = await fetch(servedAt(`recordings/${id}`, ofStudy()));
-      if (answer.ok) return readRecord(await inflate(await answer.arrayBuffer()));
-    } catch {
-      // Asked for again when it is looked at the next time.
-    }
-    this.known.delete(id);
-    return null;
+    return readRecord(await inflate(await ask(`recordings/${id}`, "arrayBuffer", ofStudy(this.store))));
   }
 
   forget() {
@@ -160,7 +173,10 @@ class Following {
       this.state.show(state);
       this.showHowOld();
     });
-    events.onopen = () => this.last && this.state.show(this.last);
+    events.onopen = () => {
+      if (this.last) this.state.show(this.last);
+      this.store.tell("served");
+    };
     // The browser connects again by itself, unless the server has refused it.
     events.onerror = () => {
       this.state.showStopped();
@@ -191,12 +207,15 @@ class Following {
     try {
       while (this.again) {
         this.again = false;
-        // When the connection is there again, the page is told what is new.
-        const contents = await fetchContents().catch(() => null);
-        if (contents === null) this.state.showStopped();
-        else if (contents.format) this.take(contents);
+        const contents = await fetchContents();
+        if (contents.format) this.take(contents);
         else this.state.show(contents.live);
       }
+    } catch (error) {
+      if (!(error instanceof ServerError)) throw error;
+      this.state.showStopped(error.message);
+      // Of what this page should have, nobody tells it a second time.
+      setTimeout(() => this.fetchAgain(), 1000);
     } finally {
       this.fetching = false;
     }
@@ -213,8 +232,10 @@ class Following {
       return;
     }
     // Scenarios of a search that was begun anew have ids that others had.
-    if (epochOf(contents) !== epochOf(store.contents)) this.recordings.forget();
+    const isOther = epochOf(contents) !== epochOf(store.contents);
+    if (isOther) this.recordings.forget();
     store.setContents(contents);
+    if (isOther) store.tell("replaced");
     this.showKnowledge(contents);
   }
 

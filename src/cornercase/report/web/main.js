@@ -19,7 +19,7 @@ async function begin() {
   const live = isLive();
   const contents = live ? await firstContents() : JSON.parse(document.getElementById("contents").textContent);
   const store = new Store(contents);
-  const recordings = live ? new ServedRecordings() : new EmbeddedRecordings(contents.recordings);
+  const recordings = live ? new ServedRecordings(store) : new EmbeddedRecordings(contents.recordings);
   setTheme(rememberedTheme());
   showTools(document.getElementById("tools"), store);
   const bar = new FilterBar(document.getElementById("filters"), store);
@@ -38,4 +38,7 @@ async function begin() {
   views.makeAll(() => setTimeout(() => whenIdle(() => views.drawAll()), UNHURRIED));
 }
 
-begin();
+begin().catch((error) => {
+  document.getElementById("about").textContent = `This page cannot be shown: ${error.message}`;
+  throw error;
+});

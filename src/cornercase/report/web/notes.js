@@ -23,7 +23,9 @@ class NoteKeeper {
   remembered() {
     try {
       return JSON.parse(localStorage.getItem(this.key)) ?? {};
-    } catch {
+    } catch (error) {
+      // The browser keeps nothing for this page, or what another program wrote there.
+      if (!(error instanceof DOMException || error instanceof SyntaxError)) throw error;
       return {};
     }
   }
@@ -33,9 +35,12 @@ class NoteKeeper {
     const text = given.trim();
     if ((this.store.notes.get(id) ?? "") === text) return null;
     if (isLive()) {
-      const answer = await fetch(servedAt(`notes/${id}`, ofStudy()), { method: "PUT", body: text }).catch(() => null);
-      if (answer === null) return "The note was not saved: the server does not answer.";
-      if (!answer.ok) return `The note was not saved: ${await answer.text()}`;
+      try {
+        await ask(`notes/${id}`, "text", ofStudy(this.store), { method: "PUT", body: text });
+      } catch (error) {
+        if (!(error instanceof ServerError)) throw error;
+        return `The note was not saved. ${error.message}`;
+      }
       this.store.setNote(id, text);
       return "Saved in the study.";
     }
@@ -44,7 +49,8 @@ class NoteKeeper {
     try {
       localStorage.setItem(this.key, JSON.stringify(this.own));
       return "Kept by this browser; “Save page with notes” makes a file to send.";
-    } catch {
+    } catch (error) {
+      if (!(error instanceof DOMException)) throw error;
       return "Kept until the page is closed; “Save page with notes” makes a file that keeps it.";
     }
   }

@@ -7,7 +7,8 @@ function rememberedTheme() {
   try {
     const theme = localStorage.getItem("cornercase theme");
     return THEMES.includes(theme) ? theme : "system";
-  } catch {
+  } catch (error) {
+    if (!(error instanceof DOMException)) throw error;
     return "system";
   }
 }
@@ -17,8 +18,9 @@ function setTheme(theme, store) {
   else document.documentElement.dataset.theme = theme;
   try {
     localStorage.setItem("cornercase theme", theme);
-  } catch {
-    // Then the next page begins with the system's.
+  } catch (error) {
+    // Where nothing is kept, the next page begins with the system's.
+    if (!(error instanceof DOMException)) throw error;
   }
   forgetColours();
   store?.tell("theme");

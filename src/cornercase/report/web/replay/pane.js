@@ -10,6 +10,7 @@ class ReplayPane {
     this.panel = panel;
     this.id = null;
     this.recording = null;
+    this.trouble = null;
     this.asked = 0;
     this.box = newElement("div", "pane");
     this.title = newElement("h3", "pane-title");
@@ -32,6 +33,7 @@ class ReplayPane {
   async show(id) {
     this.id = id;
     this.recording = null;
+    this.trouble = null;
     this.lastBox = null;
     const asked = ++this.asked;
     this.box.hidden = id === null;
@@ -44,16 +46,18 @@ class ReplayPane {
     }
     this.box.dataset.replay = this.slot;
     this.box.dataset.scenario = id;
+    delete this.box.dataset.time;
     this.describe();
     let recording = null;
     let trouble = null;
     try {
       recording = await this.panel.recordings.get(id);
-    } catch {
-      trouble = `The recording of scenario ${id} could not be read.`;
+    } catch (error) {
+      trouble = `The recording of scenario ${id} could not be read. ${error.message}`;
     }
     if (asked !== this.asked) return;
     this.recording = recording;
+    this.trouble = trouble;
     if (recording) this.prepare(recording);
     this.say(recording ? "" : trouble ?? this.whyMissing(id));
   }

@@ -23,12 +23,15 @@ class ReplayPanel {
     store.on("selected", () => this.follow());
     store.on("contents", () => {
       this.takeRoad();
-      for (const pane of this.there()) pane.describe();
+      for (const pane of Object.values(this.panes)) if (store.rows.has(pane.id)) pane.describe();
       // A study that began empty shows its first scenario when it comes.
       if (this.never && store.selected === null) store.select(mostCriticalScenario(store));
       this.follow();
     });
     store.on("options", () => this.choose());
+    // What the server did not give is asked for when it is there again; another study's scenarios have the same ids.
+    store.on("served", () => this.follow((pane) => pane.trouble !== null));
+    store.on("replaced", () => this.follow((pane) => pane.id !== null));
     store.on("theme", () => this.recolour());
     matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => this.recolour());
     // Paper is white, and printed before the next frame.
@@ -78,13 +81,13 @@ class ReplayPanel {
     return metrics.find((one) => one.name === this.store.options.metric) ?? metrics[0];
   }
 
-  // Shows what the store says is selected.
-  async follow() {
+  // Shows what the store says is selected, and again those panes that ask for it.
+  async follow(again = () => false) {
     const { store, panes } = this;
     const before = this.shown;
     if (store.selected !== null) this.never = false;
     this.shown = { selected: store.selected, beside: store.beside };
-    const changed = Object.keys(panes).filter((slot) => before[slot] !== this.shown[slot]);
+    const changed = Object.keys(panes).filter((slot) => before[slot] !== this.shown[slot] || again(panes[slot]));
     this.nothing.hidden = store.selected !== null || store.beside !== null;
     this.box.hidden = !this.nothing.hidden;
     if (!changed.length) return;
