@@ -172,7 +172,7 @@ def test_what_cannot_be_shown_is_said_in_a_sentence_and_nothing_is_left(study, t
 
 
 def test_without_ffmpeg_one_learns_how_to_get_it(study, tmp_path, monkeypatch):
-    monkeypatch.setattr(shutil, "which", lambda name: None)
+    monkeypatch.setattr(shutil, "which", lambda name, path: None)
     monkeypatch.setitem(sys.modules, "imageio_ffmpeg", None)
     with pytest.raises(InputError, match=r"pip install 'cornercase\[video\]'"):
         cc.replay(study, 1, tmp_path / "run.mp4")
