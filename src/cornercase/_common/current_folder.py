@@ -83,7 +83,7 @@ def _loading_without(load: Callable[[ModuleType], None]) -> Callable[[ModuleType
 
 def _settle(module: ModuleType) -> None:
     """Have numba, which looks again whenever it compiles, look beside itself."""
-    name: str = getattr(module, "_config_fname", "")
+    name = str(vars(module).get("_config_fname"))
     if name in _SETTINGS.values() and module.__file__ is not None:
         vars(module)["_config_fname"] = str(Path(module.__file__).with_name(name))
 

@@ -122,14 +122,27 @@ def connect(cluster: str | Client, workers: int = 1) -> Client:
         return _begin_here(workers)
     try:
         address = str(json.loads(read_file(cluster))["address"] if there else cluster)
+        _require_certificates(cluster, address)
         _require_answer(address)
         return Client(address, timeout=_ANSWERS)
+    except InputError:
+        raise
     # Another program's answer is taken for the length of a message.
     except (OSError, ValueError, TypeError, KeyError, RecursionError, MemoryError) as error:
         raise InputError(
             f"`cluster` {cluster}: no scheduler answers there ({type(error).__name__}); give 'local', an address such"
             " as tcp://host:8786, or the file that a scheduler wrote."
         ) from error
+
+
+def _require_certificates(cluster: str, address: str) -> None:
+    from distributed.security import Security
+
+    if address.startswith("tls://") and Security().get_connection_args("client")["ssl_context"] is None:
+        raise InputError(
+            f"`cluster` {cluster}: its scheduler asks for a certificate; name yours by the environment variables"
+            " DASK_DISTRIBUTED__COMM__TLS__CA_FILE, …__TLS__CLIENT__CERT and …__TLS__CLIENT__KEY."
+        )
 
 
 def _require_answer(address: str) -> None:

@@ -106,7 +106,7 @@ def load_driver(name: str) -> Driver:
     ----------
     name : str
         ``"package.module:Class"``, possibly with options of its constructor: ``"package.module:Class:reaction=0.3"``.
-        The module is looked for in the current folder and among what is installed.
+        The module is looked for among what is installed, then in the current folder.
 
     Returns
     -------
