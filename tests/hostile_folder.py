@@ -92,9 +92,13 @@ class HostileFolder:
         (about / "entry_points.txt").write_text("".join(_ENTRIES.format(group=one) for one in _GROUPS))
         (self.folder / "mine.py").write_text(_DRIVER)
 
+    @property
+    def command(self) -> list[str]:
+        return [sys.executable, str(self._script)]
+
     def cornercase(self, *words: object) -> subprocess.CompletedProcess[str]:
         """Run the command in the folder, as users do."""
-        return self.python(self._script, *words)
+        return self.python(*self.command[1:], *words)
 
     def python(self, *words: object) -> subprocess.CompletedProcess[str]:
         """Run Python in the folder."""

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import importlib
 import os
+import re
 import shutil
 import sqlite3
 import subprocess
@@ -11,6 +12,7 @@ import sys
 from contextlib import closing
 from pathlib import Path
 from typing import Any
+from urllib.request import urlopen
 
 import matplotlib as mpl
 import pytest
@@ -66,6 +68,7 @@ COMMANDS: dict[str, tuple[object, ...]] = {
     "estimate": ("estimate", "study.db", "--scenario", X, "--budget", "100", "--workers", "2", "-o", "new.db"),
     "compare": ("compare", "study.db", "study.db"),
     "verify": ("verify", "study.db"),
+    "warm-up": ("warm-up",),
     "repair": ("verify", "damaged.db", "--repair", "--scenario", X, "--workers", "2"),
 }  # fmt: skip
 BY_DAY = ("explore with workers and a driver", "simulate", "report")
@@ -112,6 +115,22 @@ def test_42_s1_s2_nothing_of_a_strangers_folder_is_run_or_read(clean, name):
     with clean.opened() as opened:
         done = clean.cornercase(*COMMANDS[name])
     assert done.returncode in ANSWERS.get(name, (0,)), done.stderr
+    assert (clean.run(), opened) == ([], set())
+
+
+@pytest.mark.slow
+def test_42_s1_s2_a_page_that_is_served_takes_nothing_from_the_folder(clean):
+    command = [*clean.command, "watch", "study.db", "--no-browser"]
+    with clean.opened() as opened:
+        server = subprocess.Popen(command, cwd=clean.folder, stdout=subprocess.PIPE, text=True)
+        try:
+            assert server.stdout is not None
+            address = next(found for line in server.stdout if (found := re.search(r"http://\S+", line)))
+            with urlopen(address.group(), timeout=60) as answer:
+                assert b"</html>" in answer.read()
+        finally:
+            server.terminate()
+            server.communicate()
     assert (clean.run(), opened) == ([], set())
 
 
