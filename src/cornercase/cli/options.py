@@ -158,14 +158,17 @@ def tell_ending(result: ExplorationResult) -> None:
     if result.same is not None:
         out.print(f"{result.study}: {result.reason}.")
         raise typer.Exit(0 if result.same else 1)
+    same = [*result.alike, *(f"Note: {sentence}" for sentence in result.notes)]
     ended = "1 scenario" if result.ended == 1 else f"{result.ended} scenarios"
     if result.interrupted:
         out.print(f"Interrupted after {ended}; the same command goes on with {result.study}.")
+        for sentence in same:
+            out.print(sentence)
         raise typer.Exit(exit_code())
     failed = f", {result.failed} of which failed" if result.failed else ""
     out.print(f"{ended} in {result.study}{failed}; ended because {result.reason}.")
     tell_reasons(result.reasons, "; 'show' tells all")
-    for sentence in result.alike:
+    for sentence in same:
         out.print(sentence)
     if result.failed and not result.done:
         raise typer.Exit(1)

@@ -17,7 +17,7 @@ from cornercase._common.interrupts import noted_interrupts
 from cornercase._common.progress import ProgressBar
 from cornercase._common.rows import row_keys
 from cornercase._common.typing import FloatArray
-from cornercase.exploration.alike import tell_alike
+from cornercase.exploration.alike import ENOUGH_ALIKE, tell_alike
 from cornercase.exploration.configuration import Configuration
 from cornercase.exploration.judging import elsewhere_of
 from cornercase.exploration.objective import Best, Objective
@@ -46,7 +46,9 @@ class ExplorationResult:
         Why it ended, as a part of a sentence.
     interrupted : bool
     alike : tuple of str
-        A sentence for each metric by which all scenarios are the same.
+        A sentence for each metric that is searched and by which all scenarios are the same.
+    notes : tuple of str
+        The same of metrics that are not searched, where it was not said before of this study.
     same : bool or None
         Whether the results in the study gave the same proposals again; None where that was not asked.
     reasons : mapping of str to int
@@ -59,11 +61,12 @@ class ExplorationResult:
     reason: str
     interrupted: bool = False
     alike: tuple[str, ...] = ()
+    notes: tuple[str, ...] = ()
     same: bool | None = None
     reasons: Mapping[str, int] = field(default_factory=dict)
 
     @classmethod
-    def of(cls, study: Study, reason: str, interrupted: bool = False) -> ExplorationResult:
+    def of(cls, study: Study, reason: str, interrupted: bool = False, before: int | None = None) -> ExplorationResult:
         """Count the scenarios of an open study.
 
         Parameters
@@ -71,15 +74,22 @@ class ExplorationResult:
         study : Study
         reason : str
         interrupted : bool, default False
+        before : int, optional
+            How many scenarios the study held when this search began or went on; by default nothing new is said.
 
         Returns
         -------
         ExplorationResult
         """
-        alike = tuple(tell_alike(study).values())
+        alike = tell_alike(study)
+        searched = [alike.pop(name) for name in study.meta.searched if name in alike]
+        # It has been said when there were enough of them.
+        notes = tuple(alike.values()) if before is not None and before < ENOUGH_ALIKE else ()
         failed = study.failed()
         reasons = dict(Counter(row.error or "" for row in failed).most_common())
-        return cls(study.path, len(study.done()), len(failed), reason, interrupted, alike, reasons=reasons)
+        return cls(
+            study.path, len(study.done()), len(failed), reason, interrupted, tuple(searched), notes, reasons=reasons
+        )
 
     @property
     def ended(self) -> int:
@@ -161,17 +171,18 @@ class ScenarioExplorer:
         """
         self._search = Search(self._optimizer, self._study.meta.asynchronous)
         self._proposer = Proposer(self._search, self._study)
+        before = len(self._study.done())
         bar = ProgressBar(self._configuration.budget, "exploring", "scenarios") if progress else None
         try:
             with noted_interrupts() as check:
                 reason = self._run(bar, check)
         except KeyboardInterrupt:
-            return ExplorationResult.of(self._study, "it was interrupted", interrupted=True)
+            return ExplorationResult.of(self._study, "it was interrupted", interrupted=True, before=before)
         finally:
             if bar is not None:
                 bar.stop()
             self._clock.note()
-        return ExplorationResult.of(self._study, reason)
+        return ExplorationResult.of(self._study, reason, before=before)
 
     def _run(self, bar: ProgressBar | None, check_interrupt: Callable[[], None]) -> str:
         """Run rounds until a criterion says why to end."""

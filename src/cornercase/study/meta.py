@@ -166,6 +166,15 @@ class StudyMeta:
         return (self.other,) if isinstance(self.other, str) else self.other
 
     @property
+    def searched(self) -> tuple[str, ...]:
+        """Metrics whose scores are searched; none of imported recordings and suites."""
+        if self.optimizer == "none":
+            return ()
+        if self.pareto:
+            return self.metrics
+        return tuple(name for name in self.metrics if name in self.weights) if self.weights else self.metrics[:1]
+
+    @property
     def runs_of_each(self) -> str:
         """How often each scenario is run, in words."""
         return str(self.repeats) if self.most_repeats is None else f"{self.repeats} to {self.most_repeats}"
