@@ -65,7 +65,7 @@ class Experiment:
             self.kept = len(by_hull)
             self.reduced = reduce(study, folder / f"{path.stem}-reduced", scenario=scenario)
             self.critical = find_critical_clusters(study, self.found[self.reduced.by])
-            self.unlike = self._unlike(study)
+            self.unlike = self._unlike(study, scenario.path)
             rows, meta = study.done(), study.meta
             self.points = np.array([row.point for row in rows])
             self.names = study.space.names
@@ -78,7 +78,7 @@ class Experiment:
             self.crash = np.array([any(meta.ego in hit.entities for hit in one.collisions) for one in recordings])
             self.seconds = study.elapsed()["compare"] / len(self.found)
 
-    def _unlike(self, study: Study) -> dict[str, float]:
+    def _unlike(self, study: Study, scenario: Path) -> dict[str, float]:
         """Share of the critical ones among 2,000 random scenarios that are unlike every kept one."""
         meta, space = study.meta, study.space
         points = space.snap(np.random.default_rng(5).random((2000, space.dimension)))
@@ -87,7 +87,7 @@ class Experiment:
             **{key: settings[key] for key in ("time_step", "duration", "on_collision")},
             drivers={entity: named_driver(name) for entity, name in settings.get("drivers", {}).items()},
         )
-        concretes = [ConcreteScenario(Path(meta.scenario), values) for values in space.values(points)]
+        concretes = [ConcreteScenario(scenario, values) for values in space.values(points)]
         runs = []
         for run in simulator.run(concretes):
             if isinstance(run, SimulationError):

@@ -8,14 +8,13 @@ import sqlite3
 import time
 from dataclasses import replace
 from itertools import takewhile
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 
 import synthetic
-from command_line import waiting_after
+from command_line import X, waiting_after
 from conftest import EXAMPLES
 from cornercase._common.errors import InputError
 from cornercase._common.interrupts import noted_interrupts
@@ -112,7 +111,7 @@ def test_a_recording_comes_back_bit_for_bit(undisturbed):
 
     with Study.open(undisturbed, readonly=True) as study:
         row = study.done()[17]
-        (again,) = ran(BuiltinSimulator(), [ConcreteScenario(Path(study.meta.scenario), row.values)])
+        (again,) = ran(BuiltinSimulator(), [ConcreteScenario(X, row.values)])
         assert same_recording(study.recording(row.id), again)
 
 
