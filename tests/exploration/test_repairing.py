@@ -250,3 +250,11 @@ def test_42_s3_who_waited_for_a_study_that_was_replaced_does_not_write_to_the_ea
         Study.open(damaged, readonly=False)
     with closing(sqlite3.connect(damaged.with_name("s.db.damaged"))) as connection:
         assert connection.execute("SELECT count(*) FROM lease").fetchone() == (0,)
+
+
+def test_42_10_a_repair_names_the_study_where_its_scenario_is_not_found(damaged, tmp_path, monkeypatch):
+    (tmp_path / "elsewhere").mkdir()
+    monkeypatch.chdir(tmp_path / "elsewhere")
+    result = cornercase("verify", damaged, "--repair")
+    assert result.returncode == 2
+    assert f"{damaged}: its scenario file '{X.name}' lies neither beside it nor in the current folder" in result.stderr

@@ -117,7 +117,7 @@ def repair(
         need = _COPIES * size
         limit.require(need, f"the contents of a study of {size_in_words(size)}", "give more")
         state_need("The contents of the study", need)
-        with written_whole(file) as made:
+        with written_whole(file) as made, _named(made, file):
             made.unlink()
             remains = rebuild(file, made)
             lost = list(remains.lost)
@@ -147,6 +147,16 @@ def _said(file: Path) -> Iterator[None]:
     except (OSError, sqlite3.Error) as error:
         why = error.strerror if isinstance(error, OSError) else error
         raise InputError(f"{file}: cannot be repaired ({why}); make room, or copy it elsewhere.") from error
+
+
+@contextmanager
+def _named(made: Path, file: Path) -> Iterator[None]:
+    """Name a study as the user does: the file that is being made has another name until it is whole."""
+    try:
+        yield
+    except InputError as error:
+        words = str(error).replace(str(made), str(file))
+        raise error if words == str(error) else InputError(words) from error
 
 
 @contextmanager
