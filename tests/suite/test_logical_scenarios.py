@@ -19,7 +19,8 @@ from cornercase.study import Study
 
 pytestmark = pytest.mark.filterwarnings("ignore::cornercase._common.errors.NoticeWarning")
 
-NCAP = Path(__file__).parents[3] / "shared" / "reference" / "openscenario" / "ncap" / "OpenSCENARIO" / "NCAP"
+REFERENCE = Path(__file__).parents[3] / "shared" / "reference" / "openscenario"
+NCAP = REFERENCE / "ncap" / "OpenSCENARIO" / "NCAP"
 # All that vary something; the rest are single scenarios.
 NCAP_FILES = sorted(
     [
@@ -27,12 +28,15 @@ NCAP_FILES = sorted(
         *NCAP.glob("AEB_*_2023/Variations/*_Variation_2023.xosc"),
     ]
 )
+# Of UN Regulation No. 157; in the first scenario the ego is alone.
+ALKS_FILES = sorted((REFERENCE / "alks" / "logical_scenarios").glob("alks_scenario_4_[2-6]*.xosc"))
+ALKS_FILES += sorted((REFERENCE / "alks" / "logical_scenarios").glob("alks_scenario_4_1_[23]*.xosc"))
 R157 = {
     "cut_in": ("ego_kmh=60:130", "other_kmh=20:60", "gap=20:70", "lateral_speed=0.4:1.5"),
     "cut_out": ("ego_kmh=60:130", "front_gap=20:80", "lateral_speed=0.5:2"),
     "deceleration": ("ego_kmh=60:130", "gap=20:60", "deceleration=0.3:1"),
 }
-OTHERS = ("Target", "VRU", "GVT", "Other")
+OTHERS = ("Target", "VRU", "GVT", "TargetBlocking", "LeadVehicle", "SideVehicle", "CutInVehicle")
 METRIC_NAMES = ("ttc", "clearance")
 BOUNDS = {"ttc": 1.0, "clearance": 0.5}
 REQUIRED = ["no collision", *(f"{name} > {bound}" for name, bound in BOUNDS.items())]
@@ -253,18 +257,18 @@ def test_42_2_values_that_no_value_set_has_are_refused(value_sets, tmp_path):
 @pytest.mark.slow
 @pytest.mark.parametrize(
     "path",
-    NCAP_FILES or [pytest.param(NCAP, marks=pytest.mark.skip(reason="needs ../shared/reference"))],
+    [*NCAP_FILES, *ALKS_FILES] or [pytest.param(REFERENCE, marks=pytest.mark.skip(reason="needs ../shared/reference"))],
     ids=lambda path: "/".join(path.parts[-2:]),
 )
-def test_42_2_every_logical_scenario_of_euro_ncap_goes_all_the_way(path, tmp_path):
+def test_42_2_every_published_logical_scenario_goes_all_the_way(path, tmp_path):
     logical = LogicalScenario.read(None, path)
     other = next(name for name in OTHERS if name in logical.scenario.entities)
-    print(path.relative_to(NCAP), go_through(logical, tmp_path, "Ego", other))
+    print(path.relative_to(REFERENCE), go_through(logical, tmp_path, "Ego", other))
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", R157)
-def test_42_2_every_logical_scenario_of_r157_goes_all_the_way(name, tmp_path):
+def test_42_2_every_encounter_of_r157_goes_all_the_way(name, tmp_path):
     logical = LogicalScenario.read(EXAMPLES / "r157" / f"{name}.xosc", ranges=R157[name])
     row = go_through(logical, tmp_path, "Ego", "Other")
     print(name, row)
