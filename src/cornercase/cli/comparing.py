@@ -51,6 +51,7 @@ def compare(
     It compares scenarios with the same parameters one by one. To get such pairs, explore both versions with the same
     seed. A new collision, a requirement that newly fails, a scenario that can no longer be run or is newly critical,
     and a score that is more critical by more than its tolerance are worse.
+
     Exit code 0: nothing is worse; 1: something is worse, even if something else is better; 2: nothing can be said,
     or bad input.
 
