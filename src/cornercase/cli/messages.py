@@ -78,7 +78,8 @@ def show_notices() -> None:
 
     def shown(message: Any, category: Any, *place: Any, **more: Any) -> None:
         if issubclass(category, NoticeWarning):
-            err.print(shorten(f"{str(message)[:1].upper()}{str(message)[1:]}.", LONGEST))
+            said = in_words_of_the_command_line(str(message))
+            err.print(shorten(f"{said[:1].upper()}{said[1:]}.", LONGEST))
         # What NumPy says of numbers without measure is for who mends cornercase.
         elif not issubclass(category, RuntimeWarning) or debugging.get():
             show(message, category, *place, **more)

@@ -21,3 +21,4 @@ from .objective import Objective as Objective
 from .objective import on_front as on_front
 from .repairing import Repaired as Repaired
 from .repairing import repair as repair
+from .repeatability import try_repeatability as try_repeatability

@@ -90,6 +90,12 @@ class AsynchronousExplorer(ScenarioExplorer):
         self._results = self._judged = 0
 
     def _run(self, bar: ProgressBar | None, check_interrupt: Callable[[], None]) -> str:
+        """Run scenarios side by side; once nothing else runs, try whether runs repeat themselves."""
+        reason = self._run_beside(bar, check_interrupt)
+        self._runner.try_repeatability()
+        return reason
+
+    def _run_beside(self, bar: ProgressBar | None, check_interrupt: Callable[[], None]) -> str:
         """Keep scenarios on their way until a criterion says why to end, and all have ended."""
         begun, reason = time.monotonic(), None
         with closing(SimulatorStream(self._simulators)) as stream:

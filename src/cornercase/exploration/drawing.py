@@ -166,6 +166,7 @@ class ProbabilityEstimator:
         for number, _ in self._runner.run([row for row in rows if row.state == "pending"]):
             if bar is not None:
                 bar.update(number, self._word)
+        self._runner.try_repeatability()
         ended = self._study.rows_of(rows[0].round)
         outcomes = self._outcomes(ended)
         stage = "whole" if self._whole else self._sampling.stage

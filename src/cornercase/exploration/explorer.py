@@ -189,6 +189,7 @@ class ScenarioExplorer:
         begun = time.monotonic()
         done, number = self._go_on(bar)
         while True:
+            self._runner.try_repeatability()
             check_interrupt()
             if bar is not None:
                 bar.update(done, self._best.text)

@@ -15,6 +15,7 @@ from cornercase._common.typing import FloatArray
 from cornercase.exploration.configuration import Configuration
 from cornercase.exploration.deciding import SecondRuns, Undecided
 from cornercase.exploration.objective import Objective
+from cornercase.exploration.repeatability import try_repeatability
 from cornercase.exploration.repeated import RepeatedScenario, Repetition
 from cornercase.recordings import Recording
 from cornercase.scenario import ConcreteScenario
@@ -83,7 +84,7 @@ class ScenarioRunner:
         self._study, self._clock = study, clock
         self._repetition = Repetition(configuration, objective)
         condition = configuration.condition()
-        self._second = None
+        self._second, self._tried = None, False
         if condition is not None:
             self._second = SecondRuns(configuration, condition, references or {}, self.outcomes)
             if missing := [name for name in condition.references if name not in (references or {})]:
@@ -127,6 +128,29 @@ class ScenarioRunner:
                 score = self.stored(ready)
                 if score is not None:
                     yield ready.row.id, score
+
+    def try_repeatability(self) -> None:
+        """Run the first scenario of the study a second time, once it has ended, to see whether runs repeat themselves.
+
+        Raises
+        ------
+        InputError
+            The simulator itself failed.
+        """
+        if self._tried:
+            return
+        advice = (
+            "a driver or the simulator draws random numbers, or keeps something from one run to the next: mend it, or"
+            " run each scenario several times with `repeats`"
+        )
+        with self._clock("simulate"):
+            self._tried = try_repeatability(
+                self._study, self._once_more, advice if self._configuration.repeats == 1 else ""
+            )
+
+    def _once_more(self, row: Row) -> Recording | SimulationError:
+        (outcome,) = self.outcomes(self._simulator, [self._configuration.logical.concrete(row.values)])
+        return outcome
 
     def _batch(
         self, scenarios: deque[RepeatedScenario]

@@ -6,6 +6,9 @@ from .recording import BOX as BOX
 from .recording import MOTION as MOTION
 from .recording import Collision as Collision
 from .recording import Recording as Recording
+from .sameness import ARRAYS as ARRAYS
+from .sameness import farthest_apart as farthest_apart
+from .sameness import same_bytes as same_bytes
 from .samples import EntityBox as EntityBox
 from .samples import EntitySamples as EntitySamples
 from .samples import box_center as box_center

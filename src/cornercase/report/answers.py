@@ -141,6 +141,8 @@ def tell_about(data: ReportData) -> str:
             said.append(f"The search began from {tell_beginning(meta)}.")
     if beside := tell_beside(summary):
         said.append(beside)
+    if meta.runs_differ:
+        said.append(f"Runs differ: {meta.runs_differ}.")
     if summary.pending:
         said.append(f"{_scenarios(summary.pending)} not run yet.")
     return plain_text(" ".join(said))

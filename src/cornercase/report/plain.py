@@ -95,6 +95,7 @@ def put_in_words(summary: Summary) -> dict[str, Any]:
         "clusters": {name: _clusters(one, summary.run) for name, one in summary.analyses.items()},
         "seconds": {stage: round(seconds, 2) for stage, seconds in summary.seconds.items()},
         "searched": summary.searched,
+        **({"runs differ": meta.runs_differ} if meta.runs_differ else {}),
         **({"began from": tell_beginning(meta)} if meta.elsewhere else {}),
         **({"rounds": "none: each scenario was proposed as soon as one had ended"} if meta.asynchronous else {}),
     }

@@ -46,10 +46,10 @@ def tell_rerun(study: Study, given: Path | str | Scenario | None = None, *, whol
     name = meta.file_name
     scenario, file_why = _find(study, given)
     pieces = _pieces(meta, scenario, why_kept(study)) if whole and scenario is not None else None
-    facts = json.dumps({key: value for key, value in meta.to_json().items() if key != "budget"}, sort_keys=True)
+    facts = {key: value for key, value in meta.to_json().items() if key not in ("budget", "repeatability")}
     return {
         "name": portable_name(meta.title),
-        "key": hashlib.sha256(facts.encode()).hexdigest()[:16],
+        "key": hashlib.sha256(json.dumps(facts, sort_keys=True).encode()).hexdigest()[:16],
         "command": None
         if why
         else {

@@ -41,7 +41,7 @@ _DIFFERENT: Final = {
 _TYPES: Final[dict[str, Any]] = (
     dict.fromkeys(("scenario", "fingerprint", "ego", "optimizer", "simulator", "suite", "origin", "version"), str)
     | dict.fromkeys(("seed", "budget", "batch", "repeats", "most_repeats"), int)
-    | dict.fromkeys(("elsewhere", "settings", "weights"), dict)
+    | dict.fromkeys(("elsewhere", "repeatability", "settings", "weights"), dict)
     | dict.fromkeys(("metrics", "files", "kinds", "requirements"), list)
     | {"other": (str, list), "critical": (int, float), "audit": (int, float), "pareto": bool, "asynchronous": bool}
 )
@@ -49,7 +49,9 @@ _TYPES: Final[dict[str, Any]] = (
 _LONGEST_SETTING: Final = 60
 _DRIVERS: Final = "drivers"
 # What only later versions write.
-_LATER: Final = ("asynchronous", "elsewhere", "kinds", "most_repeats", "origin", "requirements", "suite")
+_LATER: Final = (
+    "asynchronous", "elsewhere", "kinds", "most_repeats", "origin", "repeatability", "requirements", "suite",
+)  # fmt: skip
 _YES_OR_NO: Final = ("asynchronous", "pareto")
 
 
@@ -119,6 +121,10 @@ class StudyMeta:
         What is known of the study that the search began from: the name of its file (``study``), its ``fingerprint``,
         ``simulator``, ``settings`` and number of ``scenarios``, and ``sha256`` of their points and scores; empty where
         it began from nothing.
+    repeatability : mapping of str to object
+        What came of running a scenario a second time: its id (``scenario``), whether both recordings are the ``same``
+        bytes, and if not, by how many m entities are ``apart`` at most, None where that cannot be said; empty where it
+        was not tried.
     files : tuple of str
         Imported recordings, or the scenario files of a suite, in the order of the scenarios' ids.
     kinds : tuple of str
@@ -153,6 +159,7 @@ class StudyMeta:
     audit: float = 0.0
     asynchronous: bool = False
     elsewhere: Mapping[str, Any] = field(default_factory=dict)
+    repeatability: Mapping[str, Any] = field(default_factory=dict)
     files: tuple[str, ...] = ()
     kinds: tuple[str, ...] = ()
     requirements: tuple[str, ...] = ()
@@ -185,6 +192,15 @@ class StudyMeta:
         return _last_part(self.files[0] if self.suite and self.files else self.scenario)
 
     @property
+    def runs_differ(self) -> str:
+        """How two runs of the same scenario differ, in words; empty where none are known to."""
+        if self.repeatability.get("same", True):
+            return ""
+        apart = self.repeatability.get("apart")
+        how = f"entities are up to {apart:.3g} m apart" if apart else "more than positions differs"
+        return f"scenario {self.repeatability['scenario']} was run twice, and in its recordings {how}"
+
+    @property
     def drivers(self) -> dict[str, Any]:
         """Who drives, by entity, as `cornercase.drivers.describe_driver` says it; empty where the file alone does."""
         return dict(self.settings.get(_DRIVERS, {}))
@@ -203,11 +219,12 @@ class StudyMeta:
             By the name of the field; None stands for an empty or a plain one.
         """
         # A study is written as before there were searches without rounds, or from other studies, or with more runs
-        # where they are needed, unless it is of one.
+        # where they are needed, or second runs, unless it is of one.
         later = {
             "asynchronous": self.asynchronous,
             "elsewhere": bool(self.elsewhere),
             "most_repeats": self.most_repeats is not None,
+            "repeatability": bool(self.repeatability),
         }
         written = [one.name for one in fields(self) if later.get(one.name, True)]
         return {name: getattr(self, name) for name in written} | {
@@ -278,6 +295,8 @@ class StudyMeta:
         known = given.get("elsewhere", {})
         if known and not all(isinstance(known.get(key), str) for key in ("sha256", "simulator", "study")):
             raise ValueError("it does not say what its search began from")
+        if (tried := given.get("repeatability")) and not _is_try(tried):
+            raise ValueError("it does not say what came of a second run")
         if given.get("most_repeats", math.inf) <= given.get("repeats", 1):
             raise ValueError("its most_repeats are no more than its repeats")
         if not 0.0 <= given.get("audit", 0.0) <= MOST_AUDITS:
@@ -341,6 +360,16 @@ class StudyMeta:
             raise InputError(
                 f"{path}: its optimizer planned for a budget of {self.budget} scenarios; give the same `budget`."
             )
+
+
+def _is_try(plain: Mapping[str, Any]) -> bool:
+    """Whether it is what `StudyMeta.repeatability` holds."""
+    apart, scenario = plain.get("apart"), plain.get("scenario")
+    return (
+        isinstance(plain.get("same"), bool)
+        and isinstance(scenario, int)
+        and (apart is None or (isinstance(apart, int | float) and math.isfinite(apart)))
+    )
 
 
 def _with_units(parameters: tuple[Parameter, ...], like: tuple[Parameter, ...]) -> tuple[Parameter, ...]:

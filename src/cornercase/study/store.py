@@ -178,6 +178,23 @@ class Study(StudyContents):
                 return
             put(connection, "elsewhere", rows)
 
+    def save_repeatability(self, scenario: int, same: bool, apart: float | None) -> None:
+        """Store what came of running a scenario a second time.
+
+        Parameters
+        ----------
+        scenario : int
+            Its id.
+        same : bool
+            Whether both recordings are the same bytes.
+        apart : float or None
+            By how many m entities are apart at most.
+        """
+        found = {"scenario": scenario, "same": same, "apart": apart}
+        with self._database.writing() as connection:
+            put(connection, "meta", [("repeatability", json.dumps(found, sort_keys=True))])
+        self.meta = replace(self.meta, repeatability=found)
+
     def clear(self) -> None:
         """Remove all scenarios, and what is known of them."""
         with self._database.writing() as connection:

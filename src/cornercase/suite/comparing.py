@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
+from contextlib import suppress
 from pathlib import Path
 from typing import Any, Final
 
@@ -12,7 +13,7 @@ import numpy as np
 from cornercase._common.arguments import texts
 from cornercase._common.errors import InputError
 from cornercase.clustering import join_kinds, read_analyses
-from cornercase.drivers import DRIVERS, driver_text
+from cornercase.drivers import DRIVERS, driver_command, driver_text
 from cornercase.metrics import METRICS
 from cornercase.simulators import SIMULATORS
 from cornercase.study import Study, StudyMeta, open_study
@@ -84,7 +85,7 @@ def compare(
         allowed = find_tolerances(needed, sorted(both), tolerances)
         sides = [Side.of(study, needed, verdicts_of(study)) for study in (before, after)]
         pairs = read_pairs(sides[0], sides[1], chosen)
-        certain = all(_repeats_itself(study.meta.simulator) for study in (before, after))
+        certain = all(_repeats_itself(study.meta) for study in (before, after))
         tests = _tests(sides[0], sides[1], pairs, chosen, certain)
         changed, reason = _judged(pairs, tests, certain)
         worse, better, within = find_verdict(pairs, tests, allowed, certain)
@@ -92,7 +93,7 @@ def compare(
         return Comparison(
             names=(before.path.name, after.path.name),
             title=before.meta.title,
-            differences=tuple(_differences(before.meta, after.meta)),
+            differences=(*_differences(before.meta, after.meta), *_differing_runs(before, after)),
             changed=changed,
             reason=reason,
             verdict=verdict,
@@ -132,12 +133,16 @@ def _searched(meta: StudyMeta, metrics: Sequence[str]) -> str:
     return "" if meta.weights or meta.pareto or meta.metrics[0] not in metrics else meta.metrics[0]
 
 
-def _repeats_itself(simulator: str) -> bool:
-    """Whether a simulator gives the same recording again; of one that is not known here it is not assumed."""
-    try:
-        return SIMULATORS.class_of(simulator).repeats_itself
-    except InputError:
-        return False
+def _repeats_itself(meta: StudyMeta) -> bool:
+    """Whether the runs of a study repeat themselves, as it was tried; cornercase's own parts do as they declare."""
+    declared: bool | None = None
+    own = False
+    with suppress(InputError):
+        simulator = SIMULATORS.class_of(meta.simulator)
+        declared = simulator.repeats_itself
+        own = simulator.__module__.startswith("cornercase.") and not any(map(_is_own, meta.drivers.values()))
+    tried = meta.repeatability.get("same")
+    return declared is not False and bool(tried) if tried is not None else own and declared is True
 
 
 def _tests(
@@ -219,6 +224,13 @@ def _differences(old: StudyMeta, new: StudyMeta) -> Iterator[str]:
     yield from _unlike("", old.settings, new.settings)
 
 
+def _differing_runs(*studies: Study) -> Iterator[str]:
+    """Which of the studies do not repeat themselves, in words."""
+    for study in studies:
+        if study.meta.runs_differ:
+            yield f"runs of {study.path.name} differ: {study.meta.runs_differ}"
+
+
 def _unlike(name: str, old: Any, new: Any) -> Iterator[str]:
     if old == new:
         return
@@ -238,7 +250,9 @@ def _unlike(name: str, old: Any, new: Any) -> Iterator[str]:
 
 def _is_own(driver: Any) -> bool:
     """Whether a driver is none of those that stand in a study by their name or parameters."""
-    return isinstance(driver, Mapping) and not {"options", "sha256", "settings"}.isdisjoint(driver)
+    if not isinstance(driver, Mapping):
+        return False
+    return driver_command(driver) is None or not {"options", "sha256", "settings"}.isdisjoint(driver)
 
 
 def _spelt(driver: Any) -> Any:

@@ -11,10 +11,9 @@ from cornercase._common.errors import InputError
 from cornercase._common.typing import BoolArray, FloatArray
 from cornercase.clustering import find_outcome
 from cornercase.exploration import Objective, chosen_blindly
-from cornercase.recordings import Recording
+from cornercase.recordings import ARRAYS, Recording, same_bytes
 from cornercase.study import IMPORTED, Row, Study, StudyMeta
 from cornercase.suite.comparing_results import Pair, Run
-from cornercase.suite.difference import ARRAYS, same_bytes
 from cornercase.suite.judging import find_margin
 from cornercase.suite.requirement import Requirement
 from cornercase.suite.verdict import Verdict

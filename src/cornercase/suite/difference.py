@@ -9,13 +9,10 @@ from typing import Final
 import numpy as np
 
 from cornercase._common.typing import FloatArray
-from cornercase.recordings import BOX, MOTION, Recording
+from cornercase.recordings import Recording, same_bytes
 
 NOTICED: Final = 1e-6
 """Distance in m from which a difference counts as one."""
-
-ARRAYS: Final = ("time", *MOTION, *BOX)
-"""What of a recording is numbers."""
 
 
 @dataclass(frozen=True)
@@ -97,21 +94,3 @@ def _distances(before: Recording, now: Recording, ego: str) -> FloatArray:
         np.interp(now.time, before.time, values, left=np.nan, right=np.nan) for values in (before.x[i], before.y[i])
     )
     return np.asarray(np.hypot(now.x[j] - x, now.y[j] - y))
-
-
-def same_bytes(before: Recording, now: Recording) -> bool:
-    """Tell whether two recordings are the same, byte for byte.
-
-    Parameters
-    ----------
-    before, now : Recording
-
-    Returns
-    -------
-    bool
-        Of entities, collisions, and all bits of all numbers: 0.0 is not -0.0.
-    """
-    facts = [(one.names, one.kinds, one.collisions) for one in (before, now)]
-    return facts[0] == facts[1] and all(
-        np.asarray(getattr(before, name)).tobytes() == np.asarray(getattr(now, name)).tobytes() for name in ARRAYS
-    )

@@ -4,16 +4,25 @@ from __future__ import annotations
 
 import time
 from collections.abc import Iterator, Sequence
+from functools import partial
 from pathlib import Path
+from typing import Final
 
 from cornercase._common.errors import InputError, SimulationError
 from cornercase._common.interrupts import noted_interrupts
 from cornercase._common.ledger import distinct, warn_of
 from cornercase._common.progress import ProgressBar
+from cornercase.exploration import try_repeatability
 from cornercase.metrics import METRICS, Metric, measured
+from cornercase.recordings import Recording
 from cornercase.simulators import SIMULATORS, Simulator, outcomes_of, with_values
 from cornercase.study import Row, Study, StudyMeta, begun_study
 from cornercase.suite.contents import SuiteContents, SuiteScenario
+
+_ADVICE: Final = (
+    "a driver or the simulator draws random numbers, or keeps something from one run to the next: mend it, or verdicts"
+    " may be others the next time"
+)
 
 
 def run_suite(
@@ -62,6 +71,7 @@ def run_suite(
                     check()
                     if bar is not None:
                         bar.update(done, "")
+                try_repeatability(study, partial(_once_more, suite, simulator), _ADVICE)
         finally:
             if bar is not None:
                 bar.stop()
@@ -72,6 +82,11 @@ def run_suite(
             study.clear()
             raise InputError(f"None of the {len(rows)} scenarios of {suite.place} could be run; the first: {reason}.")
         return before
+
+
+def _once_more(suite: SuiteContents, simulator: Simulator, row: Row) -> Recording | SimulationError:
+    (outcome,) = outcomes_of(simulator, [suite.scenarios[row.id - 1].concrete])
+    return outcome
 
 
 def _warn(suite: SuiteContents, simulator: Simulator) -> None:
