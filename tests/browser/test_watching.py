@@ -153,6 +153,109 @@ def test_scenarios_appear_while_the_search_runs_is_killed_and_goes_on(tab, tmp_p
         page.wait_for_selector(f"#replay [data-replay=selected][data-scenario='{known + 4}'][data-time]")
 
 
+# All that counts scenarios on the page, each time that something of it has changed.
+COUNT = """() => {
+  window.counts = [];
+  const number = (text, pattern) => Number(pattern.exec(text)?.[1] ?? 0);
+  const look = () => {
+    const live = document.querySelector("#live-state").textContent;
+    const shown = document.querySelector("#shown-count").textContent;
+    const answers = document.querySelector("#answers .columns").textContent;
+    counts.push({
+      n: cornercase.store.n,
+      live: number(live, /live: (\\d+)/) + number(live, /(\\d+) failed/),
+      shown: number(shown, /^(\\d+) of/),
+      of: number(shown, /of (\\d+) scenario/),
+      known: number(answers, /all (\\d+) scenarios/),
+      about: document.querySelector("#about").textContent,
+      old: [...document.querySelectorAll(".how-old")].filter((one) => !one.hidden).map((one) => one.textContent),
+      space: document.querySelector("#view-space figcaption").textContent,
+    });
+  };
+  look();
+  new MutationObserver(look).observe(document.body, { subtree: true, childList: true, characterData: true });
+}"""
+
+
+def require_one_moment(count):
+    """All numbers are of one moment, or say of which scenarios they are."""
+    n, known = count["n"], count["known"]
+    assert count["live"] == count["shown"] == count["of"] == n, count
+    assert not re.search(r"\d+ scenarios were run", count["about"]), count
+    old = [] if known in (0, n) else [f"Of the first {known} of {n} scenarios; the others follow."] * 3
+    assert count["old"] == old, count
+    assert (f"Of the first {known} scenarios:" in count["space"]) == bool(old), count
+
+
+def test_42_16_all_numbers_are_of_one_moment(tab, plain):
+    page = tab.open(plain)
+    page.locator("#answers").get_by_text("all 60 scenarios").wait_for()
+    page.evaluate(COUNT)
+    page.evaluate("""() => {
+      const { following, store } = cornercase;
+      const { contents } = store;
+      const { live } = contents;
+      const dispatch = (name, data) =>
+        following.events.dispatchEvent(new MessageEvent(name, { data: JSON.stringify(data), lastEventId: following.cursor }));
+      window.dispatchState = (run) => dispatch("state", { ...live, run });
+      window.dispatchKnowledge = (count) => {
+        const text = (one) => one.text.replaceAll("60 scenarios", `${count} scenarios`);
+        dispatch("knowledge", { known_of: count, answers: contents.answers.map((one) => ({ ...one, text: text(one) })) });
+      };
+      window.dispatchScenario = (id, isLast) => {
+        const first = (column) => [column[0]];
+        const { scenarios, courses } = contents;
+        const row = Object.fromEntries(Object.entries(scenarios).map(([name, column]) => [name, first(column)]));
+        row.id = [id];
+        row.values = scenarios.values.map(first);
+        row.scores = Object.fromEntries(Object.entries(scenarios.scores).map(([name, column]) => [name, first(column)]));
+        const none = Object.fromEntries(Object.keys(courses).map((name) => [name, [null]]));
+        const state = isLast ? { ...live, run: id } : null;
+        dispatch("scenarios", { scenarios: row, errors: {}, courses: none, spans: [[0, 1]], state });
+      };
+    }""")
+    count = page.locator("#shown-count")
+    # More follow at once: they are shown with the others.
+    page.evaluate("() => dispatchScenario(61, false)")
+    page.evaluate("() => dispatchScenario(62, true)")
+    count.get_by_text("62 of 62").wait_for()
+    # What counts others than are here is not told.
+    page.evaluate("() => dispatchState(61)")
+    page.evaluate("() => dispatchScenario(63, true)")
+    count.get_by_text("63 of 63").wait_for()
+    page.evaluate("() => dispatchKnowledge(62)")
+    page.locator("#answers .how-old").get_by_text("first 62 of 63").wait_for()
+    page.evaluate("() => dispatchKnowledge(63)")
+    page.locator("#answers .how-old").wait_for(state="hidden")
+    counts = page.evaluate("() => counts")
+    for one in counts:
+        require_one_moment(one)
+    assert {one["n"] for one in counts} == {60, 62, 63}
+    assert {one["known"] for one in counts} == {60, 62, 63}
+
+
+@pytest.mark.slow
+def test_42_16_all_numbers_are_of_one_moment_while_a_study_is_explored(tab, tmp_path):
+    study = tmp_path / "s.db"
+    fast = ["128" if one == "1" else one for one in EXPLORE]
+    assert cornercase(*fast, "128", "-o", study).returncode == 0
+    with serving(study) as address:
+        page = tab.open(address)
+        page.evaluate(COUNT)
+        explorer = subprocess.Popen([*CLI, *fast, "20000", "-o", str(study)], stderr=subprocess.DEVNULL)
+        try:
+            seen = "(name) => new Set(counts.map((one) => one[name]).filter(Boolean)).size > 1"
+            page.wait_for_function(seen, arg="known", timeout=400_000)
+        finally:
+            explorer.kill()
+            explorer.wait()
+        counts = page.evaluate("() => counts")
+    for one in counts:
+        require_one_moment(one)
+    assert len({one["n"] for one in counts}) > 2
+    assert any(one["old"] for one in counts)
+
+
 @pytest.mark.slow
 def test_nothing_is_served_without_the_token(tab, studies):
     with serving(studies("plain")) as address:

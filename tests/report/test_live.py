@@ -10,9 +10,11 @@ import sqlite3
 import subprocess
 import sys
 import threading
+import time
 import urllib.error
 import urllib.request
 import zlib
+from collections.abc import Callable
 from contextlib import closing, contextmanager
 from typing import Any
 
@@ -26,7 +28,7 @@ from cornercase.recordings import read_recording
 from cornercase.report.blocks import pack_record
 from cornercase.report.contents import page_contents
 from cornercase.report.data import read_report_data
-from cornercase.report.live.follower import Follower
+from cornercase.report.live.follower import Follower, State
 from cornercase.report.live.knowing import Finder
 from cornercase.report.live.telling import Cursor, Teller
 from cornercase.study import Study, write_note
@@ -74,6 +76,8 @@ def test_live_contents_are_those_of_the_report(whole, client):
     found = client.get("/contents").json()
     with Study.open(whole, readonly=True) as study:
         expected = json.loads(json.dumps(page_contents(read_report_data(study))))
+    # The page counts its scenarios itself, as they come.
+    assert expected.pop("about") == found["about"].replace("Search:", "12 scenarios were run. Search:")
     for name, value in expected.items():
         assert found[name] == value, name
     assert {"answers", "scenarios", "courses", "kinds", "kept"} <= set(expected)
@@ -241,6 +245,119 @@ def test_a_page_is_told_of_each_scenario_once(tmp_path, whole):
         assert news(teller, again)[0][0] == "contents"
         write_note(tmp_path / "new.db", 1, "seen")
         until(lambda: teller.follower.notes == {1: "seen"})
+
+
+class Growing(Follower):
+    """Of a study that grows by a scenario at each look at what is new."""
+
+    grow: Callable[[], object] | None = None
+
+    def since(self, *arguments, **options):
+        found = super().since(*arguments, **options)
+        if self.grow is not None:
+            self.grow()
+        return found
+
+
+def parts_of(study, count):
+    """A study of which so many scenarios ended, with what it takes to end the others."""
+    with Study.open(study, readonly=True) as opened:
+        meta, rows, recording = opened.meta, opened.done(), opened.recording(1)
+        courses = {name: (opened.course(1, name), 1.0) for name in meta.metrics}
+    return meta, np.array([row.point for row in rows])[:count], [row.values for row in rows][:count], recording, courses
+
+
+def test_42_16_what_is_told_counts_what_was_told(tmp_path, whole):
+    meta, points, values, recording, courses = parts_of(whole, 12)
+    follower = Growing(tmp_path / "s.db")
+    finder = Finder(follower)
+    with Study.create(tmp_path / "s.db", meta) as study:
+        study.propose(1, points, values)
+        study.finish(1, recording, courses)
+        follower.start()
+        finder.start()
+        teller = Teller(follower, finder)
+        until(lambda: teller.contents().get("known_of") == 1)
+        left = iter(range(2, 9))
+
+        def grow():
+            scenario = next(left, None)
+            if scenario is None:
+                return
+            if scenario % 3:
+                study.finish(scenario, recording, courses)
+            else:
+                study.fail(scenario, cc.SimulationError("no"))
+            until(lambda: follower.state.run + follower.state.failed == scenario)
+
+        follower.grow = grow
+        contents = teller.contents()
+        assert contents["live"]["run"] + contents["live"]["failed"] == len(contents["scenarios"]["id"])
+        count, failed = 1, 0
+        told = []
+        write = teller.write_events(Cursor.of(contents["live"]["cursor"]))
+        # What is known of all follows seconds later.
+        for _ in range(2):
+            for event, data in re.findall(r"event: (\w+)\ndata: (.*)\n", "".join(write())):
+                data = json.loads(data)
+                if event == "scenarios":
+                    count += len(data["scenarios"]["id"])
+                    failed += sum(data["scenarios"]["failed"])
+                state = data if event == "state" else (data or {}).get("state")
+                if state is not None:
+                    assert (state["run"], state["failed"], state["pending"]) == (count - failed, failed, 12 - count)
+                    told.append(count)
+                if event == "knowledge":
+                    assert data["known_of"] <= count
+                    assert str(count) not in data["about"]
+            until(lambda: teller.contents()["known_of"] == 8)
+        assert told[-1] == 8
+        assert len(told) > 2
+        finder.stop()
+        follower.stop()
+
+
+def test_42_16_nothing_is_told_of_scenarios_that_were_not_read_yet(tmp_path, whole):
+    meta, points, values, recording, courses = parts_of(whole, 12)
+    follower = Follower(tmp_path / "s.db")
+    finder = Finder(follower)
+    teller = Teller(follower, finder)
+    with Study.create(tmp_path / "s.db", meta) as study:
+        study.propose(1, points, values)
+        for scenario in range(1, 6):
+            study.finish(scenario, recording, courses)
+    # As far as it has read by now; what is known of all is found in the file.
+    follower.state, follower.changes = State("live", run=3), 1
+    finder.start()
+
+    def event():
+        found = teller.news(Cursor(follower.epoch))
+        return None if found is None else found[1]
+
+    for _ in range(15):
+        assert event() in (None, "state")
+        time.sleep(0.1)
+    follower.state = State("live", run=5)
+    until(lambda: event() == "contents")
+    finder.stop()
+
+
+def test_42_16_scenarios_that_are_run_again_are_counted_once(tmp_path, whole):
+    meta, points, values, recording, courses = parts_of(whole, 3)
+    with followed(tmp_path / "s.db") as teller, Study.create(tmp_path / "s.db", meta) as study:
+        study.propose(1, points, values)
+        study.finish(1, recording, courses)
+        study.fail(2, cc.SimulationError("no road"))
+        study.finish(3, recording, courses)
+        until(lambda: teller.contents()["live"]["failed"] == 1)
+        cursor = Cursor.of(teller.contents()["live"]["cursor"])
+        study.retry_failed()
+        until(lambda: teller.state()["pending"] == 1)
+        study.finish(2, recording, courses)
+        until(lambda: teller.state()["run"] == 3)
+        assert teller.state()["failed"] == 0
+        assert sorted(teller.contents()["scenarios"]["id"]) == [1, 2, 3]
+        assert news(teller, cursor)[0][0] == "contents"
 
 
 @pytest.mark.parametrize(

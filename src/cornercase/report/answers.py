@@ -113,13 +113,15 @@ def page_answers(data: ReportData) -> Iterator[Answer]:
     yield _of_failures(data)
 
 
-def tell_about(data: ReportData) -> str:
+def tell_about(data: ReportData, *, counts: bool = True) -> str:
     """Say what the study is about.
 
     Parameters
     ----------
     data : ReportData
         What the report shows.
+    counts : bool, default True
+        Say how many scenarios it holds; a page that grows counts them itself.
 
     Returns
     -------
@@ -128,22 +130,24 @@ def tell_about(data: ReportData) -> str:
     """
     summary, meta = data.summary, data.summary.meta
     said = [tell_roles(meta)]
+    begin = f"{_scenarios(summary.run)} " if counts else "Scenarios "
     if meta.simulator == IMPORTED:
-        said.append(f"{_scenarios(summary.run)} imported, measured by {', '.join(meta.metrics)}.")
+        said.append(f"{begin}imported, measured by {', '.join(meta.metrics)}.")
     elif meta.suite:
-        said.append(f"{_scenarios(summary.run)} run, of a suite, measured by {', '.join(meta.metrics)}.")
+        said.append(f"{begin}run, of a suite, measured by {', '.join(meta.metrics)}.")
     else:
-        searched = f"{'the ' if meta.pareto else ''}{summary.searched}"
-        said.append(f"{_scenarios(summary.run)} run. Search: {meta.optimizer}, on {searched}.")
+        if counts:
+            said.append(f"{begin}run.")
+        said.append(f"Search: {meta.optimizer}, on {'the ' if meta.pareto else ''}{summary.searched}.")
         if meta.asynchronous:
             said.append("Each scenario was proposed as soon as one had ended.")
         if meta.elsewhere:
             said.append(f"The search began from {tell_beginning(meta)}.")
-    if beside := tell_beside(summary):
+    if beside := tell_beside(summary, counts=counts):
         said.append(beside)
     if meta.runs_differ:
         said.append(f"Runs differ: {meta.runs_differ}.")
-    if summary.pending:
+    if counts and summary.pending:
         said.append(f"{_scenarios(summary.pending)} not run yet.")
     return plain_text(" ".join(said))
 

@@ -93,26 +93,29 @@ def tell_beginning(meta: StudyMeta) -> str:
     return f"{known.get('scenarios', 'some')} scenarios of {known['study']} (simulator {known['simulator']})"
 
 
-def tell_beside(summary: Summary) -> str:
+def tell_beside(summary: Summary, *, counts: bool = True) -> str:
     """Say in how many scenarios the ego touches somebody whom it is not measured against.
 
     Parameters
     ----------
     summary : Summary
         Of the study.
+    counts : bool, default True
+        Say in how many.
 
     Returns
     -------
     str
         A sentence; empty where there is none.
     """
-    counts = [f"{name} in {count}" for name, count in summary.beside.items()]
-    if not counts:
+    touched = [f"{name} in {count}" if counts else name for name, count in summary.beside.items()]
+    if not touched:
         return ""
-    whom = " and ".join(filter(None, (", ".join(counts[:-1]), counts[-1])))
+    whom = " and ".join(filter(None, (", ".join(touched[:-1]), touched[-1])))
+    of_how_many = f" of {summary.run} scenarios" if counts else ""
     return (
-        f"{summary.meta.ego} touches {whom} of {summary.run} scenarios, and is not measured against"
-        f" {'it' if len(counts) == 1 else 'them'}: repeat --other."
+        f"{summary.meta.ego} touches {whom}{of_how_many}, and is not measured against"
+        f" {'it' if len(touched) == 1 else 'them'}: repeat --other."
     )
 
 

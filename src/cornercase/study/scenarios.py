@@ -178,7 +178,10 @@ class ScenarioContents:
         -------
         list of Row
         """
-        return [row for row in self.rows() if row.state == "failed"]
+        self._database.require_all("scenarios")
+        found = self._database.rows("scenarios", "state = ?", "failed")
+        with damage_told(self.path):
+            return [self._row(*one) for one in found]
 
     def points(self) -> FloatArray:
         """Points of the scenarios that were run.

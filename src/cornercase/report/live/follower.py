@@ -45,6 +45,11 @@ class State:
     pending: int = 0
     last: float | None = None
 
+    @property
+    def ended(self) -> int:
+        """Number of scenarios that were run or failed."""
+        return self.run + self.failed
+
 
 class Follower:
     """Follows a study, in a thread of its own.
@@ -67,7 +72,7 @@ class Follower:
 
     def __init__(self, path: Path) -> None:
         self.path = path
-        self.state = State(why="Nothing was looked at yet.")
+        self.state = State()
         self.changes = 0
         self.notes: dict[int, str] = {}
         self._server = secrets.token_hex(4)
@@ -94,7 +99,7 @@ class Follower:
         """Which study is followed: another text after it was replaced, or begun anew."""
         return f"{self._server}-{self._generation}"
 
-    def known(self) -> tuple[str, StudyMeta | None, list[Digest]]:
+    def known(self) -> tuple[str, StudyMeta | None, list[Digest], State]:
         """Give what was read so far.
 
         Returns
@@ -104,11 +109,13 @@ class Follower:
             None while there is no study.
         digests : list of Digest
             In the order in which they were read.
+        state : State
+            That counts them.
         """
         with self._lock:
-            return self.epoch, self._meta, list(self._digests)
+            return self.epoch, self._meta, list(self._digests), self.state
 
-    def since(self, epoch: str, count: int, most: int = _AT_ONCE) -> Sequence[Digest] | None:
+    def since(self, epoch: str, count: int, most: int = _AT_ONCE) -> tuple[Sequence[Digest], State | None] | None:
         """Give what was read after the first scenarios.
 
         Parameters
@@ -122,19 +129,26 @@ class Follower:
 
         Returns
         -------
-        sequence of Digest or None
-            None where the study is another one by now.
+        digests : sequence of Digest
+        state : State or None
+            That counts them and those that are known already; None where more were read. None is returned where the
+            study is another one by now.
         """
         with self._lock:
-            return self._digests[count : count + most] if epoch == self.epoch else None
+            if epoch != self.epoch:
+                return None
+            is_all = count + most >= len(self._digests)
+            return self._digests[count : count + most], self.state if is_all else None
 
-    def _reset(self) -> None:
+    def _reset(self, why: str = "Nothing was looked at yet.") -> None:
         with self._lock:
             self._generation += 1
             self._meta = None
             self._digests = []
+            self.state = State(why=why)
         self.notes = {}
         self._next, self._pending = 1, set[int]()
+        self._failed: dict[int, str | None] = {}
         self._stamp: Any = None
         self._seen: int | None = None
 
@@ -156,8 +170,9 @@ class Follower:
         if study is not None:
             study.close()
         if self._meta is not None:
-            self._reset()
-        self.state = State(why=why)
+            self._reset(why)
+        else:
+            self.state = State(why=why)
 
     def _look(self, study: Study | None) -> Study | None:
         """Read what is new in the study, and give it; None where it has to be opened again."""
@@ -192,9 +207,12 @@ class Follower:
             rows = study.rows_from(min(self._pending, default=self._next))
             is_cleared = self._next > 1 and not study.rows_from(self._next - 1)
             notes = study.notes()
-        if is_cleared:
+            # Scenarios that failed may be run again.
+            failed = {row.id: row.error for row in study.failed()} if self._failed else {}
+        if is_cleared or not self._failed.items() <= failed.items():
             self._reset()
-        if not same or is_cleared:
+            return False
+        if not same:
             return False
         ended = [row for row in rows if row.state != "pending" and (row.id >= self._next or row.id in self._pending)]
         pending = {row.id for row in rows if row.state == "pending"}
@@ -206,17 +224,18 @@ class Follower:
             if self._end.is_set():
                 return True
             read = [digester.read(row) for row in ended[k : k + _AT_ONCE]]
-            with self._lock:
-                self._digests += read
-            self._tell(len(pending), None if is_first else time.time())
+            self._count(read, len(pending), None if is_first else time.time())
         self._next = max(self._next, max((row.id for row in rows), default=0) + 1)
         self._pending = pending
-        self._tell(len(pending), self.state.last)
+        self._count((), len(pending), self.state.last)
         return True
 
-    def _tell(self, pending: int, last: float | None) -> None:
+    def _count(self, read: Sequence[Digest], pending: int, last: float | None) -> None:
+        """Take up what was read, and count it in the same moment."""
+        self._failed |= {one.row.id: one.row.error for one in read if one.row.state == "failed"}
+        failed = len(self._failed)
         with self._lock:
-            failed = sum(one.row.state == "failed" for one in self._digests)
+            self._digests += read
             self.state = State("live", "", len(self._digests) - failed, failed, pending, last)
 
 

@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from cornercase._common.errors import InputError
+from cornercase.report.answers import tell_about
 from cornercase.report.contents import knowledge_part, scenario_part
 from cornercase.report.data import read_report_data
 from cornercase.report.details import page_details
@@ -51,6 +52,21 @@ class Knowledge:
     parts: dict[str, Any] = field(default_factory=dict)
     outcomes: dict[int, str] = field(default_factory=dict)
 
+    def of(self, epoch: str) -> Knowledge:
+        """Give what is known of a study.
+
+        Parameters
+        ----------
+        epoch : str
+            Which study, as `Follower.epoch`.
+
+        Returns
+        -------
+        Knowledge
+            Empty where this is of another one.
+        """
+        return self if self.epoch == epoch else Knowledge(epoch, self.number, self.layout)
+
 
 class Finder:
     """Finds what is known, in a thread of its own, as often as the study changes but never most of the time.
@@ -62,30 +78,18 @@ class Finder:
     scenario : Path or None, default None
         Scenario that was explored; None where it is looked for.
 
+    Attributes
+    ----------
+    known : Knowledge
+        By now, never of more scenarios than the follower knows.
     """
 
     def __init__(self, follower: Follower, scenario: Path | None = None) -> None:
-        self._known = Knowledge()
+        self.known = Knowledge()
         self._follower = follower
         self._surroundings = Surroundings(scenario)
         self._end = threading.Event()
         self._thread = threading.Thread(target=self._find_always, name="finder of knowledge", daemon=True)
-
-    def knowledge(self, epoch: str) -> Knowledge:
-        """Give what is known of a study by now.
-
-        Parameters
-        ----------
-        epoch : str
-            Which study, as `Follower.epoch`.
-
-        Returns
-        -------
-        Knowledge
-            Empty where nothing is known but of another one.
-        """
-        known = self._known
-        return known if known.epoch == epoch else Knowledge(epoch, known.number, known.layout)
 
     def start(self) -> None:
         """Begin to find."""
@@ -105,20 +109,28 @@ class Finder:
             # What cannot be read now may be whole the next time.
             with suppress(InputError):
                 found = _find(self._follower.path, self._surroundings)
-                if found is not None and self._follower.epoch == now[0]:
+                if found is not None and self._is_followed(now[0], found[0]["known_of"]):
                     self._take(now[0], *found)
             seen = now
             self._end.wait(max(_LEAST, _TIMES * (time.monotonic() - begun)))
 
+    def _is_followed(self, epoch: str, count: int) -> bool:
+        """Wait until the follower knows as many scenarios; False where it never will."""
+        while self._follower.epoch == epoch and not self._end.is_set():
+            if self._follower.state.ended >= count:
+                return True
+            self._end.wait(_PAUSE)
+        return False
+
     def _take(self, epoch: str, parts: dict[str, Any], outcomes: dict[int, str]) -> None:
-        old = self._known
+        old = self.known
         same = (
             old.epoch == epoch
             and old.outcomes == outcomes
             and all(old.parts.get(name) == parts[name] for name in _COLUMNS)
         )
         if not same or old.parts != parts:
-            self._known = Knowledge(epoch, old.number + 1, old.layout + (not same), parts, outcomes)
+            self.known = Knowledge(epoch, old.number + 1, old.layout + (not same), parts, outcomes)
 
 
 def _by_id(kinds: dict[str, Any], ids: list[int]) -> dict[str, Any]:
@@ -144,6 +156,8 @@ def _find(path: Path, surroundings: Surroundings) -> tuple[dict[str, Any], dict[
     parts["kinds"] = {name: _by_id(one, ids) for name, one in parts["kinds"].items()}
     parts["outcomes"] = named
     parts["known_of"] = len(ids)
+    # The page counts its scenarios itself, as they come.
+    parts["about"] = tell_about(data, counts=False)
     parts["details"] = [{"name": one.name, "title": one.title, "html": str(one.html)} for one in page_details(data)]
     parts["provenance"] = str(tell_provenance(data.study, data.summary))
     return parts, outcomes

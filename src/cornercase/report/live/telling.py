@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any, Final
@@ -83,9 +83,11 @@ class Teller:
             As `cornercase.report.contents.page_contents`, with ``live``: how far this is. Only that while no scenario
             has ended.
         """
-        epoch, meta, digests = self.follower.known()
-        knowledge = self._finder.knowledge(epoch)
-        live = {"cursor": str(Cursor(epoch, len(digests), knowledge.number, knowledge.layout))} | self.state()
+        # In this order, so that nothing is known of scenarios that are not there.
+        known = self._finder.known
+        epoch, meta, digests, state = self.follower.known()
+        knowledge = known.of(epoch)
+        live = {"cursor": str(Cursor(epoch, len(digests), knowledge.number, knowledge.layout))} | asdict(state)
         if meta is None or not digests:
             return {"live": live}
         digests.sort(key=lambda one: one.row.id)
@@ -105,37 +107,44 @@ class Teller:
         """
         return asdict(self.follower.state)
 
-    def news(self, cursor: Cursor) -> tuple[Cursor, str, Any] | None:
+    def news(self, cursor: Cursor, shown: Mapping[str, Any] | None = None) -> tuple[Cursor, str, Any] | None:
         """Tell the next thing that a page does not know.
 
         Parameters
         ----------
         cursor : Cursor
             How far it knows the study.
+        shown : mapping of str to object, optional
+            The last state that it was told.
 
         Returns
         -------
         cursor : Cursor
             How far it knows the study then.
-        event : {"contents", "scenarios", "knowledge"}
-            Of the first, everything has to be asked for again.
+        event : {"contents", "scenarios", "knowledge", "state"}
+            Of the first, everything has to be asked for again. The last counts what the page was told by then.
         data : object
-            Plain values. None is returned where there is nothing new.
+            Plain values; scenarios come with ``state``, which counts them, or is None where more follow at once.
+            None is returned where there is nothing new.
         """
-        epoch, meta, _ = self.follower.known()
-        knowledge = self._finder.knowledge(epoch)
-        some = self.follower.since(cursor.epoch, cursor.count)
-        if some is None or cursor.layout != knowledge.layout:
-            count = len(self.follower.known()[2])
-            return Cursor(epoch, count, knowledge.number, knowledge.layout), "contents", None
+        known = self._finder.known
+        epoch, meta, digests, _ = self.follower.known()
+        knowledge = known.of(epoch)
+        since = self.follower.since(cursor.epoch, cursor.count)
+        if since is None or cursor.layout != knowledge.layout:
+            return Cursor(epoch, len(digests), knowledge.number, knowledge.layout), "contents", None
+        some, state = since
         if some and meta is not None:
             courses = {name: [_rounded(one.courses.get(name)) for one in some] for name in meta.metrics}
             spans = [one.span for one in some]
-            columns = tell_scenarios(meta, some) | {"courses": courses, "spans": spans}
+            counted = None if state is None else asdict(state)
+            columns = tell_scenarios(meta, some) | {"courses": courses, "spans": spans, "state": counted}
             return Cursor(epoch, cursor.count + len(some), cursor.knowledge, cursor.layout), "scenarios", columns
         if cursor.knowledge != knowledge.number:
             parts = {name: value for name, value in knowledge.parts.items() if name not in _APART}
             return Cursor(epoch, cursor.count, knowledge.number, knowledge.layout), "knowledge", parts
+        if state is not None and asdict(state) != shown:
+            return cursor, "state", asdict(state)
         return None
 
     def write_events(self, cursor: Cursor) -> Callable[[], Iterator[str]]:
@@ -151,17 +160,16 @@ class Teller:
         callable
             Gives the events as text.
         """
-        shown_state: dict[str, Any] = {}
+        shown_state: dict[str, Any] | None = None
         shown_notes: dict[int, str] | None = None
 
         def write() -> Iterator[str]:
             nonlocal cursor, shown_state, shown_notes
-            while (found := self.news(cursor)) is not None:
+            while (found := self.news(cursor, shown_state)) is not None:
                 cursor, event, data = found
+                if event == "state":
+                    shown_state = data
                 yield _event(event, data, str(cursor))
-            if (state := self.state()) != shown_state:
-                shown_state = state
-                yield _event("state", state)
             if (notes := self.follower.notes) != shown_notes:
                 shown_notes = notes
                 yield _event("notes", notes)

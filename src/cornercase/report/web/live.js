@@ -138,7 +138,8 @@ class Following {
     this.store = store;
     this.recordings = recordings;
     this.state = new LiveState();
-    this.rows = [];
+    // What was told and is not shown yet, as [event, data].
+    this.told = [];
     this.waiting = null;
     this.cost = 0;
     this.fetching = false;
@@ -150,7 +151,7 @@ class Following {
       this.events.close();
       if (!document.hidden) this.begin();
     });
-    this.state.show(store.contents.live);
+    this.showState(store.contents.live);
     this.showKnowledge(store.contents);
   }
 
@@ -164,15 +165,11 @@ class Following {
       });
     // The server may tell of a study that has replaced the one that is shown.
     const same = () => this.cursor.split(".")[0] === epochOf(this.store.contents);
-    on("scenarios", (told) => (same() ? this.add(told) : this.fetchAgain()));
+    for (const name of ["scenarios", "knowledge", "state"]) {
+      on(name, (data) => (same() ? this.add(name, data) : this.fetchAgain()));
+    }
     on("contents", () => this.fetchAgain());
-    on("knowledge", (told) => (same() ? this.know(told) : this.fetchAgain()));
     on("notes", (notes) => this.store.setNotes(notes));
-    on("state", (state) => {
-      this.last = state;
-      this.state.show(state);
-      this.showHowOld();
-    });
     events.onopen = () => {
       if (this.last) this.state.show(this.last);
       this.store.tell("served");
@@ -185,23 +182,44 @@ class Following {
     };
   }
 
-  // Scenarios that come close together are shown together: redrawing a large study takes longer than being told of one.
-  add(told) {
-    this.rows.push(told);
+  // What comes close together is shown together: redrawing a large study takes longer than being told of a scenario.
+  add(name, data) {
+    this.told.push([name, data]);
     this.waiting ??= setTimeout(() => {
       this.waiting = null;
       if (this.fetching) return;
       const begun = performance.now();
-      const some = this.rows;
-      this.rows = [];
-      const contents = addRows(this.store, some);
-      if (contents !== null) this.store.setContents(contents);
+      this.show();
       this.cost = performance.now() - begun;
     }, Math.min(1000, Math.max(100, 3 * this.cost)));
   }
 
+  // Shows scenarios, what counts them and what is known of them at one go, so that all numbers are of one moment.
+  show() {
+    const { store } = this;
+    // Those of which more follow at once wait for these.
+    const last = this.told.findLastIndex(([name, data]) => name !== "scenarios" || data.state !== null);
+    const told = this.told.splice(0, last + 1);
+    if (!told.length) return;
+    const of = (wanted) => told.filter(([name]) => name === wanted).map(([, data]) => data);
+    const knowledge = of("knowledge").at(-1);
+    const contents = addRows(store, of("scenarios"));
+    if (contents !== null || knowledge) store.setContents({ ...(contents ?? store.contents), ...knowledge });
+    this.showState(told.map(([name, data]) => (name === "state" ? data : data.state)).filter(Boolean).at(-1));
+    this.showKnowledge(knowledge ?? {});
+  }
+
+  // A state that counts other scenarios than are here is of another moment; its own will come.
+  showState(state) {
+    if (!state || (state.name !== "waiting" && state.run + state.failed !== this.store.n)) return;
+    this.last = state;
+    this.state.show(state);
+  }
+
   async fetchAgain() {
     this.again = true;
+    // All that was told before is in what is asked for now.
+    this.told = [];
     if (this.fetching) return;
     this.fetching = true;
     try {
@@ -220,7 +238,7 @@ class Following {
       this.fetching = false;
     }
     // What came meanwhile, of which most is in the contents already.
-    if (this.rows.length) this.add({ scenarios: { id: [] }, errors: {} });
+    if (this.told.length) this.add(...this.told.pop());
   }
 
   take(contents) {
@@ -236,27 +254,25 @@ class Following {
     if (isOther) this.recordings.forget();
     store.setContents(contents);
     if (isOther) store.tell("replaced");
+    this.showState(contents.live);
     this.showKnowledge(contents);
-  }
-
-  know(told) {
-    const { store } = this;
-    store.setContents({ ...store.contents, ...told });
-    this.showKnowledge(told);
   }
 
   // Sentences and tables follow in the background: of how many scenarios they are is said until they are of all.
   showHowOld() {
-    const { known_of: known } = this.store.contents;
-    const ended = this.last ? this.last.run + this.last.failed : 0;
-    const old = document.getElementById("how-old");
-    const text = known && known < ended ? `Of the first ${known} of ${ended} scenarios; the others follow.` : "";
-    if (old) old.textContent = text;
-    else if (text) {
-      const box = document.createElement("p");
-      box.id = "how-old";
+    const { store } = this;
+    const known = knownOf(store);
+    const text = known === null ? "" : `Of the first ${known} of ${store.n} scenarios; the others follow.`;
+    for (const part of ["answers", "details", "provenance"]) {
+      const title = document.getElementById(`${part}-title`);
+      let box = title.parentElement.querySelector(".how-old");
+      if (box === null) {
+        box = document.createElement("p");
+        box.className = "how-old";
+        title.after(box);
+      }
       box.textContent = text;
-      document.getElementById("answers-title").after(box);
+      box.hidden = !text;
     }
   }
 

@@ -9,6 +9,11 @@ function escaped(sign) {
   return `\\u${sign.charCodeAt(0).toString(16).padStart(4, "0")}`;
 }
 
+// Of how many scenarios sentences, tables and some views are; null where they are of all that are here.
+function knownOf({ n, contents }) {
+  return contents.known_of < n ? contents.known_of : null;
+}
+
 // What the page knows and what its reader chose: views read it, change it, and are told when it changed.
 //
 // Events: "contents" (scenarios came, live), "shown" (filters), "selected" (one of the two scenarios of the replay),

@@ -3,6 +3,7 @@
 // Views of the scenarios, each in a box of its own. A view is an object with
 //   name, title, about (what to see in it), wanted(store) (whether there is something to see), wide (the whole row),
 //   finding (what was found in it, in the contents' captions, is told after it),
+//   known (it shows what is known of all scenarios together, which follows later while a study grows),
 //   heavy (to be drawn only when it is seen or printed),
 //   create(box, store) -> { redraw(events) }, where `events` are the store's since it last drew.
 // All views draw in one frame after a change, those off the screen when they get there.
@@ -70,7 +71,9 @@ class Views {
       const { metric, aspect } = this.store.options;
       told = told[[metric, aspect].find((name) => Object.hasOwn(told, name))];
     }
-    caption.textContent = told ? `${about} ${told}` : about;
+    const known = told || view.known ? knownOf(this.store) : null;
+    const parts = [about, known === null ? "" : `Of the first ${known} scenarios${told ? ":" : "."}`, told];
+    caption.textContent = parts.filter(Boolean).join(" ");
   }
 
   moved(entries) {

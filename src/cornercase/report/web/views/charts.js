@@ -101,6 +101,7 @@ VIEWS.push(chartView({
   name: "search",
   title: "Search over time",
   about: "What the search had found after each number of scenarios.",
+  known: true,
   finding: true,
   wanted: (store) => (store.contents.search?.run.length ?? 0) > 1,
   height: 420,
@@ -138,6 +139,7 @@ VIEWS.push(chartView({
   name: "matters",
   title: "What matters",
   about: "The share of the score's variance that each parameter explains, alone and with all others; lines are 90 % intervals.",
+  known: true,
   wanted: (store) => Boolean(store.contents.sensitivity?.names.length),
   fill(store) {
     const { sensitivity } = store.contents;
@@ -176,6 +178,7 @@ VIEWS.push(chartView({
   title: "What the kept scenarios cover",
   about: (store) =>
     `Scenarios that have a kept one within a distance by ${coveredAspect(store)}; for comparison, other choices of as many.`,
+  known: true,
   wanted: (store) => Object.keys(store.contents.coverage ?? {}).length > 0,
   events: ["options"],
   fill(store) {

@@ -26,6 +26,7 @@ VIEWS.push({
   title: "Pareto front",
   about: (store) =>
     `Diamonds: ${store.contents.front.length} scenarios; no other is as critical in every metric and more critical in one.`,
+  known: true,
   wanted: (store) => Boolean(store.contents.front?.length) && store.contents.metrics.length > 1,
   create(box, store) {
     const names = store.contents.metrics.map(({ name }) => name);

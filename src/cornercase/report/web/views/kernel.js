@@ -166,6 +166,7 @@ VIEWS.push({
     const turn = embedding.length > 2 ? " Drag to turn the space." : "";
     return `Scenarios that are near each other here are alike by ${aspect}${what}.${turn}`;
   },
+  known: true,
   wanted: (store) => store.options.aspect !== null && store.contents.kinds[store.options.aspect].embedding.length > 0,
   create(box, store) {
     const plot = new KernelPlot(box, store);
