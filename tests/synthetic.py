@@ -6,6 +6,7 @@ The other entity stands at 10 |a - b| m from the ego; a scenario with a > 0.9 fa
 from __future__ import annotations
 
 import os
+import signal
 import subprocess
 import sys
 from pathlib import Path
@@ -39,7 +40,7 @@ class Synthetic(Simulator):
             if self.left == 0:
                 psutil.Process().kill()
             if self.ran == self.interrupts:
-                raise KeyboardInterrupt
+                signal.raise_signal(signal.SIGINT)
             if self.left is not None:
                 self.left -= 1
             self.ran += 1

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import shutil
+import signal
 import sqlite3
 import threading
 import time
@@ -41,9 +42,12 @@ class Slow(Synthetic):
     def __init__(self, places, survives=None, gather=False):
         super().__init__()
         self.places, self.survives, self.most, self.now = places, survives, 0, 0
-        self.lock, self.gathered = threading.Lock(), threading.Event()
+        self.lock, self.gathered, self.given_up = threading.Lock(), threading.Event(), threading.Event()
         if not gather:
             self.gathered.set()
+
+    def give_up(self):
+        self.given_up.set()
 
     def beside(self):
         return [self] * self.places
@@ -52,8 +56,10 @@ class Slow(Synthetic):
         with self.lock:
             self.now += 1
             self.most = max(self.most, self.now)
-            if self.survives is not None and self.ran >= self.survives:
-                raise KeyboardInterrupt
+            if self.survives is not None and self.ran >= self.survives and not self.given_up.is_set():
+                # The main thread hears it, and gives up what runs in this one.
+                signal.raise_signal(signal.SIGINT)
+                self.given_up.wait(120.0)
             if self.most == self.places:
                 self.gathered.set()
         # On a busy machine one would end before the next has begun.

@@ -354,17 +354,19 @@ def test_an_interrupt_that_compiled_code_turns_into_an_error_is_still_one():
         raise TypeError("of its own")
 
 
-def test_a_simulator_that_raises_in_the_same_process_is_named_and_what_has_ended_is_kept(tmp_path):
+def test_42_s5_a_simulator_that_raises_in_the_same_process_fails_its_scenario(tmp_path):
     class Broken(Synthetic):
         def run(self, concretes):
-            for number, run in enumerate(super().run(concretes)):
-                if number == 4:
-                    raise KeyError("of the\nadapter")
+            for concrete, run in zip(concretes, super().run(concretes), strict=True):
+                if concrete.values["b"] > 0.8:
+                    raise SystemExit(0)
                 yield run
 
     with opened(tmp_path / "s.db") as study:
-        with pytest.raises(InputError, match=r"^The simulator 'builtin' failed \(KeyError: .*\); fix it.*\.$"):
-            explorer(study, Broken(), "sobol", budget=10).run()
-        assert [row.state == "pending" for row in study.rows()] == [False] * 4 + [True] * 6
-    with opened(tmp_path / "s.db") as study:
-        assert explorer(study, Synthetic(), "sobol", budget=10).run().ended == 10
+        result = explorer(study, Broken(), "sobol", budget=10).run()
+        raised = [row for row in study.rows() if row.values["b"] > 0.8]
+        assert result.ended == 10
+        assert 0 < len(raised) < 5
+        for row in raised:
+            assert row.error.startswith("the simulator failed: SystemExit: 0 (test_explorer.py line ")
+            assert row.error.endswith(" in run: raise SystemExit(0))")

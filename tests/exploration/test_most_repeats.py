@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import signal
 import sqlite3
 from collections import Counter
 from dataclasses import replace
@@ -53,7 +54,7 @@ class Wavering(Simulator):
         self.batches.append([concrete.values["often"] for concrete in concretes])
         for often in self.batches[-1]:
             if self.left == 0:
-                raise KeyboardInterrupt
+                signal.raise_signal(signal.SIGINT)
             self.left = None if self.left is None else self.left - 1
             found = distance(often, self.ran[often])
             self.ran[often] += 1

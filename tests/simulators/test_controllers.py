@@ -2,6 +2,11 @@
 
 from __future__ import annotations
 
+import signal
+import sys
+import warnings
+from pathlib import Path
+
 import numpy as np
 import pytest
 
@@ -19,8 +24,10 @@ from conftest import (
     time_trigger,
     trajectory,
 )  # fmt: skip
-from cornercase._common.errors import InputError, SimulationError
+from cornercase._common.errors import InputError, NoticeWarning, SimulationError
+from cornercase._common.interrupts import noted_interrupts
 from cornercase.drivers import Driver
+from cornercase.recordings import Recording
 from cornercase.scenario import ConcreteScenario
 from cornercase.simulators import BuiltinSimulator
 
@@ -161,42 +168,181 @@ class Own(Driver):
         return self.decide(situation)
 
 
-def driven_by(folder, decide):
+def driven_by(folder, decide, speeds=(8.0, 10.0, 12.0)):
     init = "".join(
         private(name, teleport(s), speed_action(v)) for name, s, v in (("Ego", "10", "$v"), ("B", "90", "10"))
     )
     speed = '<ParameterDeclaration name="v" parameterType="double" value="10"/>'
     path = scenario_file(folder, init=init, entities=car("Ego") + car("B"), parameters=speed)
-    concretes = [ConcreteScenario(path, {"v": v}) for v in (8.0, 10.0, 12.0)]
-    return list(BuiltinSimulator(duration=2.0, drivers={"Ego": Own(decide)}).run(concretes))
+    concretes = [ConcreteScenario(path, {"v": float(v)}) for v in speeds]
+    driver = decide(None) if isinstance(decide, type) else Own(decide)
+    return list(BuiltinSimulator(duration=2.0, drivers={"Ego": driver}).run(concretes))
 
 
-def test_a_driver_that_gives_no_number_fails_its_own_scenario(tmp_path):
+OWN = "the driver of Ego (test_controllers:Own)"
+
+
+def test_42_4_a_driver_that_gives_no_number_fails_its_own_scenario(tmp_path):
     def decide(situation):
-        return np.where(situation.speed == 10.0, np.nan, 1.0)
+        return np.where((situation.speed == 10.0) & (situation.time > 0.12), np.nan, situation.time < 0.12)
 
     first, lost, last = driven_by(tmp_path, decide)
-    assert [first.speed[0, -1], last.speed[0, -1]] == pytest.approx([10.0, 14.0])
-    assert isinstance(lost, SimulationError)
-    assert str(lost) == "the driver of Ego gave an acceleration that is not a finite number"
+    assert [first.speed[0, -1], last.speed[0, -1]] == pytest.approx([8.15, 12.15])
+    assert isinstance(lost, Recording)
+    first, lost, last = driven_by(tmp_path, lambda one: np.where(one.speed == 10.0, np.nan, one.time < 0.12))
+    assert [first.speed[0, -1], last.speed[0, -1]] == pytest.approx([8.15, 12.15])
+    assert str(lost) == f"{OWN} gave nan at t = 0 s, which is no acceleration in m/s²"
 
 
 @pytest.mark.parametrize(
     ("given", "said"),
     [
-        (np.ones(2), "gave no acceleration for each of 3 scenarios"),
+        (np.ones(2), "but array([1., 1.])"),
         (None, "but None"),
-        (1j * np.ones(3), "gave no acc"),
+        (1j * np.ones(1), "but array([0.+1.j])"),
+        ("fast", "fast"),
     ],
 )
-def test_a_driver_that_gives_something_else_is_refused(tmp_path, given, said):
-    with pytest.raises(InputError, match=f"The driver of Ego .*{said}"):
-        driven_by(tmp_path, lambda situation: given)
+def test_42_4_a_driver_that_gives_something_else_fails(tmp_path, given, said):
+    for lost in driven_by(tmp_path, lambda situation: given):
+        assert f"{OWN} gave no acceleration for the scenario at t = 0 s, but" in str(lost)
+        assert said in str(lost)
 
 
-def test_a_driver_that_fails_is_named(tmp_path):
-    with pytest.raises(InputError, match="The driver of Ego failed: ZeroDivisionError: division by zero"):
-        driven_by(tmp_path, lambda situation: 1 / 0)
+class MyExit(BaseException):
+    pass
+
+
+def nested(depth):
+    return nested(depth + 1)
+
+
+RAISED = {
+    "SystemExit: 0": lambda: sys.exit(0),
+    "KeyboardInterrupt": lambda: raised(KeyboardInterrupt()),
+    "GeneratorExit": lambda: raised(GeneratorExit()),
+    "MyExit: of mine": lambda: raised(MyExit("of mine")),
+    "RecursionError: maximum recursion depth exceeded": lambda: nested(0),
+    "MemoryError: Unable to allocate": lambda: np.zeros(10**17),
+    "InputError: no": lambda: raised(InputError("no.")),
+    "ZeroDivisionError: division by zero": lambda: 1 / 0,
+}
+
+
+def raised(error):
+    raise error
+
+
+@pytest.mark.parametrize("said", RAISED)
+def test_42_s5_whatever_a_driver_raises_fails_its_scenario_alone(tmp_path, said):
+    def decide(situation):
+        if situation.time > 0.48 and (situation.active & (situation.speed == 10.0)).any():
+            RAISED[said]()
+        return np.zeros(len(situation.speed))
+
+    with noted_interrupts():
+        first, lost, last = driven_by(tmp_path, decide)
+    assert isinstance(lost, SimulationError)
+    assert str(lost).startswith(f"{OWN} failed at t = 0.5 s: {said}")
+    assert "(test_controllers.py line " in str(lost)
+    assert str(tmp_path) not in str(lost)
+    assert len(str(lost)) < 900
+    # The others are as they would be alone.
+    for v, other in ((8.0, first), (12.0, last)):
+        (alone,) = driven_by(tmp_path, decide, [v])
+        assert same_recording(alone, other)
+
+
+def test_42_s5_ctrl_c_ends_a_driver_that_catches_it(tmp_path):
+    def decide(situation):
+        try:
+            signal.raise_signal(signal.SIGINT)
+        except BaseException:
+            raise RuntimeError("caught") from None
+        return np.zeros(3)
+
+    with noted_interrupts(), pytest.raises(KeyboardInterrupt):
+        driven_by(tmp_path, decide)
+
+
+def test_42_4_a_driver_that_cannot_be_started_fails_each_scenario(tmp_path):
+    class Unlicensed(Own):
+        def start(self, scenarios, others):
+            raise OSError(f"no licence in {Path.cwd() / 'licences'}")
+
+    for lost in driven_by(tmp_path, Unlicensed):
+        assert isinstance(lost, SimulationError)
+        assert "failed at t = 0 s: OSError: no licence in licences (test_controllers.py line " in str(lost)
+
+
+def test_42_4_one_of_many_scenarios_is_found_in_few_runs(tmp_path):
+    runs = []
+
+    class Counting(Own):
+        def start(self, scenarios, others):
+            runs.append(scenarios)
+
+        def acceleration(self, situation):
+            if (situation.speed == 40.0).any():
+                raise ValueError("too fast")
+            return np.zeros(len(situation.speed))
+
+    found = driven_by(tmp_path, Counting, np.arange(1.0, 65.0))
+    assert [k for k, one in enumerate(found) if isinstance(one, SimulationError)] == [39]
+    assert len(runs) <= 2 * 6 + 1
+
+
+def limited(folder, driver, dec="10", **more):
+    init = "".join(private(name, teleport(s), speed_action("20")) for name, s in (("Ego", "10"), ("B", "190")))
+    parameters = f'<ParameterDeclaration name="dec" parameterType="double" value="{dec}"/>'
+    ego = car("Ego").replace(
+        'maxAcceleration="200" maxDeceleration="200"', 'maxAcceleration="4" maxDeceleration="$dec"'
+    )
+    path = scenario_file(folder, init=init, entities=ego + car("B"), parameters=parameters)
+    return path, BuiltinSimulator(duration=1.0, drivers={"Ego": driver}, **more)
+
+
+def test_42_9_no_driver_gets_more_than_its_vehicle_can_do_and_it_is_said_once(tmp_path):
+    def decide(situation):
+        return np.full(len(situation.speed), -30.0 if situation.time < 0.48 else 30.0)
+
+    path, simulator = limited(tmp_path, Own(decide))
+    with pytest.warns(NoticeWarning) as told:
+        found = list(simulator.run([ConcreteScenario(path, {"dec": dec}) for dec in (6.0, 10.0, 10.0)]))
+    for dec, one in zip((6.0, 10.0, 10.0), found, strict=True):
+        assert one.acceleration[0].min() == pytest.approx(-dec)
+        assert one.acceleration[0].max() == pytest.approx(4.0)
+    said = [str(one.message) for one in told]
+    assert said == [
+        f"{OWN} asks for more deceleration than the 6 m/s² of <Performance>, and gets that; first 30 m/s² at t = 0 s",
+        f"{OWN} asks for more acceleration than the 4 m/s² of <Performance>, and gets that; first 30 m/s² at t = 0.5 s",
+        f"{OWN} asks for more deceleration than the 10 m/s² of <Performance>, and gets that; first 30 m/s² at t = 0 s",
+    ]
+    with warnings.catch_warnings():
+        warnings.simplefilter("error", NoticeWarning)
+        list(simulator.run([ConcreteScenario(path, {})]))
+
+
+def test_42_9_a_driver_within_its_vehicle_is_as_it_was(tmp_path):
+    with warnings.catch_warnings():
+        warnings.simplefilter("error", NoticeWarning)
+        for driver in (Own(lambda one: np.full(1, -6.0)), "normal", "cc-human"):
+            path, simulator = limited(tmp_path, driver)
+            (found,) = ran(simulator, [ConcreteScenario(path, {})])
+            assert found.acceleration[0].min() >= -10.0
+
+
+def test_42_9_a_built_in_driver_knows_what_its_vehicle_can_do(tmp_path):
+    path, simulator = limited(tmp_path, "normal:max_deceleration=30,comfortable_deceleration=30", "7")
+    hit = ConcreteScenario(path, {})
+    with pytest.warns(NoticeWarning, match="the driver of Ego asks for more deceleration than the 7 m/s²"):
+        (found,) = ran(simulator, [hit])
+    # Compiled and in Python it decides the same.
+    own = limited(tmp_path, Own(lambda one: np.zeros(1)), "7")[1]
+    own._drivers = {**simulator._drivers, "B": own._drivers["Ego"]}
+    with pytest.warns(NoticeWarning):
+        (beside,) = ran(own, [hit])
+    assert np.array_equal(found.speed[0], beside.speed[0])
 
 
 def test_what_a_driver_was_told_stays_and_is_its_own(tmp_path):

@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import json
 import shutil
+import signal
 import warnings
 from typing import Any
 
@@ -26,7 +27,7 @@ class Interrupted(BuiltinSimulator):
     def run(self, concretes):
         for place, outcome in enumerate(super().run(concretes)):
             if place == 2:
-                raise KeyboardInterrupt
+                signal.raise_signal(signal.SIGINT)
             yield outcome
 
 

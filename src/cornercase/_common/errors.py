@@ -31,6 +31,10 @@ class SimulatorError(SimulationError):
     """The simulator failed, not the scenario; the same scenario may be run again."""
 
 
+class PartError(SimulationError):
+    """A driver, a simulator or a metric raised an exception, or gave no usable result, in one concrete scenario."""
+
+
 class StudyLostError(RuntimeError):
     """The study that is written is gone, was replaced, or was taken over by another process.
 

@@ -15,6 +15,9 @@ from typing import Any, Final
 from cornercase._common.platform import ending_signals
 
 _last: int = signal.SIGINT
+# Requests that handlers of this module have heard so far, and whether Ctrl-C is among them by now.
+_heard = 0
+_counting = False
 # Whether an interrupt was lost, and is to come again; s after which it does.
 _owed = False
 _AGAIN: Final = 0.005
@@ -46,9 +49,37 @@ def last_request() -> signal.Signals:
     return signal.Signals(_last)
 
 
+def requests_heard() -> int:
+    """Count the requests to end that this process has heard so far, as far as it counts them: see `is_request`."""
+    return _heard
+
+
+def is_request(error: BaseException, heard: int) -> bool:
+    """Tell whether somebody asked the program to end, or the code itself raised the exception.
+
+    Parameters
+    ----------
+    error : BaseException
+        Raised by code of somebody else, which may have caught a `KeyboardInterrupt` and raised another error.
+    heard : int
+        `requests_heard` before that code ran.
+
+    Returns
+    -------
+    bool
+        True too for a `KeyboardInterrupt` if nobody counts requests here, as outside `noted_interrupts`.
+    """
+    if threading.current_thread() is not threading.main_thread():
+        return False
+    if _heard > heard:
+        return True
+    counted = _counting or signal.getsignal(signal.SIGINT) == signal.SIG_IGN
+    return isinstance(error, KeyboardInterrupt) and not counted
+
+
 def _interrupt(number: int, frame: FrameType | None) -> None:
-    global _last, _owed
-    _last, _owed = number, False
+    global _last, _owed, _heard
+    _last, _owed, _heard = number, False, _heard + 1
     raise KeyboardInterrupt
 
 
@@ -103,12 +134,14 @@ def noted_interrupts() -> Iterator[Callable[[], None]]:
         Raises `KeyboardInterrupt` where there was one since it was last called; to be called now and then. Outside the
         main thread, and where the program handles the signal itself, it never does.
     """
+    global _counting
     usual = {signal.SIGINT: signal.default_int_handler, **dict.fromkeys(ending_signals(), _interrupt)}
     noted = False
 
     def note(number: int, frame: FrameType | None) -> None:
+        global _heard
         nonlocal noted
-        noted = True
+        noted, _heard = True, _heard + 1
         usual[signal.Signals(number)](number, frame)
 
     def check() -> None:
@@ -120,6 +153,8 @@ def noted_interrupts() -> Iterator[Callable[[], None]]:
 
     alone = threading.current_thread() is threading.main_thread()
     ours = [number for number, handler in usual.items() if alone and signal.getsignal(number) is handler]
+    counted_before = _counting
+    _counting = _counting or signal.SIGINT in ours
     for number in ours:
         signal.signal(number, note)
     try:
@@ -130,6 +165,7 @@ def noted_interrupts() -> Iterator[Callable[[], None]]:
             raise KeyboardInterrupt from error
         raise
     finally:
+        _counting = counted_before
         for number in ours:
             signal.signal(number, usual[number])
 

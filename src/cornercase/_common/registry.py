@@ -9,6 +9,8 @@ from inspect import Parameter, signature
 from typing import Any, Final, Generic, TypeVar, cast
 
 from cornercase._common.errors import InputError, suggestion
+from cornercase._common.interrupts import requests_heard
+from cornercase._common.parts import guarded, raise_if_request
 from cornercase._common.texts import in_one_line
 
 T = TypeVar("T")
@@ -102,19 +104,22 @@ class Registry(Generic[T]):
             if name != base:
                 raise InputError(f"The {self._kind} '{name}' ends in a colon; give options as in '{base}:name=value'.")
             require_options(self._kind, base, factory, options)
-            return factory(**options)
+            with guarded(f"The {self._kind} '{name}'", getattr(factory, "func", factory), "as it was made"):
+                return factory(**options)
         if any(one.kind is one.POSITIONAL_ONLY for one in signature(factory).parameters.values()):
-            whole: Any = factory(text, **options)
+            with guarded(f"The {self._kind} '{name}'", getattr(factory, "func", factory), "as it was made"):
+                whole: Any = factory(text, **options)
             whole.name = name
             return cast(T, whole)
         # What belongs to the name, as which preset it is, is no option.
         given = {*options, *(factory.keywords if isinstance(factory, partial) else ())}
         options |= read_options(self._kind, base, factory, text, given)
         require_options(self._kind, base, factory, options)
-        try:
-            made: Any = factory(**options)
-        except (TypeError, AttributeError) as error:
-            raise InputError(f"The {self._kind} '{base}' does not take the options '{text}' ({error}).") from error
+        with guarded(f"The {self._kind} '{name}'", getattr(factory, "func", factory), "as it was made"):
+            try:
+                made: Any = factory(**options)
+            except (TypeError, AttributeError) as error:
+                raise InputError(f"The {self._kind} '{base}' does not take the options '{text}' ({error}).") from error
         made.name = name
         return cast(T, made)
 
@@ -165,9 +170,11 @@ class Registry(Generic[T]):
             loaded = EntryPoint(name, known, self._group).load() if isinstance(known, str) else known
             return self._checked(name, loaded), options
         for entry in entry_points(group=self._group, name=name):
+            heard = requests_heard()
             try:
                 loaded = entry.load()
-            except Exception as error:
+            except BaseException as error:
+                raise_if_request(error, heard)
                 raise InputError(
                     f"The {self._kind} '{name}' cannot be loaded since {entry.value} fails: {in_one_line(error)}."
                 ) from error

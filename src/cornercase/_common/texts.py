@@ -171,12 +171,12 @@ def _is_folder(path: str) -> bool:
         return False
 
 
-def in_one_line(error: Exception) -> str:
+def in_one_line(error: BaseException) -> str:
     """Say in a line what went wrong in code of another package.
 
     Parameters
     ----------
-    error : Exception
+    error : BaseException
 
     Returns
     -------

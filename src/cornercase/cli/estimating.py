@@ -15,6 +15,7 @@ from cornercase.cli.interrupting import exit_code
 from cornercase.cli.options import (
     Cluster,
     Drivers,
+    MaxFailures,
     Retries,
     Seed,
     StudyFile,
@@ -63,6 +64,7 @@ def estimate(
     cluster: Cluster = None,
     timeout: Timeout = None,
     retries: Retries = 1,
+    max_failures: MaxFailures = 5,
     driver: Drivers = None,
     as_json: Annotated[bool, typer.Option("--json", help="Print JSON, for programs.")] = False,
 ) -> None:
@@ -91,6 +93,7 @@ def estimate(
         cluster=cluster,
         timeout=timeout,
         retries=retries,
+        max_failures=max_failures,
         progress=True,
     )
     if as_json:

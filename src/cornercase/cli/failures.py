@@ -17,6 +17,7 @@ import typer
 
 from cornercase._common.errors import InputError, StudyLostError
 from cornercase._common.interrupts import take_lost_interrupt
+from cornercase._common.parts import describe_error
 from cornercase._common.texts import in_one_line, require_whole, shorten
 from cornercase.cli.interrupting import exit_code, tell_of_interrupt
 from cornercase.cli.messages import LONGEST, in_words_of_the_command_line
@@ -56,7 +57,7 @@ def exit_code_of(command: Callable[[], Any]) -> int:
         # Before or after the command itself, which says so.
         tell_of_interrupt()
         return exit_code()
-    except Exception as error:
+    except BaseException as error:
         lost = take_lost_interrupt()
         if debugging.get():
             err.print("".join(traceback.format_exception(error)).rstrip())
@@ -82,7 +83,7 @@ def _write_to_nobody() -> None:
     sys.stdout = open(os.devnull, "w", encoding="utf-8")  # noqa: SIM115 - as long as the process
 
 
-def _sentence(error: Exception) -> str:
+def _sentence(error: BaseException) -> str:
     if isinstance(error, InputError | StudyLostError):
         return str(error)
     frames = [frame for frame, _ in traceback.walk_tb(error.__traceback__)]
@@ -100,6 +101,9 @@ def _sentence(error: Exception) -> str:
         return f"{named}: cannot be read or written ({error.strerror}); make room, or choose another place."
     what = "is nested too deep" if isinstance(error, RecursionError) else "met a fault of cornercase itself"
     place = _place(error)
+    if not isinstance(error, Exception):
+        # cornercase raises none of these: somebody else's code did, as by sys.exit().
+        return f"the command was ended by {describe_error(error)}, in code that it was given; fix that."
     return (
         f"{whose or 'the command '}{what} ({shorten(in_one_line(error), 200)}{place}); please report it, with what"
         f" 'cornercase --debug' says{' and that file' if file else ''}."
@@ -126,7 +130,7 @@ def _is_file(path: Path) -> bool:
         return False
 
 
-def _place(error: Exception) -> str:
+def _place(error: BaseException) -> str:
     """Where in the package it was: the same words for the same fault."""
     for frame in reversed(traceback.extract_tb(error.__traceback__)):
         path = Path(frame.filename)

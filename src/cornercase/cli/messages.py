@@ -15,7 +15,7 @@ LONGEST: Final = 1400
 _PARAMETERS: Final = (
     "against", "archetypes", "archetypes_by", "asynchronous", "audit", "batch", "beside", "budget", "by", "cluster",
     "continuous", "cover", "critical", "critical_if", "duration",
-    "ego", "encounter", "eps", "fps", "gamma", "host", "junit", "keep", "max_seconds",
+    "ego", "encounter", "eps", "fps", "gamma", "host", "junit", "keep", "max_failures", "max_seconds",
     "memory", "method", "min_samples", "most_repeats", "on_collision", "optimizer", "other", "pareto",
     "patience", "port", "profile", "repair", "repeats", "require", "requirements", "retries", "retry_failed",
     "scenario", "seed", "share", "simulator", "size",

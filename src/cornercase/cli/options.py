@@ -111,6 +111,16 @@ Retries = Annotated[
         min=0,
     ),
 ]
+MaxFailures = Annotated[
+    int,
+    typer.Option(
+        "--max-failures",
+        metavar="N",
+        help="End after N scenarios in a row in which the simulator died or hung, or if the first N all fail; 0 for"
+        " no limit.",
+        min=0,
+    ),
+]
 LocalWorkers = Annotated[
     int, typer.Option("--workers", metavar="N", help="Number of processes of --cluster local.", min=1)
 ]

@@ -21,6 +21,7 @@ from cornercase.cli.options import (
     Drivers,
     Duration,
     Ego,
+    MaxFailures,
     Metrics,
     OnCollision,
     Other,
@@ -113,6 +114,7 @@ def explore(
     cluster: Cluster = None,
     timeout: Timeout = None,
     retries: Retries = 1,
+    max_failures: MaxFailures = 5,
     repeats: Annotated[
         int, typer.Option(metavar="N", help="Run each scenario N times; its score is the median.", min=1)
     ] = 1,
@@ -198,6 +200,7 @@ def explore(
         cluster=cluster,
         timeout=timeout,
         retries=retries,
+        max_failures=max_failures,
         repeats=repeats,
         most_repeats=most_repeats,
         audit=audit,

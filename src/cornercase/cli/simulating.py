@@ -14,6 +14,7 @@ from cornercase.cli.options import (
     Cluster,
     Drivers,
     Duration,
+    MaxFailures,
     OnCollision,
     Retries,
     SimulatorName,
@@ -59,6 +60,7 @@ def simulate(
     cluster: Cluster = None,
     timeout: Timeout = None,
     retries: Retries = 1,
+    max_failures: MaxFailures = 5,
 ) -> None:
     """Run concrete scenarios and write their recordings.
 
@@ -93,6 +95,7 @@ def simulate(
             cluster=cluster,
             timeout=timeout,
             retries=retries,
+            max_failures=max_failures,
             progress=True,
         )
         _tell_many(result)

@@ -14,7 +14,7 @@ from cornercase._common.files import read_file
 _TEXTS: Final = ("ego", "optimizer", "critical-if", "simulator", "on-collision")
 _LISTS: Final = ("other", "metric", "range", "weight", "stop-when", "driver")
 _PATHS: Final = ("scenario", "space", "from")
-_WHOLE: Final = ("budget", "batch", "patience", "seed", "workers", "retries", "repeats", "most-repeats")
+_WHOLE: Final = ("budget", "batch", "patience", "seed", "workers", "retries", "max-failures", "repeats", "most-repeats")
 _NUMBERS: Final = ("critical", "max-seconds", "timeout", "audit", "time-step", "duration")
 _FLAGS: Final = ("continuous", "pareto", "asynchronous")
 KEYS: Final = (*_PATHS, *_TEXTS, *_LISTS, *_WHOLE, *_NUMBERS, *_FLAGS)

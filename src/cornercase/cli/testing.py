@@ -14,6 +14,7 @@ from cornercase.cli import parsing
 from cornercase.cli.options import (
     Cluster,
     Drivers,
+    MaxFailures,
     Retries,
     Timeout,
     Workers,
@@ -80,6 +81,7 @@ def test_(
     cluster: Cluster = None,
     timeout: Timeout = None,
     retries: Retries = 1,
+    max_failures: MaxFailures = 5,
     ego: Annotated[
         str | None, typer.Option(metavar="NAME", help="Entity under test; default: as in the manifest.")
     ] = None,
@@ -131,6 +133,7 @@ def test_(
         cluster=cluster,
         timeout=timeout,
         retries=retries,
+        max_failures=max_failures,
         time_step=time_step,
         duration=duration,
         on_collision=on_collision,

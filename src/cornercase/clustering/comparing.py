@@ -9,6 +9,8 @@ from typing import Final
 import numpy as np
 
 from cornercase._common.errors import InputError, suggestion
+from cornercase._common.interrupts import requests_heard
+from cornercase._common.parts import raise_if_request
 from cornercase._common.texts import in_one_line
 from cornercase._common.typing import FloatArray
 from cornercase.clustering.aspects import ASPECTS, EGO_TRAJECTORY, Aspect
@@ -149,9 +151,11 @@ def series_in(study: Study, scenario: int, recording: Recording, aspect: Aspect,
     # Other aspects get the same recording: one that writes into it would change what these compare.
     for name in MOTION:
         getattr(recording, name).flags.writeable = False
+    heard = requests_heard()
     try:
         given = aspect.series(recording.with_absent([other]), study.meta.ego, other)
-    except Exception as error:
+    except BaseException as error:
+        raise_if_request(error, heard)
         raise InputError(
             f"The aspect '{aspect.name}' fails for scenario {scenario} of {study.path}: {in_one_line(error)}."
         ) from error

@@ -9,7 +9,10 @@ from .description import describe_driver as describe_driver
 from .description import driver_changes as driver_changes
 from .description import driver_command as driver_command
 from .description import driver_text as driver_text
+from .description import given_name as given_name
+from .fleet import decides_in_fleet as decides_in_fleet
 from .fleet import form_fleet as form_fleet
+from .fleet import limit_driver as limit_driver
 from .fleet import with_route as with_route
 from .loading import decides_compiled as decides_compiled
 from .loading import driver_of_file as driver_of_file

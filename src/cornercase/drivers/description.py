@@ -11,6 +11,7 @@ from typing import Any, Final
 from weakref import WeakKeyDictionary
 
 from cornercase._common.errors import InputError
+from cornercase._common.parts import is_built_in
 from cornercase.drivers.base import Driver
 from cornercase.drivers.mutants import name_driver
 from cornercase.drivers.registry import DRIVERS
@@ -118,6 +119,29 @@ def driver_command(description: object) -> str | None:
             if DRIVERS.create(given).settings == description:
                 return given
     return None
+
+
+def given_name(driver: str | Driver) -> str | None:
+    """Find the name by which a user gave a driver that does not come with cornercase.
+
+    Parameters
+    ----------
+    driver : str or Driver
+
+    Returns
+    -------
+    str or None
+        ``"package.module:Class:reaction=0.3"``, or a registered name of another package. None for a driver of
+        cornercase, and for an object that Python code made.
+    """
+    if isinstance(driver, str):
+        factory: Any = DRIVERS.factory(driver.partition(":")[0])
+        return None if is_built_in(getattr(factory, "func", factory)) else driver
+    noted = getattr(driver, "__dict__", {}).get(_NOTED)
+    if noted is None or is_built_in(type(driver)):
+        return None
+    name, options = noted
+    return driver_command({"driver": name, "options": options})
 
 
 def driver_text(description: object) -> str:

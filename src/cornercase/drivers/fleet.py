@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import ClassVar
+from typing import ClassVar, TypeGuard
 from weakref import WeakKeyDictionary
 
 import numpy as np
@@ -11,7 +11,7 @@ import numpy as np
 from cornercase._common.typing import BoolArray, FloatArray, IntArray
 from cornercase.drivers.base import DrivenPath, Driver, Situation
 from cornercase.drivers.deciding import accelerate_each
-from cornercase.drivers.parameters import Behaviour
+from cornercase.drivers.parameters import Behaviour, Keeping
 from cornercase.drivers.route import count_samples, plan_route
 from cornercase.drivers.traffic import (
     AHEAD_FOR,
@@ -29,6 +29,8 @@ from cornercase.drivers.traffic import (
     Routes,
 )
 
+_LEAST_LIMIT = 1e-3
+"""m/s² that a driver decides at least, whatever its vehicle can do."""
 _VULNERABLE_KINDS = ("pedestrian", "bicycle")
 
 # By path that is the same in all scenarios, and what of a behaviour it depends on.
@@ -51,6 +53,21 @@ class CompiledDriver(Driver):
         self._fleet.parameters[0, : len(self.parameters)] = self.parameters
         # The path is kept with its route: while it exists, no other object can have its id.
         self._routes: dict[int, tuple[DrivenPath, int]] = {}
+
+    def limit(self, acceleration: float, deceleration: float) -> dict[str, float]:
+        """Keep what it decides within what its vehicle can do; as `limit_driver`."""
+        fields = Behaviour._fields if self.kind == BEHAVIOUR else Keeping._fields
+        own, exceeded = self._fleet.parameters[0], dict[str, float]()
+        for limit, bound, names in (
+            ("acceleration", acceleration, ("acceleration",)),
+            ("deceleration", deceleration, ("max_deceleration", "comfortable_deceleration")),
+        ):
+            rows = [fields.index(name) for name in names]
+            if own[rows[0]] > bound:
+                exceeded[limit] = float(own[rows[0]])
+            # Its formulas divide by them.
+            own[rows] = np.minimum(own[rows], max(bound, _LEAST_LIMIT))
+        return exceeded
 
     def join(self, fleet: Fleet, row: int) -> None:
         """Move what it knows into a row of a fleet, and keep a view of that.
@@ -98,6 +115,31 @@ class CompiledDriver(Driver):
         return self._routes[id(path)][1]
 
 
+def decides_in_fleet(driver: Driver) -> TypeGuard[CompiledDriver]:
+    """Whether compiled code decides for a driver: a user's class may derive from a built-in one and decide itself."""
+    return isinstance(driver, CompiledDriver) and type(driver).acceleration is CompiledDriver.acceleration
+
+
+def limit_driver(driver: Driver, acceleration: float, deceleration: float) -> dict[str, float]:
+    """Let a driver whose decisions are compiled know what its vehicle can do, until it is started again.
+
+    Parameters
+    ----------
+    driver : Driver
+        Started, and not in a fleet yet.
+    acceleration, deceleration : float
+        m/s²; infinite for no limit.
+
+    Returns
+    -------
+    dict of str to float
+        What it would do without, in m/s², for each limit that it would exceed: ``"acceleration"`` and
+        ``"deceleration"``.
+    """
+    assert isinstance(driver, CompiledDriver)
+    return driver.limit(acceleration, deceleration)
+
+
 def form_fleet(
     drivers: Sequence[Driver],
     driven: Sequence[int],
@@ -134,8 +176,7 @@ def form_fleet(
     for d, (driver, e) in enumerate(zip(drivers, driven, strict=True)):
         fleet.own[d] = boxes[:VULNERABLE, e]
         fleet.boxes[d] = np.delete(boxes, e, axis=1)
-        # A class of one's own that derives from a built-in driver decides otherwise.
-        if isinstance(driver, CompiledDriver) and type(driver).acceleration is CompiledDriver.acceleration:
+        if decides_in_fleet(driver):
             driver.join(fleet, d)
     return fleet
 

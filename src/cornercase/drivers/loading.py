@@ -6,6 +6,8 @@ from typing import Protocol, TypeGuard, runtime_checkable
 
 from cornercase._common.current_folder import import_here
 from cornercase._common.errors import InputError, suggestion
+from cornercase._common.interrupts import requests_heard
+from cornercase._common.parts import raise_if_request
 from cornercase._common.registry import read_options, require_options
 from cornercase._common.texts import in_one_line
 from cornercase._common.typing import FloatArray
@@ -127,6 +129,7 @@ def load_driver(name: str) -> Driver:
     place = f"{module_name}:{class_name}"
     if colon and not text:
         raise InputError(f"The driver '{name}' ends in a colon; give options as in '{place}:name=value'.")
+    heard = requests_heard()
     try:
         module = import_here(module_name)
     except ModuleNotFoundError as error:
@@ -134,7 +137,8 @@ def load_driver(name: str) -> Driver:
             f"The driver '{name}' cannot be loaded since there is no module '{error.name}';"
             " install it or start in its folder."
         ) from error
-    except Exception as error:
+    except BaseException as error:
+        raise_if_request(error, heard)
         raise InputError(
             f"The driver '{name}' cannot be loaded since its module fails: {in_one_line(error)}."
         ) from error
@@ -147,7 +151,8 @@ def load_driver(name: str) -> Driver:
         driver = made(**options)
     except InputError:
         raise
-    except Exception as error:
+    except BaseException as error:
+        raise_if_request(error, heard)
         raise InputError(f"The driver '{name}' cannot be made: {in_one_line(error)}.") from error
     if not is_driver(driver):
         raise InputError(

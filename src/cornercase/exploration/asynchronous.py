@@ -186,6 +186,7 @@ class AsynchronousExplorer(ScenarioExplorer):
         if score is not None:
             self._scores[row.id] = score
         self._came.append(self._pending.pop(row.id))
+        self._runner.require_results()
 
     def _tell_all(self) -> None:
         """Tell what came since the last time, in the order in which it came."""

@@ -17,14 +17,14 @@ from cornercase.exploration.stopping import Criterion
 from cornercase.metrics import EVERYBODY, METRICS, CriticalIf, name_others
 from cornercase.optimizers import optimizer_needs
 from cornercase.scenario import LogicalScenario
-from cornercase.simulators import MOST_WORKERS
+from cornercase.simulators import MOST_FAILURES, MOST_WORKERS
 from cornercase.study import FEWEST_CLEAR_RUNS, MOST_AUDITS, StudyMeta, stored_path
 
 if TYPE_CHECKING:
     from distributed import Client
 
 # Whole numbers, and the least that each may be.
-_LEAST: Final = {"budget": 1, "batch": 1, "patience": 1, "seed": 0, "retries": 0, "repeats": 1}
+_LEAST: Final = {"budget": 1, "batch": 1, "patience": 1, "seed": 0, "retries": 0, "max_failures": 0, "repeats": 1}
 
 
 @dataclass(frozen=True)
@@ -71,6 +71,9 @@ class Configuration:
         Time in s after which a scenario is given up.
     retries : int
         How often a scenario is run again after the simulator died or hung.
+    max_failures : int
+        Scenarios in a row in which the simulator dies or hangs, or scenarios that fail by exceptions before any gives
+        a result, after which the exploration ends; 0 for no limit.
     repeats : int
         How often each scenario is run, for a simulator that does not give the same twice; the median counts.
     most_repeats : int or None
@@ -113,6 +116,7 @@ class Configuration:
     cluster: str | Client | None = None
     timeout: float | None = None
     retries: int = 1
+    max_failures: int = MOST_FAILURES
     repeats: int = 1
     most_repeats: int | None = None
     audit: float = 0.0

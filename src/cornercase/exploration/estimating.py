@@ -25,6 +25,7 @@ from cornercase.exploration.drawing import ProbabilityEstimator
 from cornercase.exploration.estimation import Estimation
 from cornercase.exploration.exploring import configured_simulator
 from cornercase.scenario import Scenario
+from cornercase.simulators import MOST_FAILURES
 from cornercase.study import Study, begun_study
 
 if TYPE_CHECKING:
@@ -53,6 +54,7 @@ def estimate(
     cluster: str | Client | None = None,
     timeout: float | None = None,
     retries: int = 1,
+    max_failures: int = MOST_FAILURES,
     progress: bool = False,
 ) -> Estimation:
     """Estimate how probable critical scenarios and collisions are under the distributions of a study's space.
@@ -92,6 +94,10 @@ def estimate(
         Time in s after which a scenario is given up.
     retries : int, default 1
         How often a scenario is run again after the simulator died or hung.
+    max_failures : int, default 5
+        Scenarios in a row in which the simulator dies or hangs, after which nothing more is run; 0 for no limit. An
+        exception of a driver, the simulator or a metric is a failure of its scenario alone, however many there are. But
+        if there are as many, and no scenario has given a result yet, nothing more is run either.
     progress : bool, default False
         Show how far it is on standard error.
 
@@ -117,7 +123,8 @@ def estimate(
         if _NAME.fullmatch(source.meta.optimizer):
             raise InputError(f"{file}: is an estimate itself; name the study that it was made from.")
         about = _configuration(source, scenario, budget, critical, seed, simulator, drivers or {})
-        about = replace(about, workers=workers, cluster=cluster, timeout=timeout, retries=retries)
+        about = replace(about, workers=workers, cluster=cluster, timeout=timeout)
+        about = replace(about, retries=retries, max_failures=max_failures)
         learn, known = _agreed(made, round(_LEARN_SHARE * budget))
         objective = about.objective()
         threshold = objective.threshold(about.critical)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import time
-from collections import Counter
 from collections.abc import Callable, Mapping
 from copy import copy
 from dataclasses import dataclass, field
@@ -14,6 +13,7 @@ from typing import Any, Final
 import numpy as np
 
 from cornercase._common.interrupts import noted_interrupts
+from cornercase._common.parts import group_reasons
 from cornercase._common.progress import ProgressBar
 from cornercase._common.rows import row_keys
 from cornercase._common.typing import FloatArray
@@ -86,7 +86,7 @@ class ExplorationResult:
         # It has been said when there were enough of them.
         notes = tuple(alike.values()) if before is not None and before < ENOUGH_ALIKE else ()
         failed = study.failed()
-        reasons = dict(Counter(row.error or "" for row in failed).most_common())
+        reasons = {why: len(rows) for why, rows in group_reasons(row.error or "" for row in failed).items()}
         return cls(
             study.path, len(study.done()), len(failed), reason, interrupted, tuple(searched), notes, reasons=reasons
         )

@@ -23,7 +23,7 @@ from cornercase.exploration.objective import Objective
 from cornercase.exploration.replaying import replay_proposals
 from cornercase.optimizers import Optimizer, create_optimizer, optimizer_needs
 from cornercase.scenario import LogicalScenario
-from cornercase.simulators import SIMULATORS, Simulator, start_simulator, with_values
+from cornercase.simulators import MOST_FAILURES, Simulator, notices_of, require_usable, start_simulator
 from cornercase.study import Study, begun_study
 
 if TYPE_CHECKING:
@@ -58,6 +58,7 @@ def explore(
     cluster: str | Client | None = None,
     timeout: float | None = None,
     retries: int = 1,
+    max_failures: int = MOST_FAILURES,
     repeats: int = 1,
     most_repeats: int | None = None,
     audit: float = 0.0,
@@ -130,6 +131,10 @@ def explore(
         Time in s after which a scenario is given up.
     retries : int, default 1
         How often a scenario is run again after the simulator died or hung.
+    max_failures : int, default 5
+        Scenarios in a row in which the simulator dies or hangs, after which nothing more is run; 0 for no limit. An
+        exception of a driver, the simulator or a metric is a failure of its scenario alone, however many there are. But
+        if there are as many, and no scenario has given a result yet, nothing more is run either.
     repeats : int, default 1
         How often each scenario is run; its score is the median.
     most_repeats : int, optional
@@ -196,6 +201,7 @@ def explore(
         cluster=cluster,
         timeout=timeout,
         retries=retries,
+        max_failures=max_failures,
         repeats=repeats,
         most_repeats=most_repeats,
         audit=audit,
@@ -285,9 +291,8 @@ def _explore(one: Configuration, path: Path, progress: bool, retry_failed: bool)
         started_references(there) as references,
     ):
         # Asked before a study is made, since without these means no scenario can be run.
-        simulator.require_means(one.logical.scenario)
         some = one.logical.space.values(one.logical.space.samples())
-        simulator.require_runnable(with_values(simulator, [one.logical.concrete(values) for values in some]))
+        require_usable(simulator, [one.logical.scenario], [one.logical.concrete(values) for values in some])
         warn_of(_notices(one))
         meta = one.meta(objective, simulator.settings, None if known is None else known.about, study=path)
         with begun_study(path, meta) as study:
@@ -314,7 +319,7 @@ def _explore(one: Configuration, path: Path, progress: bool, retry_failed: bool)
 def _notices(one: Configuration) -> tuple[Notice, ...]:
     """What of the scenario has no effect, as it is read in the middle of the space."""
     middle = one.logical.space.values(one.logical.space.middle())
-    return SIMULATORS.class_of(one.simulator).notices(one.logical.scenario, middle[0] if middle else None)
+    return notices_of(one.simulator, one.logical.scenario, middle[0] if middle else None)
 
 
 def configured_simulator(one: Configuration) -> Simulator:
@@ -383,4 +388,5 @@ def _started(one: Configuration, drivers: Mapping[str, str | Driver]) -> Simulat
         timeout=one.timeout,
         retries=one.retries,
         cluster=one.cluster,
+        max_failures=one.max_failures,
     )

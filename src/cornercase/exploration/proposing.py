@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from cornercase._common.parts import guarded
 from cornercase._common.typing import FloatArray
 from cornercase.exploration.judging import audits_of
 from cornercase.optimizers import Optimizer
@@ -32,19 +33,22 @@ class Search:
     def __init__(self, optimizer: Optimizer, asynchronous: bool) -> None:
         self._optimizer, self._asynchronous = optimizer, asynchronous
         self.pending: FloatArray | None = None
+        self._name = f"The search '{getattr(optimizer, 'name', type(optimizer).__name__)}'"
         self._sums: list[list[FloatArray]] = []
 
     def ask(self, n: int) -> FloatArray:
         """Propose at most `n` points, shape (m, d), as in `Optimizer.ask`."""
-        if not self._asynchronous:
-            return self._optimizer.ask(n)
-        points = np.zeros((0, 0)) if self.pending is None else self.pending
-        return self._optimizer.ask_beside(n, points, *self._lies(len(points)))
+        with guarded(self._name, self._optimizer, "in ask"):
+            if not self._asynchronous:
+                return self._optimizer.ask(n)
+            points = np.zeros((0, 0)) if self.pending is None else self.pending
+            return self._optimizer.ask_beside(n, points, *self._lies(len(points)))
 
     def tell(self, points: FloatArray, *results: FloatArray) -> None:
         """Take scores, shape (m,) or (m, k), and features, shape (m, f), of points, shape (m, d)."""
         tell: Any = self._optimizer.tell
-        tell(points, *results)
+        with guarded(self._name, self._optimizer, "in tell"):
+            tell(points, *results)
         if self._asynchronous:
             # Sums and numbers, so that a lie takes no longer when much was told.
             finite = [np.isfinite(one) for one in results]

@@ -87,10 +87,12 @@ class Repetition:
         """
         about = self._about
         for outcome in outcomes:
-            if isinstance(outcome, SimulationError):
-                one.error = one.error or outcome
-            else:
+            try:
+                if isinstance(outcome, SimulationError):
+                    raise outcome
                 one.runs.append((outcome, measured(self._objective.metrics, outcome, about.ego, about.others)))
+            except SimulationError as error:
+                one.error = one.error or error
         one.ran += len(outcomes)
         one.wanted = self._more(one)
 

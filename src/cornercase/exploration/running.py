@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from cornercase._common.errors import InputError, SimulationError
+from cornercase._common.errors import InputError, PartError, SimulationError
 from cornercase._common.typing import FloatArray
 from cornercase.exploration.configuration import Configuration
 from cornercase.exploration.deciding import SecondRuns, Undecided
@@ -83,6 +83,8 @@ class ScenarioRunner:
         self._configuration, self._simulator, self._objective = configuration, simulator, objective
         self._study, self._clock = study, clock
         self._repetition = Repetition(configuration, objective)
+        # Scenarios in which a driver, the simulator or a metric raised an exception.
+        self._raised, self._last = 0, SimulationError()
         condition = configuration.condition()
         self._second, self._tried = None, False
         if condition is not None:
@@ -128,6 +130,7 @@ class ScenarioRunner:
                 score = self.stored(ready)
                 if score is not None:
                     yield ready.row.id, score
+        self.require_results()
 
     def try_repeatability(self) -> None:
         """Run the first scenario of the study a second time, once it has ended, to see whether runs repeat themselves.
@@ -213,7 +216,7 @@ class ScenarioRunner:
             return one
         if not one.runs:
             assert one.error is not None
-            self._study.fail(row.id, one.error)
+            self._fail(row, one.error)
             return None
         scores = self._repetition.scores(one)
         middle = _middle(scores)
@@ -253,12 +256,31 @@ class ScenarioRunner:
             Its oriented score; None where it failed.
         """
         if one.error is not None:
-            self._study.fail(one.row.id, one.error)
+            self._fail(one.row, one.error)
             return None
         courses = one.decided()
         with self._clock("store"):
             self._study.finish(one.row.id, one.recording, courses, references=one.outcomes)
         return self._objective.oriented(np.array([[each.score for each in courses.values()]]))[0]
+
+    def _fail(self, row: Row, error: SimulationError) -> None:
+        self._study.fail(row.id, error)
+        if isinstance(error, PartError):
+            self._raised, self._last = self._raised + 1, error
+
+    def require_results(self) -> None:
+        """End the search if a driver, the simulator or a metric fails in all scenarios from the first one on.
+
+        Raises
+        ------
+        InputError
+            As many have failed so as the configuration says, and none has given a result.
+        """
+        if 0 < self._configuration.max_failures <= self._raised and not self._study.done():
+            raise InputError(
+                f"None of {self._raised} scenarios gave a result (`max_failures`); in the last one {self._last}. Fix"
+                " it, and run the same command again."
+            )
 
     def outcomes(
         self, simulator: Simulator, concretes: Sequence[ConcreteScenario]

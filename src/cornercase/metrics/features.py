@@ -10,6 +10,7 @@ from typing import ClassVar, Final
 import numpy as np
 
 from cornercase._common.errors import InputError
+from cornercase._common.parts import guarded
 from cornercase._common.registry import Registry
 from cornercase._common.typing import FloatArray, IntArray
 from cornercase.metrics._parts.meeting import FAR, Meeting
@@ -367,7 +368,8 @@ def _row(groups: list[FeatureGroup], recording: Recording, ego: str, other: str 
 
 
 def _checked(group: FeatureGroup, meeting: Meeting) -> FloatArray:
-    values = np.asarray(group.values(meeting), dtype=np.float64)
+    with guarded(f"The group of features '{group.name}'", group):
+        values = np.asarray(group.values(meeting), dtype=np.float64)
     if values.shape != (len(group.features),) or not np.isfinite(values).all():
         raise InputError(
             f"The group of features '{group.name}' gives {values.tolist()}; it has to give a finite number for each of"

@@ -9,7 +9,10 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from cornercase._common.arguments import path, texts
+from cornercase._common.arguments import path, shown, texts
+from cornercase._common.errors import InputError, PartError
+from cornercase._common.interrupts import requests_heard
+from cornercase._common.parts import failure_of
 from cornercase._common.typing import FloatArray
 from cornercase.metrics.base import Metric
 from cornercase.metrics.others import name_others, others_there
@@ -139,7 +142,10 @@ def measure(
     made = [METRICS.create(name) for name in dict.fromkeys(names)]
     for metric in made:
         metric.require()
-    found = measured(made, read, ego, others)
+    try:
+        found = measured(made, read, ego, others)
+    except PartError as error:
+        raise InputError(f"{str(error)[0].upper()}{str(error)[1:]}.") from error
     return Measurement(
         time=read.time,
         courses={name: one.course for name, one in found.items()},
@@ -200,6 +206,8 @@ def measured(
     ------
     InputError
         There is no entity of that name.
+    PartError
+        A metric raised an exception, or gave no numbers.
     """
     named = (other,) if isinstance(other, str) else tuple(other)
     others = others_there(recording, named)
@@ -215,14 +223,35 @@ def measured(
 def _measured_against(
     metric: Metric, recording: Recording, ego: str, other: str, changes: dict[str, float | None]
 ) -> Measured:
-    course = metric.course(recording, ego, other)
-    score = metric.score(course)
+    course, score = _asked(metric, recording, ego, other)
     if metric.contact is not None:
         if other not in changes:
             changes[other] = velocity_change(recording, ego, other)
         change = changes[other]
         score = score if change is None else metric.score_of_contact(score, change)
     return Measured(course, score)
+
+
+def _asked(metric: Metric, recording: Recording, ego: str, other: str) -> tuple[FloatArray, float]:
+    """Course and score of a metric, which may be a class of anybody."""
+    part, heard = f"the metric {metric.name}", requests_heard()
+    try:
+        course = metric.course(recording, ego, other)
+        score = metric.score(course)
+    except (InputError, PartError):
+        raise
+    except BaseException as error:
+        raise failure_of(part, error, heard) from error
+    if not (np.shape(course) == recording.time.shape and _is_numeric(course)):
+        each = f"a number for each of {recording.time.size} instants"
+        raise PartError(f"{part} gave {shown(course)} as its course, which is not {each}")
+    if not (np.ndim(score) == 0 and _is_numeric(score)) or np.isnan(score):
+        raise PartError(f"{part} gave {shown(score)} as its score, which is not a number")
+    return course, score
+
+
+def _is_numeric(given: object) -> bool:
+    return np.asarray(given).dtype.kind in "fiub"
 
 
 def _worst(metric: Metric, others: Sequence[str], each: Sequence[Measured]) -> Measured:

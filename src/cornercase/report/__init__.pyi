@@ -4,6 +4,7 @@ from .plain import NAMED as NAMED
 from .plain import put_in_words as put_in_words
 from .replays.writing import replay as replay
 from .study_files import tell_study_file as tell_study_file
+from .summary import FailureSummary as FailureSummary
 from .summary import MetricSummary as MetricSummary
 from .summary import Summary as Summary
 from .summary import summarize as summarize

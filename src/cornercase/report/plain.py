@@ -11,7 +11,7 @@ from cornercase.clustering import EVERYWHERE, Analysis, Profile, Rule
 from cornercase.drivers import driver_text
 from cornercase.evidence import Estimate, Sensitivity
 from cornercase.reduction import ClusterShape, Coverage, CriticalCoverage, HeldOut, HeldOutCritical, ReducedSet
-from cornercase.report.summary import MetricSummary, Summary
+from cornercase.report.summary import FailureSummary, MetricSummary, Summary
 from cornercase.report.words import (
     judge_clusters,
     name_cluster,
@@ -30,7 +30,7 @@ from cornercase.study import StudyMeta
 NAMED: Final = {
     "parameters": 1, "metrics": 1, "at": 1, "clusters": 1, "collisions not measured against": 1, "scenarios against": 1,
     "mutual information with": 1, "outcomes": 1, "median": 1, "front": 2, "agreement": 1, "references": 1,
-    "coverage": 1, "drivers": 1,
+    "coverage": 1, "drivers": 1, "failures": 1,
 }  # fmt: skip
 """Below these keys the keys of so many levels are names: of metrics, parameters, aspects."""
 _COVERAGE: Final = {
@@ -89,6 +89,7 @@ def put_in_words(summary: Summary) -> dict[str, Any]:
         "run": summary.run,
         "failed": summary.failed,
         "pending": summary.pending,
+        **({"failures": {why: _failure(one) for why, one in summary.failures.items()}} if summary.failures else {}),
         "collisions": summary.collisions,
         **_beside(summary),
         "metrics": {name: _metric(one, meta) for name, one in summary.metrics.items()},
@@ -116,6 +117,10 @@ def put_in_words(summary: Summary) -> dict[str, Any]:
     if summary.probability is not None:
         plain["probability"] = dict(summary.probability)
     return plain | (_reduced(summary, summary.reduced) if summary.reduced is not None else {})
+
+
+def _failure(one: FailureSummary) -> dict[str, Any]:
+    return {"scenarios": one.scenarios, "first": one.first, "at": dict(one.at)}
 
 
 def _beside(summary: Summary) -> dict[str, Any]:

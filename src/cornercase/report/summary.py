@@ -6,10 +6,11 @@ from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Any, Final
 
 import numpy as np
 
+from cornercase._common.parts import group_reasons
 from cornercase.clustering import Agreement, Analysis, compare_clusterings, read_analyses
 from cornercase.exploration import Objective, tell_alike
 from cornercase.metrics import METRICS
@@ -18,7 +19,10 @@ from cornercase.reduction import ReducedSet, grade_anew, read_reduction
 from cornercase.report.knowledge import Knowledge, find_knowledge
 from cornercase.report.references import ReferenceCount, count_references
 from cornercase.scenario import Value
-from cornercase.study import Study, StudyMeta, damage_told, open_study, require
+from cornercase.study import Row, Study, StudyMeta, damage_told, open_study, require
+
+# Reasons of failures that somebody may still read.
+_MOST_REASONS: Final = 20
 
 
 @dataclass(frozen=True)
@@ -61,6 +65,25 @@ class MetricSummary:
     counts: Mapping[str, int] = field(default_factory=dict)
 
 
+@dataclass(frozen=True)
+class FailureSummary:
+    """Scenarios that failed for one reason.
+
+    Attributes
+    ----------
+    scenarios : int
+        Number of them.
+    first : int
+        Id of the first.
+    at : mapping of str to float or str
+        Its parameters.
+    """
+
+    scenarios: int
+    first: int
+    at: Mapping[str, Value]
+
+
 @dataclass(frozen=True, repr=False)
 class Summary:
     """What was run in a study, and what was found.
@@ -93,6 +116,8 @@ class Summary:
         What an estimate found, as `cornercase.exploration.Estimation.to_json` gives it; None where the study is none.
     references : mapping of str to ReferenceCount
         By name, of those that the condition or a requirement of the study speaks of.
+    failures : mapping of str to FailureSummary
+        By reason, the most frequent ones first.
     """
 
     meta: StudyMeta
@@ -110,6 +135,7 @@ class Summary:
     reduced: ReducedSet | None
     probability: Mapping[str, Any] | None = None
     references: Mapping[str, ReferenceCount] = field(default_factory=dict)
+    failures: Mapping[str, FailureSummary] = field(default_factory=dict)
 
     def __repr__(self) -> str:
         found = [f"{self.meta.title}: {self.run} scenarios run, {self.collisions} collisions"]
@@ -207,7 +233,14 @@ def summarize_with(study: Study, touched: Sequence[frozenset[str]]) -> Summary:
         reduced=None if reduced is None else grade_anew(study, reduced),
         probability=_probability(study),
         references=count_references(study),
+        failures=_failures(study.failed()),
     )
+
+
+def _failures(failed: Sequence[Row]) -> dict[str, FailureSummary]:
+    groups = group_reasons(row.error or "" for row in failed)
+    found = {why: (len(members), failed[members[0]]) for why, members in list(groups.items())[:_MOST_REASONS]}
+    return {why: FailureSummary(count, first.id, first.values) for why, (count, first) in found.items()}
 
 
 def _probability(study: Study) -> dict[str, Any] | None:

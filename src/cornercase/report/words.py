@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 from typing import Final
 
+from cornercase._common.parts import group_reasons
 from cornercase._common.texts import first_line
 from cornercase.clustering import ASPECTS, Analysis, Profile
 from cornercase.metrics import METRICS, condition_of
@@ -454,10 +455,8 @@ def find_reasons(failed: Sequence[Row]) -> dict[str, list[int]]:
     dict of str to list of int
         Ids by reason, the most frequent one first.
     """
-    found: dict[str, list[int]] = {}
-    for row in failed:
-        found.setdefault(row.error or "", []).append(row.id)
-    return dict(sorted(found.items(), key=lambda item: (-len(item[1]), item[1][0])))
+    groups = group_reasons(row.error or "" for row in failed)
+    return {reason: [failed[k].id for k in members] for reason, members in groups.items()}
 
 
 def tell_front(count: int) -> str:

@@ -10,7 +10,9 @@ from .carla.simulator import CarlaSimulator as CarlaSimulator
 from .carmaker.simulator import CarMakerSimulator as CarMakerSimulator
 from .cluster import ClusterSimulator as ClusterSimulator
 from .esmini.simulator import EsminiSimulator as EsminiSimulator
+from .outcomes import notices_of as notices_of
 from .outcomes import outcomes_of as outcomes_of
+from .outcomes import require_usable as require_usable
 from .outcomes import with_values as with_values
 from .registry import SIMULATORS as SIMULATORS
 from .registry import availabilities as availabilities
@@ -20,5 +22,6 @@ from .simulating_many import simulate_many as simulate_many
 from .starting import start_simulator as start_simulator
 from .streams import SimulatorStream as SimulatorStream
 from .sumo.simulator import SumoSimulator as SumoSimulator
+from .workers import MOST_FAILURES as MOST_FAILURES
 from .workers import MOST_WORKERS as MOST_WORKERS
 from .workers import WorkerSimulator as WorkerSimulator

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import ClassVar, Literal, Self
 
 from cornercase._common.arguments import number, text
 from cornercase._common.errors import InputError, SimulationError
-from cornercase._common.ledger import Notice
+from cornercase._common.ledger import Notice, warn
+from cornercase._common.parts import guarded
 from cornercase.drivers import Driver, describe_driver
 from cornercase.recordings import Recording
 from cornercase.scenario import ConcreteScenario, Scenario, Value
@@ -68,6 +69,9 @@ class Simulator(ABC):
         How it takes the values of parameters. By name, ``concrete.values`` holds those of all parameters that the
         scenario file declares, varied or not. By file, it reads the file, and ``concrete.values`` holds those that
         differ from it: none, where the scenario is a file of its own, as in a suite.
+    tell_user : callable
+        Takes a sentence for whoever runs scenarios. It becomes a `NoticeWarning`; in another process, it is sent to the
+        one that asks.
 
     Examples
     --------
@@ -96,6 +100,7 @@ class Simulator(ABC):
     repeats_itself: ClassVar[bool] = False
     takes_batches: ClassVar[bool] = False
     values_by: Literal["name", "file"] = "name"
+    tell_user: Callable[[str], None] = staticmethod(warn)
 
     @abstractmethod
     def run(self, concretes: Sequence[ConcreteScenario]) -> Iterator[Recording | SimulationError]:
@@ -172,6 +177,21 @@ class Simulator(ABC):
         """
         return Availability()
 
+    def notice(self, sentences: Iterable[str]) -> None:
+        """Tell whoever runs scenarios what they should know of these runs; each sentence once.
+
+        Parameters
+        ----------
+        sentences : iterable of str
+            Without a full stop. If several differ only behind a semicolon, the first of them is told.
+        """
+        for sentence in sentences:
+            subject = sentence.partition("; ")[0]
+            noticed: set[str] = vars(self).setdefault("_noticed", set())
+            if subject not in noticed:
+                noticed.add(subject)
+                self.tell_user(sentence)
+
     def beside(self) -> Sequence[Simulator]:
         """Give the simulators that may run at the same time, each in a thread of its own.
 
@@ -192,7 +212,12 @@ class Simulator(ABC):
         return self
 
     def __exit__(self, *exception: object) -> None:
-        self.close()
+        try:
+            with guarded(f"the simulator '{self.name}'", self, "in close"):
+                self.close()
+        except InputError as error:
+            # What it has run is there, and counts.
+            self.tell_user(str(error).removesuffix("."))
 
 
 def checked_seed(seed: int, whose: str) -> int:

@@ -16,16 +16,17 @@ from cornercase._common.errors import InputError, LostError
 from cornercase._common.version import __version__
 from cornercase.scenario import ConcreteScenario, Scenario, ScenarioParcel
 from cornercase.simulators.base import Simulator
-from cornercase.simulators.cluster_tasks import Attempt, Job, close_job, forget, hand_over, run_job
+from cornercase.simulators.cluster_tasks import Attempt, Job, Ran, close_job, forget, hand_over, run_job
 from cornercase.simulators.elsewhere import SimulatorElsewhere
 from cornercase.simulators.outcomes import Outcome
+from cornercase.simulators.sending import packed_options
+from cornercase.simulators.workers import MOST_FAILURES
 
 if TYPE_CHECKING:
     from distributed import Client, Future
 
-# If so many scenarios in a row cost their workers, the simulator is at fault, not they; and so it is if Dask gives a
-# scenario up so often.
-_MOST_LOST: Final = 5
+# How often Dask may give a scenario up before a worker has begun it.
+_MOST_GIVEN_UP: Final = 5
 # s that workers have to end their simulators; a scheduler that is cut off never answers.
 _CLOSES: Final = 10.0
 
@@ -62,6 +63,8 @@ class ClusterSimulator(SimulatorElsewhere):
         s after which a scenario is given up.
     retries : int, default 1
         How often a scenario is run again after the simulator failed, or after its worker was lost.
+    max_failures : int, default 5
+        Scenarios in a row that cost their workers, after which the simulator is not tried any more; 0 for no limit.
 
     Raises
     ------
@@ -77,16 +80,26 @@ class ClusterSimulator(SimulatorElsewhere):
         workers: int = 1,
         timeout: float | None = None,
         retries: int = 1,
+        max_failures: int = MOST_FAILURES,
     ) -> None:
         super().__init__(name, options)
-        self._batches = self._declared.takes_batches
+        self._max_failures = max_failures
+        self._batches = self.declared.takes_batches
         self._parcels: dict[str, tuple[ScenarioParcel, Future[Any]]] = {}
         self._client = connect(cluster, workers)
         self._owned = self._client is not cluster
         # It comes with Dask, and takes classes of a notebook along.
         import cloudpickle
 
-        self._job = Job(uuid.uuid4().hex, __version__, name, cloudpickle.dumps(options), timeout, retries)
+        self._job = Job(
+            uuid.uuid4().hex,
+            __version__,
+            name,
+            packed_options(options, cloudpickle.dumps),
+            timeout,
+            retries,
+            max_failures,
+        )
         self._retries, self._lost = retries, 0
         # The resource that its workers offer.
         self._bound: str | None = None
@@ -236,18 +249,17 @@ class ClusterSimulator(SimulatorElsewhere):
                 f"`cluster` {name_cluster(self._client)}: its workers cannot run '{self.name}' ({words}); install the"
                 " same versions on each as here."
             ) from error
-        elif task.given_up + 1 < _MOST_LOST:
+        elif task.given_up + 1 < _MOST_GIVEN_UP:
             # Dask counts workers too that were lost before they began; what is known of the attempt goes on to hold.
             waiting.appendleft(replace(task, given_up=task.given_up + 1))
         else:
             raise self._broken("its workers end before they have begun a scenario")
 
-    def _settle(
-        self, found: list[Outcome] | None, task: _Task, waiting: deque[_Task], done: dict[int, Outcome]
-    ) -> None:
+    def _settle(self, found: Ran | None, task: _Task, waiting: deque[_Task], done: dict[int, Outcome]) -> None:
         if found is not None:
             self._lost = 0
-            done |= dict(zip(task.indices, found, strict=True))
+            self.notice(found.noticed)
+            done |= dict(zip(task.indices, found.outcomes, strict=True))
             return
         forget(task.attempt, self._client)
         if len(task.indices) > 1:
@@ -257,8 +269,8 @@ class ClusterSimulator(SimulatorElsewhere):
             waiting.extendleft(replace(one, attempt=replace(one.attempt, lives=fewer)) for one in ones)
         else:
             self._lost += 1
-            if self._lost >= _MOST_LOST:
-                raise self._broken(f"workers were lost in {self._lost} scenarios in a row")
+            if 0 < self._max_failures <= self._lost:
+                raise self._broken(f"workers were lost in {self._lost} scenarios in a row (`max_failures`)")
             each = "one worker was" if self._retries == 0 else f"{self._retries + 1} workers were"
             done[task.indices[0]] = LostError(f"{each} lost while running the scenario")
 

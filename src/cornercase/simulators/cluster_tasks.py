@@ -20,7 +20,7 @@ from cornercase.simulators.base import Simulator
 from cornercase.simulators.outcomes import Outcome, outcomes_as_given
 from cornercase.simulators.registry import SIMULATORS
 from cornercase.simulators.worker_process import unpickled_options
-from cornercase.simulators.workers import WorkerSimulator
+from cornercase.simulators.workers import MOST_FAILURES, WorkerSimulator
 
 if TYPE_CHECKING:
     from distributed import Client
@@ -42,6 +42,7 @@ class Job:
     timeout : float or None
         s for each scenario.
     retries : int
+    max_failures : int
     """
 
     key: str
@@ -50,6 +51,7 @@ class Job:
     options: bytes
     timeout: float | None
     retries: int
+    max_failures: int = MOST_FAILURES
 
 
 @dataclass(frozen=True)
@@ -66,6 +68,22 @@ class Attempt:
 
     name: str
     lives: int
+
+
+@dataclass(frozen=True)
+class Ran:
+    """What came of scenarios.
+
+    Attributes
+    ----------
+    outcomes : list of Recording or SimulationError
+        One for each, in order.
+    noticed : list of str
+        Sentences for whoever runs them, as `Simulator.notice` takes them.
+    """
+
+    outcomes: list[Outcome]
+    noticed: list[str]
 
 
 class _Site:
@@ -116,7 +134,7 @@ class _Site:
                 "`cluster`: its workers may not start processes; set DASK_DISTRIBUTED__WORKER__DAEMON=False where they"
                 " are started."
             )
-        return WorkerSimulator(job.simulator, options, 1, job.timeout, job.retries)
+        return WorkerSimulator(job.simulator, options, 1, job.timeout, job.retries, job.max_failures)
 
     def unpacked(self, key: str, parcel: ScenarioParcel) -> tuple[Scenario, Path]:
         from distributed import get_worker
@@ -160,7 +178,7 @@ def run_job(
     attempt: Attempt,
     parcels: Mapping[str, ScenarioParcel],
     scenarios: Sequence[tuple[str, Mapping[str, Value]]],
-) -> list[Outcome] | None:
+) -> Ran | None:
     """Run scenarios in this process, or in one that it keeps.
 
     Parameters
@@ -173,8 +191,8 @@ def run_job(
 
     Returns
     -------
-    list of Recording or SimulationError, or None
-        One for each, in order; None where too many workers were lost with them.
+    Ran or None
+        None where too many workers were lost with them.
 
     Raises
     ------
@@ -195,10 +213,15 @@ def run_job(
             return None
         try:
             with site.simulator() as simulator:
+                noticed = list[str]()
+                simulator.tell_user = noticed.append
                 found = list(outcomes_as_given(simulator, concretes))
         except InputError as error:
             raise InputError(_with_own_paths(str(error), places)) from None
-    return [type(one)(_with_own_paths(str(one), places)) if isinstance(one, SimulationError) else one for one in found]
+    outcomes = [
+        type(one)(_with_own_paths(str(one), places)) if isinstance(one, SimulationError) else one for one in found
+    ]
+    return Ran(outcomes, noticed)
 
 
 @contextmanager

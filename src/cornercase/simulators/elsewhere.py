@@ -28,11 +28,13 @@ class SimulatorElsewhere(Simulator):
 
     def __init__(self, name: str, options: dict[str, Any]) -> None:
         self.name = name
-        self._declared = SIMULATORS.class_of(name)
-        self.values_by = self._declared.values_by
+        self.declared = SIMULATORS.class_of(name)
+        self.values_by = self.declared.values_by
         # This one runs nothing; it checks options, and scenarios before they are run.
         self._unused = SIMULATORS.create(name, **options)
         self.settings = self._unused.settings
+        # Shared by those that `beside` gives.
+        self._noticed: set[str] = set()
 
     def require_means(self, scenario: Scenario) -> None:
         """Let the simulator refuse a scenario that it cannot run.

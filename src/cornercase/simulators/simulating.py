@@ -7,12 +7,12 @@ from pathlib import Path
 
 from cornercase._common.arguments import numbers_or_texts
 from cornercase._common.errors import InputError
+from cornercase._common.interrupts import noted_interrupts
 from cornercase._common.ledger import warn_of
 from cornercase.drivers import Driver, told_driver
 from cornercase.recordings import Recording
 from cornercase.scenario import ConcreteScenario, Scenario, Value
-from cornercase.simulators.outcomes import outcomes_of
-from cornercase.simulators.registry import SIMULATORS
+from cornercase.simulators.outcomes import notices_of, outcomes_of, require_usable
 from cornercase.simulators.starting import start_simulator
 
 
@@ -85,10 +85,10 @@ def simulate(
         "on_collision": on_collision,
         "drivers": {entity: told_driver(driver) for entity, driver in (drivers or {}).items()},
     }
-    with start_simulator(simulator, options, ego=ego, timeout=timeout) as started:
-        started.require_means(file)
+    with noted_interrupts(), start_simulator(simulator, options, ego=ego, timeout=timeout) as started:
+        require_usable(started, [file])
         (result,) = outcomes_of(started, [ConcreteScenario(file.path, given, file)])
     if isinstance(result, Exception):
         raise InputError(f"{file.path}: {result}.")
-    warn_of(SIMULATORS.class_of(simulator).notices(file, given))
+    warn_of(notices_of(simulator, file, given))
     return result

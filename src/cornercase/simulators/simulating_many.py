@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -13,14 +12,15 @@ from cornercase._common.errors import InputError, SimulationError
 from cornercase._common.files import portable_name, require_folder, require_other_file
 from cornercase._common.interrupts import noted_interrupts
 from cornercase._common.ledger import distinct, warn_of
+from cornercase._common.parts import group_reasons
 from cornercase._common.progress import ProgressBar
 from cornercase.drivers import Driver, told_driver
 from cornercase.scenario import FILE_COLUMN, ConcreteScenario, Scenario, Value, read_value_table
 from cornercase.simulators.base import Simulator
-from cornercase.simulators.outcomes import outcomes_of, with_values
+from cornercase.simulators.outcomes import notices_of, outcomes_of, require_usable
 from cornercase.simulators.recordings_folder import NOTES, TABLE, Planned, RecordingsFolder
-from cornercase.simulators.registry import SIMULATORS
 from cornercase.simulators.starting import start_simulator
+from cornercase.simulators.workers import MOST_FAILURES
 
 if TYPE_CHECKING:
     from distributed import Client
@@ -59,7 +59,7 @@ class SimulatedFolder:
     @property
     def reasons(self) -> dict[str, int]:
         """How many scenarios failed for which reason, the most frequent first."""
-        return dict(Counter(self.failures.values()).most_common())
+        return {reason: len(members) for reason, members in group_reasons(self.failures.values()).items()}
 
     def __repr__(self) -> str:
         failed = f", {_counted(self.failed)} failed" if self.failed else ""
@@ -87,6 +87,7 @@ def simulate_many(
     cluster: str | Client | None = None,
     timeout: float | None = None,
     retries: int = 1,
+    max_failures: int = MOST_FAILURES,
     progress: bool = False,
 ) -> SimulatedFolder:
     """Run many concrete scenarios, and write a recording of each into a folder.
@@ -127,6 +128,8 @@ def simulate_many(
         s after which a scenario is given up.
     retries : int, default 1
         How often a scenario is run again after the simulator died or hung.
+    max_failures : int, default 5
+        Scenarios in a row in which the simulator dies or hangs, after which nothing more is run; 0 for no limit.
     progress : bool, default False
         Show a bar.
 
@@ -168,15 +171,19 @@ def simulate_many(
         "drivers": {entity: told_driver(driver) for entity, driver in (drivers or {}).items()},
     }
     started = start_simulator(
-        simulator, options, ego=ego, workers=workers, timeout=timeout, retries=retries, cluster=cluster
+        simulator,
+        options,
+        ego=ego,
+        workers=workers,
+        timeout=timeout,
+        retries=retries,
+        cluster=cluster,
+        max_failures=max_failures,
     )
     with started:
-        for one in read:
-            started.require_means(one)
-        started.require_runnable(with_values(started, [one.concrete for one in planned]))
+        require_usable(started, read, [one.concrete for one in planned])
         whole = RecordingsFolder(folder, planned, {"simulator": simulator, **started.settings})
-        notices = SIMULATORS.class_of(simulator).notices
-        warn_of(distinct(notice for one in read for notice in notices(one, given)))
+        warn_of(distinct(notice for one in read for notice in notices_of(simulator, one, given)))
         failures = _run(started, whole, [one for one in planned if one.file not in whole.there], len(planned), progress)
     done = [one.file for one in planned if one.file not in failures]
     if not done:

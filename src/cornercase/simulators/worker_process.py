@@ -3,20 +3,23 @@
 from __future__ import annotations
 
 import pickle
+import sys
 import time
 from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass
+from functools import partial
 from multiprocessing import get_context
 from multiprocessing.connection import Connection
 from pathlib import Path
 from typing import Any
 
 from cornercase._common.current_folder import kept_from_children, unpickle_here
-from cornercase._common.errors import InputError, LostError, SimulationError, SimulatorError, is_of_the_machine
+from cornercase._common.errors import InputError, LostError, SimulationError, SimulatorError
 from cornercase._common.guardian import Guardian
 from cornercase._common.interrupts import held_interrupts
 from cornercase._common.lifeline import end_with_parent, keep_temporary_files_in
+from cornercase._common.parts import guarded
 from cornercase._common.platform import (
     end_process_tree,
     ended_from_outside,
@@ -30,6 +33,7 @@ from cornercase.scenario import ConcreteScenario
 from cornercase.simulators.base import Simulator
 from cornercase.simulators.outcomes import Outcome, outcomes_as_given
 from cornercase.simulators.registry import SIMULATORS
+from cornercase.simulators.sending import packed_options, with_drivers_made
 
 # s that a simulator may take to start, for its exit code to arrive, and to end by itself.
 _STARTED, _DIED, _ENDED = 60.0, 0.2, 10.0
@@ -52,18 +56,18 @@ class Task:
 
 
 @dataclass(frozen=True)
-class Raised:
-    """What a simulator raised in place of results.
+class Noticed:
+    """A sentence for whoever runs the scenarios.
 
     Attributes
     ----------
-    words : str
-    outside : bool
-        Whether the machine is at fault: its disk is full, or its memory.
+    sentence : str
     """
 
-    words: str
-    outside: bool = False
+    sentence: str
+
+
+Answer = Outcome | InputError | Noticed | None
 
 
 class Worker:
@@ -95,7 +99,9 @@ class Worker:
     task: Task
 
     def __init__(self, name: str, options: dict[str, Any], timeout: float | None, guardian: Guardian) -> None:
-        self._name, self._options, self._timeout, self._guardian = name, options, timeout, guardian
+        self._name, self._timeout, self._guardian = name, timeout, guardian
+        # As bytes, so that the process looks for a driver of one's own where this one did.
+        self._options = packed_options(options, pickle.dumps)
         self._process: Any = None
         self._folder: Path | None = None
         self._code: int | None = None
@@ -119,8 +125,7 @@ class Worker:
             # What it leaves in it is removed after it, however it ends.
             self._folder = self._guardian.new_folder()
             self.connection, theirs = context.Pipe()
-            # As bytes, so that the process looks for a driver of one's own where this one did.
-            given = theirs, self._name, pickle.dumps(self._options), self._folder
+            given = theirs, self._name, self._options, self._folder
             process = context.Process(target=_serve, args=given, daemon=True)
             # One that came in the middle would leave a process that nobody knows.
             with held_interrupts(), interrupts_kept(*ending_signals()), kept_from_children():
@@ -143,12 +148,12 @@ class Worker:
             # A simulator may run its scenarios side by side, or one after the other.
             self.deadline = time.monotonic() + self._timeout * len(self.waiting)
 
-    def answer(self) -> Outcome | InputError | Raised | None:
+    def answer(self) -> Answer:
         """Take the next message of the process.
 
         Returns
         -------
-        Recording, SimulationError, InputError, Raised or None
+        Recording, SimulationError, InputError, Noticed or None
             What came of the next scenario, or why none follows; None says that the simulator has started.
 
         Raises
@@ -161,22 +166,24 @@ class Worker:
         if not self.connection.poll():
             doing = f"end within {self._timeout:g} s" if self._started else f"start within {_STARTED:g} s"
             raise TimeoutError(f"the simulator did not {doing}")
-        found: Outcome | InputError | Raised | None = self.connection.recv()
+        found: Answer = self.connection.recv()
+        if isinstance(found, Noticed):
+            return found
         if isinstance(found, Recording | SimulationError):
             self.waiting.pop(0)
         self._started = True
         self._set_deadline()
         return found
 
-    def ending(self) -> SimulatorError:
-        """Say how the process ended.
+    def ending(self, process: str) -> SimulatorError:
+        """Say how the process ended, which is called so in the sentence.
 
         Returns
         -------
         SimulatorError
             ``"the simulator's process ended with exit code 3"``; a `LostError` where somebody else has ended it.
         """
-        words = f"the simulator's process {words_of_exit_code(self._code)}"
+        words = f"{process} {words_of_exit_code(self._code)}"
         return LostError(f"{words} from outside") if ended_from_outside(self._code) else SimulatorError(words)
 
     def stop(self) -> None:
@@ -231,10 +238,12 @@ def _serve(connection: Connection, name: str, options: bytes, folder: Path) -> N
     end_with_parent()
     keep_temporary_files_in(folder)
     try:
-        simulator = SIMULATORS.create(name, **unpickled_options(options))
+        with guarded("A worker process", None, "as it began"):
+            simulator = SIMULATORS.create(name, **unpickled_options(options))
     except InputError as error:
         _send(connection, error)
         return
+    simulator.tell_user = partial(_tell, connection)
     _send(connection, None)
     with simulator:
         while True:
@@ -257,26 +266,27 @@ def unpickled_options(options: bytes) -> dict[str, Any]:
     dict
     """
     found: dict[str, Any] = unpickle_here(options)
-    return found
+    return with_drivers_made(found)
 
 
 def _answer(connection: Connection, simulator: Simulator, concretes: list[ConcreteScenario]) -> None:
-    results = outcomes_as_given(simulator, concretes)
-    while True:
-        try:
-            found: Outcome | InputError | Raised | None = next(results, None)
-        except InputError as error:
-            found = error
-        except Exception as error:
-            found = Raised(f"the simulator failed ({type(error).__name__}: {error})", is_of_the_machine(error))
-        if found is None:
-            return
-        _send(connection, found)
-        if isinstance(found, InputError | Raised):
-            return
+    try:
+        for outcome in outcomes_as_given(simulator, concretes):
+            _send(connection, outcome)
+    except InputError as error:
+        _send(connection, error)
 
 
-def _send(connection: Connection, found: Outcome | InputError | Raised | None) -> None:
+def _tell(connection: Connection, sentence: str) -> None:
+    if not _send(connection, Noticed(sentence)):
+        print(f"{sentence}.", file=sys.stderr)
+
+
+def _send(connection: Connection, found: Answer) -> bool:
+    """Send an answer, and say whether anybody is there to receive it."""
     # Where nobody listens any more, this process is about to be ended.
-    with suppress(BrokenPipeError, ConnectionResetError):
+    try:
         connection.send(found)
+    except (BrokenPipeError, ConnectionResetError):
+        return False
+    return True

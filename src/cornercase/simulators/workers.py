@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections import deque
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from copy import copy
 from dataclasses import dataclass
 from multiprocessing.connection import wait
@@ -12,13 +12,15 @@ from typing import Any, Final
 
 from cornercase._common.errors import InputError, LostError, SimulationError, SimulatorError
 from cornercase._common.guardian import Guardian
+from cornercase._common.texts import quoted_name
+from cornercase.drivers import given_name
 from cornercase.scenario import ConcreteScenario
 from cornercase.simulators.elsewhere import SimulatorElsewhere
 from cornercase.simulators.outcomes import Outcome
-from cornercase.simulators.worker_process import Raised, Task, Worker
+from cornercase.simulators.worker_process import Noticed, Task, Worker
 
-# If so many scenarios in a row end without a result, the simulator is at fault, not they.
-_MOST_LOST: Final = 5
+MOST_FAILURES: Final = 5
+"""Scenarios in a row without a result after which the simulator is at fault, not they, unless a user says otherwise."""
 # s.
 _LONGEST_WAIT: Final = 3600.0
 
@@ -53,6 +55,9 @@ class WorkerSimulator(SimulatorElsewhere):
     retries : int, default 1
         How often a scenario is run again after the simulator failed: its process ended, had to be ended, or the
         connection to its program broke. Where somebody else has ended its process, it is run again at least once.
+    max_failures : int, default 5
+        Scenarios in a row without a result, since the simulator failed in each, after which it is not tried any more; 0
+        for no limit.
 
     Raises
     ------
@@ -77,10 +82,12 @@ class WorkerSimulator(SimulatorElsewhere):
         workers: int = 1,
         timeout: float | None = None,
         retries: int = 1,
+        max_failures: int = MOST_FAILURES,
     ) -> None:
         super().__init__(name, options)
-        self._batches, self._retries = self._declared.takes_batches, retries
-        numbered = "worker" in self._declared.needs
+        self._max_failures, self._process = max_failures, _name_process(options)
+        self._batches, self._retries = self.declared.takes_batches, retries
+        numbered = "worker" in self.declared.needs
         self._guardian = Guardian()
         self._workers = [
             Worker(name, options | ({"worker": k} if numbered else {}), timeout, self._guardian) for k in range(workers)
@@ -103,7 +110,7 @@ class WorkerSimulator(SimulatorElsewhere):
         Raises
         ------
         InputError
-            The scenario file cannot be used, or the simulator crashes or hangs in five scenarios in a row.
+            The scenario file cannot be used, or the simulator crashes or hangs in `max_failures` scenarios in a row.
         """
         size = -(-len(concretes) // len(self._workers)) if self._batches and concretes else 1
         every = range(len(concretes))
@@ -169,18 +176,18 @@ class WorkerSimulator(SimulatorElsewhere):
             found = worker.answer()
         except (EOFError, OSError) as error:
             worker.stop()
-            why = SimulatorError(str(error)) if isinstance(error, TimeoutError) else worker.ending()
+            why = SimulatorError(str(error)) if isinstance(error, TimeoutError) else worker.ending(self._process)
             self._lose(task, left, why, waiting, done)
             return
         if found is None:
             return
+        if isinstance(found, Noticed):
+            self.notice([found.sentence])
+            return
         if isinstance(found, InputError):
             worker.waiting = []
             raise found
-        if isinstance(found, Raised):
-            worker.waiting = []
-            self._lose(task, left, (LostError if found.outside else SimulationError)(found.words), waiting, done)
-        elif isinstance(found, SimulatorError):
+        if isinstance(found, SimulatorError):
             self._lose(task, left[:1], found, waiting, done, own=True)
         else:
             self._lost.count = 0
@@ -213,11 +220,21 @@ class WorkerSimulator(SimulatorElsewhere):
             waiting.appendleft(Task((index,), task.tries + 1))
         else:
             self._lost.count += 1
-            if self._lost.count >= _MOST_LOST:
+            if 0 < self._max_failures <= self._lost.count:
                 raise InputError(
-                    f"The simulator '{self.name}' gave no result in {self._lost.count} scenarios in a row; in the last"
-                    f" one {why}. Fix it, and run the same command again to go on."
+                    f"The simulator '{self.name}' gave no result in {self._lost.count} scenarios in a row"
+                    f" (`max_failures`); in the last one {why}. Fix it, and run the same command again to go on."
                 )
             times = "once" if task.tries == 0 else f"{task.tries + 1} times"
             kind = LostError if isinstance(why, LostError) else SimulationError
             done[index] = kind(f"{why}, tried {times}")
+
+
+def _name_process(options: Mapping[str, Any]) -> str:
+    """Name the process of a simulator, which may have ended because of a driver of a user."""
+    drivers = [
+        f"the driver of {quoted_name(entity)} ({name})"
+        for entity, driver in (options.get("drivers") or {}).items()
+        if (name := given_name(driver)) is not None
+    ]
+    return f"the process of the simulator and of {' and '.join(drivers)}" if drivers else "the simulator's process"

@@ -179,14 +179,14 @@ def _require_measurable(files: Sequence[Path], metrics: Sequence[Metric], ego: s
     for file in files:
         try:
             measured(metrics, read_recording(file), ego, others)
-        except InputError as error:
+        except (InputError, SimulationError) as error:
             reasons.append(_said_of(file, error))
         else:
             return
     raise InputError(f"None of the {len(files)} recordings can be read and measured; the first: {reasons[0]}")
 
 
-def _said_of(file: Path, error: InputError) -> str:
+def _said_of(file: Path, error: InputError | SimulationError) -> str:
     """Put the file before what went wrong, where it is not named there."""
     return str(error) if str(file) in str(error) else f"{file}: {error}"
 
@@ -195,7 +195,7 @@ def _measure(study: Study, row: Row, file: Path, metrics: Sequence[Metric]) -> N
     try:
         recording = read_recording(file)
         courses = measured(metrics, recording, study.meta.ego, study.meta.others)
-    except InputError as error:
+    except (InputError, SimulationError) as error:
         # That of a broken disk is not the recording's fault; the same command goes on with it.
         if is_of_the_machine(error):
             raise

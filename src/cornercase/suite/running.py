@@ -15,7 +15,7 @@ from cornercase._common.progress import ProgressBar
 from cornercase.exploration import try_repeatability
 from cornercase.metrics import METRICS, Metric, measured
 from cornercase.recordings import Recording
-from cornercase.simulators import SIMULATORS, Simulator, outcomes_of, with_values
+from cornercase.simulators import SIMULATORS, Simulator, notices_of, outcomes_of, require_usable
 from cornercase.study import Row, Study, StudyMeta, begun_study
 from cornercase.suite.contents import SuiteContents, SuiteScenario
 
@@ -54,9 +54,7 @@ def run_suite(
     InputError
         None of the scenarios can be run, or the study is of something else; it is left as it is.
     """
-    for one in suite.scenarios:
-        simulator.require_means(one.scenario)
-    simulator.require_runnable(with_values(simulator, [one.concrete for one in suite.scenarios]))
+    require_usable(simulator, (one.scenario for one in suite.scenarios), [one.concrete for one in suite.scenarios])
     _warn(suite, simulator)
     metrics = [METRICS.create(name) for name in meta.metrics]
     with begun_study(path, meta) as study:
@@ -91,8 +89,7 @@ def _once_more(suite: SuiteContents, simulator: Simulator, row: Row) -> Recordin
 
 def _warn(suite: SuiteContents, simulator: Simulator) -> None:
     """Tell what of the files has no effect; what is the same in several once."""
-    notices = SIMULATORS.class_of(simulator.name).notices
-    warn_of(distinct(notice for one in suite.scenarios for notice in notices(one.scenario)))
+    warn_of(distinct(notice for one in suite.scenarios for notice in notices_of(simulator.name, one.scenario)))
 
 
 def _run(
@@ -117,10 +114,14 @@ def _run(
             begun = time.monotonic()
             outcome = next(outcomes)
             ended = time.monotonic()
-            if isinstance(outcome, SimulationError):
-                study.fail(row.id, outcome)
+            try:
+                if isinstance(outcome, SimulationError):
+                    raise outcome
+                courses = measured(metrics, outcome, study.meta.ego, study.meta.others)
+            except SimulationError as error:
+                study.fail(row.id, error)
             else:
-                study.finish(row.id, outcome, measured(metrics, outcome, study.meta.ego, study.meta.others))
+                study.finish(row.id, outcome, courses)
             study.add_all_elapsed({"simulate": ended - begun, "store": time.monotonic() - ended})
             done += 1
             yield done

@@ -17,7 +17,7 @@ from cornercase._common.files import require_apart, require_other_file, require_
 from cornercase._common.texts import plain_text, without_folders
 from cornercase.drivers import Driver, is_driver, told_driver
 from cornercase.metrics import EVERYBODY, METRICS, condition_of, name_others
-from cornercase.simulators import MOST_WORKERS, Simulator, start_simulator
+from cornercase.simulators import MOST_FAILURES, MOST_WORKERS, Simulator, start_simulator
 from cornercase.study import Study, StudyMeta, stored_path
 from cornercase.suite.asking import ask_references
 from cornercase.suite.contents import SuiteContents
@@ -56,6 +56,7 @@ def test(
     cluster: str | Client | None = None,
     timeout: float | None = None,
     retries: int = 1,
+    max_failures: int = MOST_FAILURES,
     time_step: float | None = None,
     duration: float | None = None,
     on_collision: str | None = None,
@@ -101,6 +102,8 @@ def test(
         Time in s after which a scenario is given up.
     retries : int, default 1
         How often a scenario is run again after the simulator died or hung.
+    max_failures : int, default 5
+        Scenarios in a row in which the simulator dies or hangs, after which nothing more is run; 0 for no limit.
     time_step, duration : float, optional
         s; by default those of the manifest, without one 0.05 s and 60 s.
     on_collision : {"continue", "stop"}, optional
@@ -162,6 +165,7 @@ def test(
     asked = dict.fromkeys(one.reference for one in known if one.reference)
     with connected(cluster, workers) as client:
         start: Callable[..., Simulator] = partial(start_simulator, name, ego=who[0], timeout=timeout, retries=retries)
+        start = partial(start, max_failures=max_failures)
         start = partial(start, workers=workers) if client is None else partial(start, cluster=client)
         with start(options) as started, ExitStack() as stack:
             references = {one: stack.enter_context(_with_reference(start, options, who[0], one)) for one in asked}
@@ -390,5 +394,5 @@ def _result(
 
 def _ran(error: str | None, duration: float | None) -> Verdict:
     if duration is None:
-        return Verdict("inconclusive", _RAN, f"the simulator failed: {error}")
+        return Verdict("inconclusive", _RAN, f"it could not be run: {error}")
     return Verdict("passed", _RAN, f"it ran for {duration:.6g} s", value=duration)

@@ -53,7 +53,7 @@ def judge_row(study: Study, row: Row, requirements: list[Requirement]) -> list[V
     file, kind = (_of(row, names) if meta.suite else "" for names in (meta.files, meta.kinds))
     mine = [one for one in requirements if one.concerns(file, kind)]
     if row.state == "failed":
-        return [Verdict("inconclusive", one.text, f"the simulator failed: {row.error}") for one in mine]
+        return [Verdict("inconclusive", one.text, f"it could not be run: {row.error}") for one in mine]
     recording = study.recording(row.id)
     asked = {name for one in mine if one.formula is not None for name in one.formula.metrics}
     # Of several others it is not known which of them a course is against at an instant.

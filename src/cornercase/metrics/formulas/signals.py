@@ -9,7 +9,9 @@ from typing import Final
 
 import numpy as np
 
-from cornercase._common.errors import InputError, suggestion
+from cornercase._common.errors import InputError, PartError, suggestion
+from cornercase._common.interrupts import requests_heard
+from cornercase._common.parts import failure_of
 from cornercase._common.typing import FloatArray
 from cornercase.metrics.base import Metric
 from cornercase.metrics.registry import METRICS
@@ -159,7 +161,7 @@ class _Measured(Mapping[str, FloatArray]):
 
     def _with_contact(self, metric: Metric, known: FloatArray | None) -> FloatArray:
         ego, other = self._names["ego"], self._names["other"]
-        course = metric.course(self._recording, ego, other) if known is None else known
+        course = _course(metric, self._recording, ego, other) if known is None else known
         if metric.contact is None:
             return course
         if not self._looked:
@@ -170,3 +172,14 @@ class _Measured(Mapping[str, FloatArray]):
         touched = np.array(course, dtype=np.float64)
         touched[instant] = metric.score_of_contact(float(metric.capped(touched[instant : instant + 1])[0]), change)
         return touched
+
+
+def _course(metric: Metric, recording: Recording, ego: str, other: str) -> FloatArray:
+    """Course of a metric, which may be a class of anybody."""
+    heard = requests_heard()
+    try:
+        return metric.course(recording, ego, other)
+    except (InputError, PartError):
+        raise
+    except BaseException as error:
+        raise failure_of(f"the metric {metric.name}", error, heard) from error

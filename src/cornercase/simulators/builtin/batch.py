@@ -14,7 +14,7 @@ from cornercase._common.errors import InputError, SimulationError
 from cornercase.drivers import Driver
 from cornercase.recordings import Collision, Recording
 from cornercase.scenario import Scope, Value
-from cornercase.simulators.builtin.actions.controller import Driving, registered_driver
+from cornercase.simulators.builtin.actions.controller import DriverError, Driving, registered_driver
 from cornercase.simulators.builtin.entities import read_entities
 from cornercase.simulators.builtin.frames.recorded import motion_of
 from cornercase.simulators.builtin.frames.scene import CENTER_X, LENGTH, WIDTH
@@ -54,6 +54,12 @@ class Batch:
         The file cannot be used with the values of these scenarios.
     VariesError
         The scenarios have to be split further.
+
+    Attributes
+    ----------
+    failure : DriverError or None
+        Why the batch ended early, once it has run. It is the result of a scenario that is alone; of several it tells
+        nothing, and nothing else that came out is of use.
     """
 
     def __init__(
@@ -68,6 +74,7 @@ class Batch:
     ) -> None:
         scope = prepared.scope(values)
         self._time_step = time_step
+        self.failure: DriverError | None = None
         try:
             self._read(prepared, scope, drivers)
         except InputError as error:
@@ -112,8 +119,22 @@ class Batch:
         for why, where in scope.refused():
             self._world.fail(where, why)
 
+    @property
+    def _drivings(self) -> list[Driving]:
+        return [one for one in self._world.drivers if isinstance(one, Driving)]
+
+    @property
+    def in_python(self) -> bool:
+        """Whether a driver decides in Python, as those of users do."""
+        return not all(one.in_fleet for one in self._drivings)
+
+    @property
+    def exceeded(self) -> list[str]:
+        """Sentences on drivers that asked for more than their vehicles can do, once the batch has run."""
+        return [text for one in self._drivings for text in one.exceeded.values()]
+
     def run(self, threads: int = 1, turn: Lock | None = None) -> None:
-        """Step until every scenario has ended.
+        """Step until every scenario has ended, or a driver fails.
 
         Parameters
         ----------
@@ -124,7 +145,14 @@ class Batch:
         """
         # What has failed goes on to be computed, and is not looked at.
         with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
-            self._stepper.run(threads, turn)
+            try:
+                for driving in self._drivings:
+                    driving.begin()
+                self._stepper.run(threads, turn)
+            except DriverError as failure:
+                self.failure = failure
+                if self._world.scenarios == 1:
+                    self._world.errors[0] = failure.error
 
     def halt(self) -> None:
         """Let `run`, in another thread, come to an end soon; nothing that came out is of use then."""
@@ -152,7 +180,7 @@ class Batch:
         result: list[Recording | SimulationError] = []
         for i, moved, there in zip(chosen, motion, placed.tolist(), strict=True):
             if i in world.errors:
-                result.append(SimulationError(world.errors[i]))
+                result.append(world.errors[i])
                 continue
             if not there:
                 result.append(SimulationError("no entity is ever placed on the map"))

@@ -217,9 +217,13 @@ class BuiltinSimulator(Simulator):
                 with crew.turn:
                     batch = self._form(prepared, concretes, part, ran)
                 if batch is not None:
-                    # While the next one is formed, this one runs already.
-                    started.append(crew.start(batch, len(parts)))
+                    # While the next one is formed, this one runs already; in Python it would leave no time for that.
+                    started.append(crew.start(batch, 1 if batch.in_python else len(parts)))
                     ran.update((i, (started[-1], place)) for place, i in enumerate(part))
+                    if batch.failure is not None and len(part) > 1:
+                        self._run_apart(prepared, concretes, part, ran, crew, batch.failure.splits)
+                    else:
+                        self.notice(batch.exceeded)
         except VariesError as varies:
             wait(started)
             differing = {tuple(concretes[i].values.get(name) for name in sorted(varies.names)) for i in chosen}
@@ -229,6 +233,20 @@ class BuiltinSimulator(Simulator):
             prepared.splitting |= varies.names
             for group in _groups(prepared, concretes, chosen):
                 self._run_group(prepared, concretes, group, ran, crew)
+
+    def _run_apart(
+        self,
+        prepared: PreparedScenario,
+        concretes: Sequence[ConcreteScenario],
+        chosen: list[int],
+        ran: dict[int, _Ran],
+        crew: _Crew,
+        in_halves: bool,
+    ) -> None:
+        """Run scenarios again of which a driver failed in some, so that only these fail."""
+        size = (len(chosen) + 1) // 2 if in_halves else 1
+        for begin in range(0, len(chosen), size):
+            self._run_group(prepared, concretes, chosen[begin : begin + size], ran, crew)
 
     def _parts(self, prepared: PreparedScenario, chosen: list[int]) -> list[list[int]]:
         """Scenarios that go into one batch each, of those that could go into one."""

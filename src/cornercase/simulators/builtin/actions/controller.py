@@ -8,11 +8,13 @@ import numpy as np
 from lxml import etree
 
 from cornercase._common.arguments import shown
-from cornercase._common.errors import InputError
+from cornercase._common.errors import InputError, PartError, SimulationError
+from cornercase._common.interrupts import requests_heard
+from cornercase._common.parts import failure_of, is_built_in, raise_if_request, tell_instant
 from cornercase._common.recorded_xml import named, unrecorded
-from cornercase._common.texts import in_one_line
+from cornercase._common.texts import quoted_name
 from cornercase._common.typing import BoolArray, FloatArray
-from cornercase.drivers import DrivenPath, Driver, Situation, driver_of_file
+from cornercase.drivers import DrivenPath, Driver, Situation, decides_in_fleet, driver_of_file, limit_driver
 from cornercase.roads import LanePath
 from cornercase.scenario import DRIVER_PROPERTY, Scope
 from cornercase.simulators.builtin.actions.action import Action
@@ -24,7 +26,26 @@ from cornercase.simulators.builtin.world.state import World
 # much of a closed trajectory is given.
 _SPACING, _BEYOND, _LONGEST = 0.5, 200.0, 2000.0
 
+# m/s² beyond a limit that come of rounding.
+_ROUNDING = 1e-9
+
 _DRIVEN: WeakKeyDictionary[LanePath, DrivenPath] = WeakKeyDictionary()
+
+
+class DriverError(Exception):
+    """A driver raised an exception, or gave no acceleration, for several scenarios at once.
+
+    Parameters
+    ----------
+    error : SimulationError
+        What becomes of the scenario that is at fault.
+    splits : bool
+        Whether half of the scenarios alone tell which half is at fault; otherwise only each one alone does.
+    """
+
+    def __init__(self, error: SimulationError, splits: bool) -> None:
+        super().__init__(str(error))
+        self.error, self.splits = error, splits
 
 
 class Driving:
@@ -44,6 +65,11 @@ class Driving:
     ----------
     number : int
         Of the driver in the world.
+    in_fleet : bool
+        Whether compiled code decides for it.
+    exceeded : dict of str to str
+        By limit of the vehicle beyond which the driver went: a sentence, without a full stop, for a notice. What tells
+        the notices of one limit apart stands behind a semicolon.
     """
 
     def __init__(self, world: World, entity: int, driver: Driver) -> None:
@@ -53,7 +79,43 @@ class Driving:
         self._others = [a for a in range(len(world.entities)) if a != entity]
         self._paths: dict[int, DrivenPath] = {}
         self._begun: dict[int, int] = {}
-        driver.start(world.scenarios, len(self._others))
+        self.exceeded: dict[str, str] = {}
+        self.in_fleet = decides_in_fleet(driver)
+        self._failure: DriverError | None = None
+        if self.in_fleet:
+            self._join_fleet()
+
+    def _join_fleet(self) -> None:
+        driver, own = self.driver, self._world.entities[self.entity]
+        try:
+            self._start()
+        except DriverError as failure:
+            # The fleet needs one that is started.
+            self._failure = failure
+            built_in = next(one for one in type(driver).__mro__ if is_built_in(one) and issubclass(one, Driver))
+            built_in.start(driver, self._world.scenarios, len(self._others))
+        for limit, value in limit_driver(driver, own.max_acceleration, own.max_deceleration).items():
+            self._note(limit, f"it would go up to {value:.6g} m/s²")
+
+    def begin(self) -> None:
+        """Let the driver forget everything, as the batch is run: it may be somebody's, and fail or end the process."""
+        if self._failure is not None:
+            raise self._failure
+        if not self.in_fleet:
+            self._start()
+
+    def _start(self) -> None:
+        heard = requests_heard()
+        try:
+            self.driver.start(self._world.scenarios, len(self._others))
+        except BaseException as error:
+            raise DriverError(failure_of(self._name, error, heard, 0.0), splits=True) from error
+
+    @property
+    def _name(self) -> str:
+        """The driver as failures and notices name it."""
+        own, entity = type(self.driver), quoted_name(self._world.names[self.entity])
+        return f"the driver of {entity}" + ("" if is_built_in(own) else f" ({own.__module__}:{own.__qualname__})")
 
     def step(self, dt: float) -> None:
         """Decide the entity's speed at the end of the coming time step."""
@@ -65,28 +127,50 @@ class Driving:
             rows = active & (world.track[e] == k)
             timed = isinstance(track, Trajectory) and track.time is not None
             if rows.any() and not timed:
-                acceleration = self._decided(self._situation(k, track, dt, rows))
-                lost = rows & ~np.isfinite(acceleration)
-                world.fail(lost, f"the driver of {world.names[e]} gave an acceleration that is not a finite number")
+                situation = self._situation(k, track, dt, rows)
+                acceleration = self._decided(situation)
+                for i in np.flatnonzero(rows & ~np.isfinite(acceleration)).tolist():
+                    instant = tell_instant(situation.time)
+                    why = f"{self._name} gave {acceleration[i]:g}{instant}, which is no acceleration in m/s²"
+                    world.fail(np.arange(world.scenarios) == i, PartError(why))
+                if not self.in_fleet:
+                    acceleration = self._possible(acceleration, rows & np.isfinite(acceleration), situation.time)
                 speed = np.maximum(world.speed[e] + acceleration * dt, 0.0)
                 world.speed[e][rows] = np.minimum(speed, world.entities[e].max_speed)[rows]
 
     def _decided(self, situation: Situation) -> FloatArray:
         """What the driver gives, which may be a class of anybody."""
-        place = f"The driver of {self._world.names[self.entity]}"
+        expected, heard = self._world.scenarios, requests_heard()
         try:
             given = self.driver.acceleration(situation)
-        except InputError:
-            raise
-        except Exception as error:
-            raise InputError(f"{place} failed: {in_one_line(error)}.") from error
-        expected = self._world.scenarios
+        except BaseException as error:
+            raise DriverError(failure_of(self._name, error, heard, situation.time), splits=True) from error
         try:
             return np.broadcast_to(np.asarray(given).astype(np.float64, casting="same_kind"), (expected,))
-        except (TypeError, ValueError):
-            raise InputError(
-                f"{place} gave no acceleration for each of {expected} scenarios, but {shown(given)}."
-            ) from None
+        except BaseException as error:
+            raise_if_request(error, heard)
+            each = "for the scenario" if expected == 1 else f"for each of {expected} scenarios"
+            instant = tell_instant(situation.time)
+            why = f"{self._name} gave no acceleration {each}{instant}, but {_told(given)}"
+            raise DriverError(PartError(why), splits=False) from error
+
+    def _possible(self, acceleration: FloatArray, rows: BoolArray, time: float) -> FloatArray:
+        """What of an acceleration the vehicle can do."""
+        own = self._world.entities[self.entity]
+        most, least = own.max_acceleration, -own.max_deceleration
+        for limit, beyond in (("acceleration", acceleration - most), ("deceleration", least - acceleration)):
+            worst = float(beyond[rows].max(initial=0.0))
+            if limit not in self.exceeded and worst > _ROUNDING:
+                asked = worst + (own.max_acceleration if limit == "acceleration" else own.max_deceleration)
+                self._note(limit, f"first {asked:.6g} m/s²{tell_instant(time)}")
+        return np.clip(acceleration, least, most)
+
+    def _note(self, limit: str, asked: str) -> None:
+        own = self._world.entities[self.entity]
+        bound = own.max_acceleration if limit == "acceleration" else own.max_deceleration
+        self.exceeded[limit] = (
+            f"{self._name} asks for more {limit} than the {bound:.6g} m/s² of <Performance>, and gets that; {asked}"
+        )
 
     def _situation(self, k: int, track: Track, dt: float, rows: BoolArray) -> Situation:
         world, e, others = self._world, self.entity, self._others
@@ -127,6 +211,13 @@ class Driving:
             # A trajectory that is begun again may run elsewhere.
             self._paths[k], self._begun[k] = _sampled(track), track.version
         return self._paths[k]
+
+
+def _told(given: object) -> str:
+    try:
+        return shown(given)
+    except Exception:
+        return f"a {type(given).__name__}"
 
 
 def _along_lane(line: LanePath) -> DrivenPath:

@@ -12,6 +12,7 @@ from typing import Any, Protocol
 import numpy as np
 import numpy.typing as npt
 
+from cornercase._common.errors import SimulationError
 from cornercase._common.typing import BoolArray, FloatArray, IntArray
 from cornercase.roads import RoadNetwork
 from cornercase.simulators.builtin.tracks.lane import LaneTrack
@@ -193,7 +194,7 @@ class World:
         All routes that were assigned, each as (road, lane, s) of what it passes.
     lane_tracks : dict
         Tracks along lanes, by where they begin, so that the same lane is the same object.
-    errors : dict of int to str
+    errors : dict of int to SimulationError
         Why scenarios failed.
     """
 
@@ -271,7 +272,7 @@ class World:
         self.selections: dict[str, list[int]] = {}
         self.actor: int | None = None
         self.lane_tracks: dict[tuple[object, ...], LaneTrack | None] = {}
-        self.errors: dict[int, str] = {}
+        self.errors: dict[int, SimulationError] = {}
 
     def followed(self, entity: int, where: BoolArray) -> Iterator[tuple[int, Track, IntArray]]:
         """Tracks that an entity follows in scenarios of the mask: number, track, and in which of them."""
@@ -280,10 +281,11 @@ class World:
             if rows.size:
                 yield number, track, rows
 
-    def fail(self, where: BoolArray, why: str) -> None:
+    def fail(self, where: BoolArray, why: str | SimulationError) -> None:
         """End the scenarios of a mask with an error."""
+        error = SimulationError(why) if isinstance(why, str) else why
         for i in np.flatnonzero(where & self.running):
-            self.errors[int(i)] = why
+            self.errors[int(i)] = error
         self.running &= ~where
 
     def set_speed(self, entity: int, where: BoolArray, speed: FloatArray) -> None:
