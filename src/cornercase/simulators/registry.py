@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import Final
 
 from cornercase._common.errors import InputError
+from cornercase._common.parts import guarded
 from cornercase._common.registry import Registry
 from cornercase.simulators.base import Availability, Simulator
 
@@ -32,7 +33,9 @@ def availabilities() -> dict[str, Availability]:
     found = {}
     for name in SIMULATORS.names():
         try:
-            found[name] = SIMULATORS.class_of(name).availability()
+            declared = SIMULATORS.class_of(name)
+            with guarded(f"The simulator '{name}'", declared, "in availability"):
+                found[name] = declared.availability()
         except InputError as error:
             found[name] = Availability(missing=str(error))
     return found
