@@ -24,7 +24,7 @@ ROOMS = (
 )  # fmt: skip
 
 # Of the package itself.
-_WITHOUT_ROOM = ("InputError", "NoticeWarning", "SimulationError")
+_WITHOUT_ROOM = ("InputError", "NoticeWarning", "SimulationError", "SimulatorError")
 
 _INTRODUCTION = """\
 Each command is a function of the same name. What third parties build on are the base classes and the registries; the

@@ -19,7 +19,7 @@ TYPES = (
     "SimulatedFolder", "Simulator", "Study", "SuiteResult", "Summary",
 )  # fmt: skip
 REGISTRIES = ("DRIVERS", "METRICS", "OPTIMIZERS", "SIMULATORS")
-ERRORS = ("InputError", "NoticeWarning", "SimulationError")
+ERRORS = ("InputError", "NoticeWarning", "SimulationError", "SimulatorError")
 
 
 def names() -> list[str]:

@@ -1,6 +1,7 @@
 from ._common.errors import InputError as InputError
 from ._common.errors import NoticeWarning as NoticeWarning
 from ._common.errors import SimulationError as SimulationError
+from ._common.errors import SimulatorError as SimulatorError
 from ._common.version import __version__ as __version__
 from .clustering import Analysis as Analysis
 from .clustering import ScenarioClustering as ScenarioClustering

@@ -6,6 +6,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
+from typing import Final
 
 from cornercase._common.arguments import flag, path, texts
 from cornercase._common.errors import InputError
@@ -16,6 +17,11 @@ from cornercase.scenario.parameter import Value
 from cornercase.scenario.space import ParameterSpace
 from cornercase.scenario.varied_roads import with_roads
 from cornercase.scenario.xml import XmlFiles
+
+_ENOUGH: Final = (
+    "; for a simulator of your own, a file is enough that declares parameters and entities"
+    " (docs/howto/own-simulator.md)"
+)
 
 
 @dataclass(frozen=True)
@@ -151,7 +157,10 @@ class LogicalScenario:
         varied = None if space is None else ParameterSpace.from_file(path("space", space), files)
         if scenario is None:
             if space is None:
-                raise InputError("There is no scenario; name an OpenSCENARIO file, or a `space` file that names one.")
+                more = _ENOUGH if ranges else ""
+                raise InputError(
+                    f"There is no scenario; name an OpenSCENARIO file, or a `space` file that names one{more}."
+                )
             scenario = ParameterSpace.scenario_file(space, files)
         if ranges:
             varied = varied.with_ranges(ranges) if varied is not None else ParameterSpace.from_ranges(ranges)

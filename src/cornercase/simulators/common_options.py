@@ -12,7 +12,7 @@ from cornercase._common.registry import declared_options
 from cornercase.simulators.base import Simulator
 
 # What is said of a run unless somebody wants it otherwise; a simulator that knows nothing of it need not be told.
-_USUAL: Final[dict[str, Any]] = {"time_step": 0.05, "duration": 60.0, "on_collision": "continue", "drivers": {}}
+_USUAL: Final[dict[str, Any]] = {"drivers": {}, "on_collision": "continue", "time_step": 0.05, "duration": 60.0}
 
 
 def take_options(name: str, simulator: type[Simulator], options: Mapping[str, Any]) -> dict[str, Any]:

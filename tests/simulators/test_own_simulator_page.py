@@ -1,0 +1,115 @@
+"""What docs/howto/own-simulator.md says of simulators of one's own, by its own example."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+import cornercase as cc
+from command_line import cornercase
+from conftest import EXAMPLES
+from cornercase import InputError, SimulationError, SimulatorError
+from cornercase.scenario import ConcreteScenario
+from cornercase.simulators import SIMULATORS, WorkerSimulator, checked_settings
+from cornercase.study import Study
+from test_documentation import ROOT, blocks_of
+
+PAGE = ROOT / "docs" / "howto" / "own-simulator.md"
+
+
+@pytest.fixture(scope="module")
+def code() -> list[str]:
+    return [block.text for block in blocks_of(PAGE) if block.language == "python"]
+
+
+@pytest.fixture
+def names(code, tmp_path, monkeypatch) -> dict[str, Any]:
+    """What the page's code makes, in a folder where the first demonstration lies."""
+    monkeypatch.setattr(SIMULATORS, "_factories", dict(SIMULATORS._factories))
+    (tmp_path / "x").mkdir()
+    (tmp_path / "x" / "scenario").symlink_to(EXAMPLES / "x_intersection")
+    monkeypatch.chdir(tmp_path)
+    found: dict[str, Any] = {"__name__": "page"}
+    for text in code:
+        exec(compile(text, str(PAGE), "exec"), found)
+    return found
+
+
+def test_42_11_the_page_runs_and_its_example_is_right(names):
+    with Study.open("braking.db") as study:
+        assert study.meta.settings == {"time_step": 0.05, "braking": 4.0}
+        assert study.meta.repeatability["same"]
+        collided = [bool(study.recording(row.id).collisions) for row in study.done()]
+        gaps = study.scores("clearance")
+    # A collision is where the boxes touch, and nowhere else.
+    assert 0 < sum(collided) < len(collided)
+    assert all(hit == (gap <= 0.0) for hit, gap in zip(collided, gaps.tolist(), strict=True))
+
+
+def test_42_11_a_file_that_declares_parameters_and_entities_is_enough(names, tmp_path):
+    steps = (
+        ("analyze", "line.db"), ("reduce", "line.db", "-o", "set"), ("report", "line.db", "-o", "line.html"),
+        ("show", "line.db"),
+    )  # fmt: skip
+    for step in steps:
+        done = cornercase("-q", *step, cwd=tmp_path)
+        assert done.returncode == 0, done.stderr
+    assert list((tmp_path / "set").glob("braking-*.xosc"))
+    with Study.open("line.db") as study:
+        # Beyond what can brake within 10 s scenarios fail, and the search goes on.
+        assert len(study.rows()) == 40
+    concrete = ConcreteScenario(Path("braking.xosc"), {"ego_start": 1000.0})
+    (outcome,) = SIMULATORS.create("braking").run([concrete])
+    assert isinstance(outcome, SimulationError)
+    refused = cornercase("explore", "braking.xosc", "--range", "ego_strt=0:9", "--ego", "Ego", "--other", "Pedestrian",
+                         "--metric", "clearance", "--simulator", "braking", "-o", "z.db", cwd=tmp_path)  # fmt: skip
+    assert "did you mean 'ego_start'?" in refused.stderr
+    builtin = cornercase("explore", "braking.xosc", "--range", "ego_start=0:9", "--ego", "Ego", "--other",
+                         "Pedestrian", "--metric", "clearance", "-o", "z.db", cwd=tmp_path)  # fmt: skip
+    assert (builtin.returncode, "is not a vehicle, pedestrian or misc object" in builtin.stderr) == (2, True)
+
+
+def test_42_11_ranges_alone_are_told_what_they_need(tmp_path):
+    refused = cornercase("explore", "--range", "v=5:20", "--ego", "Ego", "--other", "B", "--metric", "distance",
+                         "-o", "z.db", cwd=tmp_path)  # fmt: skip
+    assert refused.returncode == 2
+    assert "a file is enough that declares parameters and entities (docs/howto/own-simulator.md)." in refused.stderr
+    with pytest.raises(InputError, match=r"or a `space` file that names one\.$"):
+        cc.LogicalScenario.read(None)
+
+
+def test_42_11_what_the_page_says_of_options_holds(names):
+    assert list(checked_settings(0.05, 60.0, "continue", None)) == ["time_step", "duration", "on_collision", "drivers"]
+    with pytest.raises(InputError, match="takes no drivers"):
+        cc.simulate("braking.xosc", {"ego_start": 3.0}, simulator="braking", drivers={"Ego": "normal"})
+    with pytest.warns(UserWarning, match=r"without effect: duration 20\.0 s"):
+        cc.simulate("braking.xosc", {"ego_start": 3.0}, simulator="braking", duration=20.0)
+
+
+def test_42_11_a_failure_of_the_program_is_tried_again_and_one_of_the_scenario_is_not(tmp_path):
+    from fake_simulators import Plan
+
+    (tmp_path / "plan").mkdir()
+    plan = Plan(tmp_path / "plan", {1: ["lose", "well"], 2: ["fail", "well"]})
+    scenario = EXAMPLES / "x_intersection" / "x_intersection.xosc"
+    concretes = [ConcreteScenario(scenario, {"k": k}) for k in (1, 2)]
+    with WorkerSimulator("failing", {"plan": plan}) as simulator:
+        first, second = simulator.run(concretes)
+    assert not isinstance(first, SimulationError)
+    assert isinstance(second, SimulationError)
+    assert issubclass(SimulatorError, SimulationError)
+
+
+@pytest.mark.slow
+def test_42_11_a_script_with_workers_keeps_its_call_to_itself(code, tmp_path):
+    (tmp_path / "x").mkdir()
+    (tmp_path / "x" / "scenario").symlink_to(EXAMPLES / "x_intersection")
+    call = "\n".join(f"    {line}" for line in code[1].replace("budget=40", "budget=4, workers=2").splitlines())
+    (tmp_path / "mine.py").write_text(f'{code[0]}\n\nif __name__ == "__main__":\n{call}\n')
+    done = subprocess.run([sys.executable, "mine.py"], cwd=tmp_path, capture_output=True, text=True, timeout=300)
+    assert done.returncode == 0, done.stderr
+    assert done.stdout.count("ExplorationResult") == 1
