@@ -7,7 +7,8 @@ import pytest
 from lxml import etree
 from scipy.integrate import quad
 
-from conftest import EXAMPLES, ROAD, at_night
+import road_networks as rn
+from conftest import EXAMPLES, ROAD, at_night, private, run, scenario_file, speed_action, teleport
 from cornercase._common.errors import InputError
 from cornercase.roads import RoadNetwork
 from cornercase.roads.lane_graph import Stretch
@@ -179,3 +180,59 @@ def test_a_ring_of_roads_ends(tmp_path):
     endless = network.path_of_lane(0, -1, 0.0, True)
     assert endless is not None
     assert endless.distance[-1] < 12_000
+
+
+def _parametric(text: str, length: float, top: float) -> Geometry:
+    return Geometry(0, 0, 0, 0, length, "paramPoly3", (top, *map(float, text.split())))
+
+
+CURVES = ("0 10 0 0  0 0 5 -3", "0 1 0.4 -0.2  0 0.1 -2 1.7", "0 200 50 -30  0 10 -80 40", "0 3 20 -9  0 0 2 1")
+
+
+@pytest.mark.parametrize("top", [1.0, 7.0])
+@pytest.mark.parametrize("text", CURVES)
+def test_43_3_a_parametric_cubic_is_followed_by_its_length(text, top):
+    u, v = (np.array(text.split()[k : k + 4], dtype=float) / top ** np.arange(4) for k in (0, 4))
+
+    def speed(p):
+        return float(np.hypot(*(np.polyval(np.polyder(one[::-1]), p) for one in (u, v))))
+
+    length = quad(speed, 0.0, top, epsabs=1e-12, limit=200)[0]
+    cubic = Geometry(0, 0, 0, 0, length, "paramPoly3", (top, *u, *v))
+    along = np.linspace(0.0, length, 41)
+    for s, p in zip(along, cubic.parameter(along), strict=True):
+        assert quad(speed, 0.0, p, epsabs=1e-12, limit=200)[0] == pytest.approx(s, abs=1e-5 * length)
+    x, y, _ = cubic.at(along)
+    assert (x[-1], y[-1]) == pytest.approx((np.polyval(u[::-1], top), np.polyval(v[::-1], top)))
+    fine = np.linspace(0.0, length, 20_001)
+    turned = np.gradient(np.unwrap(cubic.at(fine)[2]), fine)
+    np.testing.assert_allclose(cubic.bend(fine[5:-5]), turned[5:-5], atol=2e-2 * np.abs(turned).max())
+    # Beyond its ends it goes on at the same rate.
+    for at in (-1e-3, length):
+        x, y, _ = cubic.at(np.array([at, at + 1e-3]))
+        assert np.hypot(np.diff(x), np.diff(y))[0] == pytest.approx(1e-3, rel=1e-2)
+
+
+def test_43_3_a_parametric_cubic_of_another_length_ends_where_the_file_says():
+    stretched = _parametric(CURVES[0], 12.0, 1.0)
+    x, y, _ = stretched.at(np.array([0.0, 12.0]))
+    assert (x.tolist(), y.tolist()) == ([0.0, pytest.approx(10.0)], [0.0, pytest.approx(2.0)])
+    x, y, _ = stretched.at(np.linspace(0.0, 12.0, 101))
+    steps = np.hypot(np.diff(x), np.diff(y))
+    np.testing.assert_allclose(steps, steps[0], rtol=1e-3)
+
+
+def test_43_3_a_car_keeps_its_speed_on_a_parametric_cubic(tmp_path):
+    # Its parameter runs 1.9 times as fast at the begin as at the end.
+    shape = '<paramPoly3 pRange="normalized" aU="0" bU="131" cU="-46" dU="0" aV="0" bV="0" cV="0" dV="38"/>'
+    cubic = _parametric("0 131 -46 0  0 0 0 38", 100.0, 1.0)
+    u = np.linspace(0.0, 1.0, 200_001)
+    length = float(np.hypot(np.diff(131 * u - 46 * u**2), np.diff(38 * u**3)).sum())
+    assert cubic.kind == "paramPoly3"
+    path = scenario_file(tmp_path, init=private("Ego", teleport("0"), speed_action("20")))
+    rn.write(tmp_path, rn.road("1", round(length, 9), shape=shape))
+    recording = run(path, duration=4.0)
+    speed = np.hypot(np.diff(recording.x[0]), np.diff(recording.y[0])) / np.diff(recording.time)
+    # A step is straight, and the bend at its begin counts for all of it.
+    np.testing.assert_allclose(speed, 20.0, rtol=5e-3)
+    assert speed.mean() == pytest.approx(20.0, rel=1e-3)

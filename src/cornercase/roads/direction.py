@@ -43,8 +43,12 @@ class RoadTables(NamedTuple):
     shape : ndarray of int64, shape (P,)
         What kind of piece it is.
     numbers : ndarray of float64, shape (P, 8)
-        Its curvature at the begin in 1/m and the change of it in 1/m²; or its length in m, the largest value of its
-        parameter, and the coefficients of the derivatives of two polynomials, the highest first.
+        Its curvature at the begin in 1/m and the change of it in 1/m²; or its length in m, how many steps of its
+        parameter are tabulated, and the coefficients of the derivatives of two polynomials, the highest first.
+    parameters : ndarray of int64, shape (P,)
+        Where the parameter of each piece begins in the next two, of length Q.
+    parameter, rate : ndarray of float64, shape (Q,)
+        Parameter at equal distances from the begin of a piece to its end, and its change by m.
     edges : RoadEdges
         How far they reach to both sides.
     """
@@ -61,6 +65,9 @@ class RoadTables(NamedTuple):
     sin: FloatArray
     shape: IntArray
     numbers: FloatArray
+    parameters: IntArray
+    parameter: FloatArray
+    rate: FloatArray
     edges: RoadEdges
 
 
@@ -80,6 +87,8 @@ def road_tables(roads: Sequence[Road]) -> RoadTables:
     for k, piece in enumerate(pieces):
         found = _numbers(piece)
         numbers[k, : len(found)] = found
+    curves = [piece.table if piece.kind == "paramPoly3" else (np.zeros(0), np.zeros(0)) for piece in pieces]
+    parameter, rate = (np.concatenate([np.zeros(0), *(curve[k] for curve in curves)]) for k in range(2))
     cos, sin = _components(np.array([one.heading for one in pieces]))
     s, x, y, heading = np.array([(one.s, one.x, one.y, one.heading) for one in pieces]).reshape(-1, 4).T.copy()
     return RoadTables(
@@ -95,6 +104,9 @@ def road_tables(roads: Sequence[Road]) -> RoadTables:
         sin,
         np.array([_CURVE if piece.kind == "paramPoly3" else _TURNS for piece in pieces], dtype=np.int64),
         numbers,
+        np.cumsum([0, *(len(value) for value, _ in curves)], dtype=np.int64)[:-1],
+        parameter,
+        rate,
         road_edges(roads),
     )
 
@@ -114,8 +126,8 @@ def _numbers(piece: Geometry) -> tuple[float, ...]:
         bent = turns_evenly(start, end, piece.length)
         return (0.5 * (start + end), 0.0) if bent else (start, (end - start) / piece.length)
     if piece.kind == "paramPoly3":
-        top, _, u1, u2, u3, _, v1, v2, v3 = piece.numbers
-        return piece.length, top, 3 * u3, 2 * u2, u1, 3 * v3, 2 * v2, v1
+        _, _, u1, u2, u3, _, v1, v2, v3 = piece.numbers
+        return piece.length, len(piece.table[0]) - 1, 3 * u3, 2 * u2, u1, 3 * v3, 2 * v2, v1
     return ()
 
 
@@ -149,7 +161,7 @@ def road_heading(roads, road, s):
     along, numbers = s - roads.s[piece], roads.numbers[piece]
     if roads.shape[piece] == _TURNS:
         return roads.heading[piece] + (numbers[0] * along + 0.5 * numbers[1] * (along * along))
-    p = along / numbers[0] * numbers[1]
+    p = _parameter(roads, piece, along)
     du, dv = (numbers[2] * p + numbers[3]) * p + numbers[4], (numbers[5] * p + numbers[6]) * p + numbers[7]
     return roads.heading[piece] + math.atan2(dv, du)
 
@@ -223,6 +235,21 @@ def _plain_place(roads, piece, s):
     heading = roads.heading[piece] + turn
     x, y = roads.x[piece] + cos * u - sin * v, roads.y[piece] + sin * u + cos * v
     return x, y, math.cos(heading), math.sin(heading)
+
+
+@kernel(error_model="numpy", forceinline=True, _nrt=False)
+def _parameter(roads, piece, along):
+    """`Geometry.parameter` of a piece that is a curve of its parameter."""
+    length, steps, first = roads.numbers[piece, 0], roads.numbers[piece, 1], roads.parameters[piece]
+    step, inside = length / steps, min(max(along, 0.0), length)
+    k = min(max(int(inside / step), 0), int(steps) - 1)
+    low, high = roads.parameter[first + k], roads.parameter[first + k + 1]
+    before, after = roads.rate[first + k], roads.rate[first + k + 1]
+    x, rise = inside / step - k, high - low
+    begin, end = step * before - rise, rise - step * after
+    # Beyond its ends it goes on as it does there.
+    beyond = (along - inside) * (before if along < 0.0 else after)
+    return (1.0 - x) * low + x * high + x * (1.0 - x) * ((1.0 - x) * begin + x * end) + beyond
 
 
 @kernel(error_model="numpy", forceinline=True, _nrt=False)

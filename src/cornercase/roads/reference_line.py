@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Final
 
 import numpy as np
@@ -17,6 +18,14 @@ from cornercase._common.typing import FloatArray
 _STRAIGHT: Final = 1e-7
 # m; over so much of a polynomial to both sides its curvature is measured.
 _AROUND: Final = 0.01
+# A curve of a parameter has a table of it, each so many m or finer, with at least and at most so many steps.
+_TABULATED: Final = 0.25
+_STEPS: Final = (64, 8192)
+# Each step is that of so many intervals over which the length is integrated, with so many nodes.
+_INTERVALS: Final = 2
+_NODES: Final = 5
+# A parameter that moves the place by less than this, in m, moves it not at all.
+_STILL: Final = 1e-9
 
 
 @dataclass(frozen=True)
@@ -32,6 +41,11 @@ class Geometry:
     numbers : tuple of float
         Curvature; curvatures at start and end; or polynomial coefficients, for ``paramPoly3`` after the largest
         value of its parameter.
+
+    Notes
+    -----
+    The parameter of a ``paramPoly3`` is not proportional to the distance, which is measured along the curve. Where the
+    curve is longer or shorter than `length` says, all of it is stretched or shortened to that.
     """
 
     s: float
@@ -53,6 +67,12 @@ class Geometry:
         if self.kind in ("line", "arc", "spiral"):
             first, last = (self.numbers or (0.0,))[0], (self.numbers or (0.0,))[-1]
             return first + along / self.length * (last - first)
+        if self.kind == "paramPoly3":
+            p, (_, *c) = self.parameter(along), self.numbers
+            (du, ddu), (dv, ddv) = (
+                (np.polyval(one, p), np.polyval(np.polyder(one), p)) for one in map(_derivative, (c[:4], c[4:]))
+            )
+            return np.asarray((du * ddv - dv * ddu) / np.maximum(np.hypot(du, dv), _STILL) ** 3)
         around = np.clip(np.stack([along - _AROUND, along + _AROUND]), 0.0, self.length)
         turn = np.diff([self._local(one)[2] for one in around], axis=0)[0]
         return np.asarray(within_half_turn(turn) / np.maximum(around[1] - around[0], _AROUND))
@@ -67,11 +87,52 @@ class Geometry:
             return _spiral(along, start, end, self.length)
         if self.kind == "poly3":
             return self._poly3(along)
-        top, *c = self.numbers
-        p = along / self.length * top
+        p, (_, *c) = self.parameter(along), self.numbers
         u, v = np.polyval(c[3::-1], p), np.polyval(c[:3:-1], p)
         du, dv = np.polyval(_derivative(c[:4]), p), np.polyval(_derivative(c[4:]), p)
         return u, v, np.arctan2(dv, du)
+
+    def parameter(self, along: FloatArray) -> FloatArray:
+        """Parameter of a ``paramPoly3`` at distances from its start, each (N,)."""
+        value, slope = self.table
+        step = self.length / (len(value) - 1)
+        inside = np.clip(along, 0.0, self.length)
+        k = np.clip((inside / step).astype(np.int64), 0, len(value) - 2)
+        x = inside / step - k
+        low, high, rise = value[k], value[k + 1], value[k + 1] - value[k]
+        begin, end = step * slope[k] - rise, rise - step * slope[k + 1]
+        beyond = (along - inside) * np.where(along < 0.0, slope[0], slope[-1])
+        return np.asarray((1.0 - x) * low + x * high + x * (1.0 - x) * ((1.0 - x) * begin + x * end) + beyond)
+
+    @cached_property
+    def table(self) -> tuple[FloatArray, FloatArray]:
+        """Parameter of a ``paramPoly3`` at equal distances from its start to its end, and its change by m."""
+        top, *c = self.numbers
+        du, dv = _derivative(c[:4]), _derivative(c[4:])
+        steps = int(np.clip(np.ceil(self.length / _TABULATED), *_STEPS))
+        nodes, weights = np.polynomial.legendre.leggauss(_NODES)
+        nodes, weights = 0.5 + 0.5 * nodes, 0.5 * weights
+
+        def speed(p: FloatArray) -> FloatArray:
+            return np.hypot(np.polyval(du, p), np.polyval(dv, p))
+
+        def reach(p: FloatArray, q: FloatArray) -> FloatArray:
+            return np.asarray((q - p) * (speed(p + (q - p) * nodes[:, None]) * weights[:, None]).sum(axis=0))
+
+        grid = np.linspace(0.0, top, _INTERVALS * steps + 1)
+        length = np.concatenate([[0.0], np.cumsum(reach(grid[:-1], grid[1:]))])
+        goal = np.linspace(0.0, length[-1], steps + 1)
+        value = np.interp(goal, length, grid)
+        for _ in range(3):
+            k = np.clip(np.searchsorted(grid, value, "right") - 1, 0, len(grid) - 2)
+            gone = length[k] + reach(grid[k], value)
+            value = np.clip(value + (goal - gone) / np.maximum(speed(value), _STILL), grid[k], grid[k + 1])
+        value[[0, -1]] = 0.0, top
+        rise = np.diff(value) * steps / self.length
+        slope = length[-1] / self.length / np.maximum(speed(value), _STILL)
+        # Where the curve has a cusp it is not smooth, and must not swing over.
+        most = 3.0 * np.minimum(np.append(rise, rise[-1]), np.append(rise[0], rise))
+        return value, np.minimum(slope, most)
 
     def _poly3(self, along: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
         # u runs along the chord and s along the curve; a fine table turns one into the other.
@@ -89,10 +150,10 @@ def read_geometry(element: etree._Element, where: str) -> Geometry:
     Raises
     ------
     InputError
-        It is malformed, or of length zero or less.
+        It is malformed, or of a length below 0.
     """
     s, x, y, heading, length = (read_number(element, name, where) for name in ("s", "x", "y", "hdg", "length"))
-    if length <= 0:
+    if length < 0:
         raise InputError(f"{where}: a <geometry> has the length {length:g} m; it must be above 0.")
     shape = next(iter(element.iterchildren("line", "arc", "spiral", "poly3", "paramPoly3")), None)
     if shape is None:
