@@ -145,7 +145,8 @@ def test_a_network_of_thousands_of_kilometres_is_sampled_more_coarsely_and_found
     path = wide.path_of_lane(3, -1, 50_000.0, True)
     assert path is not None
     assert len(path.x) < 1e6
-    assert (path.s[path.first], path.s[path.last]) == (pytest.approx(50_000.0, abs=0.2), pytest.approx(60_000, abs=0.2))
+    assert path.lane_s == (50_000.0, 60_000.0)
+    assert path.lane_span == (10_000.0, 20_000.0)
 
 
 def test_a_section_for_one_side_leaves_the_other_as_it_was(tmp_path):

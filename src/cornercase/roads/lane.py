@@ -189,7 +189,8 @@ def read_polynomials(elements: Iterable[etree._Element], name: str, where: str) 
     for e in elements:
         start, a, b, c, d = (read_number(e, key, where) for key in (name, "a", "b", "c", "d"))
         found.append((start, a, b, c, d))
-    return tuple(sorted(found))
+    # Of several that begin at one place the last in the file holds.
+    return tuple(sorted(found, key=lambda one: one[0]))
 
 
 def evaluate_polynomials(polynomials: tuple[Polynomial, ...], s: FloatArray) -> FloatArray:

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from functools import cached_property
 from typing import Final, NamedTuple
 
 import numpy as np
 
 from cornercase._common.geometry import within_half_turn
-from cornercase.roads.lane_path import STEP, LanePath
+from cornercase.roads.lane_path import SHORTEST, STEP, LanePath
 from cornercase.roads.road import Link, Road
 from cornercase.roads.road_graph import GAP, Connection, RoadGraph
 
@@ -134,16 +135,21 @@ class LaneGraph:
         start, end = self.span(here)
         s = np.linspace(start, end, max(2, int(np.ceil((end - start) / STEP)) + 1))
         center = one.center(here.section, here.lane, s)
-        x, y, _ = one.at(s, center)
+        x, y, heading = one.at(s, center)
+        if max(np.ptp(x), np.ptp(y)) <= SHORTEST:
+            # Rounding would decide where it leads.
+            s, center, aside = np.array([start, end]), center[[0, -1]], np.array([-0.5, 0.5]) * SHORTEST
+            x, y = x[0] + aside * np.cos(heading[0]), y[0] + aside * np.sin(heading[0])
         at, bend = one.bends(start, end, STEP)
         order, left = (slice(None), 1.0) if here.along else (slice(None, None, -1), -1.0)
-        begin = start if here.along else end
+        begin, until = (start, end) if here.along else (end, start)
         n = len(s)
-        return LanePath.of_points(
+        path = LanePath.of_points(
             x[order], y[order], s[order], np.full(n, here.road), np.full(n, here.lane), np.full(n, here.along),
             np.full(n, passed), np.abs(s - begin)[order], left * center[order],
             np.abs(at - begin)[order], left * bend[order],
         )  # fmt: skip
+        return replace(path, lane_s=(begin, until), lane_span=(0.0, float(path.distance[-1])))
 
     def exits(self, here: Stretch) -> list[Stretch]:
         """Stretches that follow one in the direction of travel; none where its lane ends."""

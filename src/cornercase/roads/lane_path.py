@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import MISSING, dataclass, fields, replace
 from functools import cached_property
 from typing import Any, Final
 
@@ -14,6 +14,8 @@ from cornercase._common.addresses import address_of
 from cornercase._common.typing import BoolArray, FloatArray, IntArray
 
 STEP: Final = 0.1
+SHORTEST: Final = 1e-5
+"""m; a lane that is not longer than rounding is drawn so long. A path leaves it out where anything else is."""
 # A path that would need more samples has them further apart.
 _MOST_SAMPLES: Final = 1_000_000
 KINK: Final = 0.1
@@ -47,8 +49,10 @@ class LanePath:
     bend_at, bend : ndarray of float64, shape (K,)
         Ways along the reference lines in m, and their curvature there in 1/m, positive to the left: linear in between,
         and with a jump where a way comes twice.
-    first, last : int
-        Samples between which the lane lies that the path was asked for.
+    lane_s, lane_span : tuple of (float, float)
+        Coordinates s, and distances along the path, at which the lane that it was asked for begins and ends, in m.
+    lane_way : float
+        Way along the reference lines to where that lane begins, in m.
     ends, begins : bool
         Whether nothing follows after its end, and nothing lies before its begin; else it is cut there.
     """
@@ -67,15 +71,16 @@ class LanePath:
     center: FloatArray
     bend_at: FloatArray
     bend: FloatArray
-    first: int = 0
-    last: int = -1
+    lane_s: tuple[float, float] = (0.0, 0.0)
+    lane_span: tuple[float, float] = (0.0, 0.0)
+    lane_way: float = 0.0
     ends: bool = True
     begins: bool = True
 
     @cached_property
     def columns(self) -> tuple[npt.NDArray[Any], ...]:
         """Its arrays, each of shape (P,) or (K,), in the order of its attributes, as kernels take them."""
-        names = [field.name for field in fields(self)][: -len(("first", "last", "ends", "begins"))]
+        names = [field.name for field in fields(self) if field.default is MISSING]
         return tuple(np.ascontiguousarray(getattr(self, name)) for name in names)
 
     @cached_property
@@ -190,6 +195,24 @@ class LanePath:
         beyond = np.interp(distance, self.distance, self.reference) - self.reference[sample]
         return np.asarray(self.s[sample] + np.where(self.along[sample], beyond, -beyond))
 
+    def distance_at(self, s: FloatArray) -> FloatArray:
+        """Find places on the lane that the path was asked for.
+
+        Parameters
+        ----------
+        s : ndarray of float64, shape (N,)
+            Coordinates on its road, in m; what lies beyond the lane is put at its ends.
+
+        Returns
+        -------
+        ndarray of float64, shape (N,)
+            m along the path.
+        """
+        low, high = sorted(self.lane_s)
+        way = self.lane_way + np.abs(np.clip(s, low, high) - self.lane_s[0])
+        # Where lanes do not quite meet, no way along the reference lines leads from one to the other.
+        return np.clip(np.interp(way, self.reference, self.distance), *self.lane_span)
+
     def ahead(self, distance: FloatArray, way: FloatArray) -> FloatArray:
         """Find places that lie further along the reference lines.
 
@@ -253,23 +276,19 @@ def _beside_chord(curvature: FloatArray, part: FloatArray, gap: FloatArray | flo
 def join(pieces: Sequence[LanePath], asked: int = 0) -> LanePath:
     """Path along several pieces, each of which starts where the one before ends; `asked` is the piece asked for."""
     before = np.cumsum([0.0, *(piece.reference[-1] for piece in pieces[:-1])])
+    own = pieces[asked]
     pieces = [
         replace(piece, reference=way + piece.reference, bend_at=way + piece.bend_at)
         for way, piece in zip(before, pieces, strict=True)
     ]
+    # What is only drawn longer than it is has no direction of its own.
+    kept = [k for k, piece in enumerate(pieces) if piece.distance[-1] > 2.0 * SHORTEST] or [asked]
     names = ("x", "y", "s", "road", "lane", "along", "passed", "reference", "center", "bend_at", "bend")
-    arrays = [np.concatenate([getattr(p, name) for p in pieces]) for name in names]
-    path = LanePath.of_points(*arrays)
+    arrays = [np.concatenate([getattr(pieces[k], name) for k in kept]) for name in names]
     # Where pieces do not quite meet, the way between them counts too.
     travelled = np.concatenate([[0.0], np.cumsum(np.hypot(np.diff(arrays[0]), np.diff(arrays[1])))])
-    begins = sum(len(piece.x) for piece in pieces[:asked])
-    span = travelled[begins], travelled[begins + len(pieces[asked].x) - 1]
-    first = int(np.searchsorted(path.distance, span[0] - 1e-9))
-    last = int(np.searchsorted(path.distance, span[1] + 1e-9)) - 1
-    # The sample where two pieces meet is of the one before.
-    mine = (path.road == pieces[asked].road[0]) & (path.lane == pieces[asked].lane[0])
-    inside = first + np.flatnonzero(mine[first : last + 1])
-    # On a ring the one before may have the same road and lane.
-    onward = np.diff(path.s[inside]) * (1.0 if pieces[asked].along[0] else -1.0) > 0.0
-    inside = inside[np.concatenate([onward[:1], onward[:-1] | onward[1:], onward[-1:]])] if inside.size > 2 else inside
-    return replace(path, first=int(inside[0]), last=int(inside[-1])) if inside.size else replace(path, first=first)
+    begin = sum(len(pieces[k].x) for k in kept if k < asked)
+    end = begin + len(own.x) - 1 if asked in kept else begin
+    span = travelled[np.minimum([begin, end], len(travelled) - 1)].tolist()
+    path = LanePath.of_points(*arrays)
+    return replace(path, lane_s=own.lane_s, lane_span=(span[0], span[1]), lane_way=float(before[asked]))

@@ -24,6 +24,8 @@ from cornercase.roads.reference_line import Geometry, read_geometry, read_number
 
 _SHORTEST_ROAD: Final = 1e-9
 _LONGEST_ROAD: Final = 1e5
+# m; what is no longer is there because coordinates were rounded.
+_ROUNDING: Final = 1e-6
 # A lane runs at most so steeply across its road, as a slope.
 _STEEPEST: Final = 10.0
 
@@ -217,6 +219,10 @@ def read_road(element: etree._Element, where: str, cuts: Iterable[float] = ()) -
     )
     if not geometries:
         raise InputError(f"{where}: has no <geometry> in its <planView>.")
+    # One that is no longer than rounding has no shape that could go on: those beside it do.
+    geometries = tuple(one for one in geometries if one.length > _ROUNDING) or geometries[-1:]
+    if geometries[-1].length <= 0.0:
+        raise InputError(f"{where}: a <geometry> has the length 0 m; it must be above 0.")
     sections = element.findall("lanes/laneSection")
     if not sections:
         raise InputError(f"{where}: has no <laneSection>.")

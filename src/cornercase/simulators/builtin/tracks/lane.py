@@ -35,7 +35,7 @@ class LaneTrack(Track):
     def __init__(self, path: LanePath) -> None:
         self.path = path
         self.length = float(path.distance[-1])
-        begin, end = float(path.distance[path.first]), float(path.distance[path.last])
+        begin, end = path.lane_span
         # Where the path is cut at an end, it is left between its own lane and that end.
         self.span = (
             -np.inf if path.begins else min(_BACK, 0.5 * begin),
@@ -53,9 +53,7 @@ class LaneTrack(Track):
 
     def distance_of(self, s: FloatArray) -> FloatArray:
         """Distance along the track of coordinates s on the road that it was made for."""
-        part = slice(self.path.first, self.path.last + 1)
-        at, distance = self.path.s[part], self.path.distance[part]
-        return np.interp(s, at, distance) if at[-1] >= at[0] else np.interp(-s, -at, distance)
+        return self.path.distance_at(s)
 
     def at(self, distance: FloatArray, offset: FloatArray, rows: IntArray) -> tuple[FloatArray, FloatArray, FloatArray]:
         x, y, heading, _ = self.path.at(distance, offset)
