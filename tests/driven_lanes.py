@@ -119,9 +119,16 @@ def _smooth(road: Road, section: int, lane: int, s: Floats) -> Truths:
 
 def _ripple(road: Road, section: int, lane: int, s: Floats) -> Floats:
     """How much the way along the lane changes by that along the reference line from one sample to the next."""
-    change = 0.5 * np.abs(road.bend(s + STEP) - road.bend(s - STEP))
-    center = road.center(section, lane, s)
-    return np.asarray(change * np.abs(center) / np.maximum(1.0 - road.bend(s) * center, _NARROW) ** 2)
+    before, after = (
+        np.hypot(1.0 - road.bend(at) * road.center(section, lane, at), _slope(road, section, lane, at))
+        for at in (s - STEP, s + STEP)
+    )
+    return np.asarray(0.5 * np.abs(after - before) / np.minimum(np.minimum(before, after), 1.0))
+
+
+def _slope(road: Road, section: int, lane: int, s: Floats) -> Floats:
+    inner, outer = road.edges(section, lane, s, rate=True)
+    return 0.5 * (inner + outer)
 
 
 def _length(road: Road, section: int, lane: int) -> float:

@@ -207,10 +207,11 @@ def test_43_3_a_parametric_cubic_is_followed_by_its_length(text, top):
     fine = np.linspace(0.0, length, 20_001)
     turned = np.gradient(np.unwrap(cubic.at(fine)[2]), fine)
     np.testing.assert_allclose(cubic.bend(fine[5:-5]), turned[5:-5], atol=2e-2 * np.abs(turned).max())
-    # Beyond its ends it goes on at the same rate.
-    for at in (-1e-3, length):
-        x, y, _ = cubic.at(np.array([at, at + 1e-3]))
-        assert np.hypot(np.diff(x), np.diff(y))[0] == pytest.approx(1e-3, rel=1e-2)
+    # Beyond its ends it goes straight on, as fast.
+    x, y, heading = cubic.at(np.array([-7.0, 0.0, length, length + 9.0]))
+    assert np.hypot(np.diff(x), np.diff(y))[[0, 2]] == pytest.approx([7.0, 9.0])
+    assert np.arctan2(np.diff(y), np.diff(x))[[0, 2]] == pytest.approx(heading[[0, 3]])
+    assert cubic.bend(np.array([-1.0, length + 1.0])).tolist() == [0.0, 0.0]
 
 
 def test_43_3_a_parametric_cubic_of_another_length_ends_where_the_file_says():

@@ -241,15 +241,13 @@ def _plain_place(roads, piece, s):
 def _parameter(roads, piece, along):
     """`Geometry.parameter` of a piece that is a curve of its parameter."""
     length, steps, first = roads.numbers[piece, 0], roads.numbers[piece, 1], roads.parameters[piece]
-    step, inside = length / steps, min(max(along, 0.0), length)
-    k = min(max(int(inside / step), 0), int(steps) - 1)
+    place = min(max(along, 0.0), length) / (length / steps)
+    k = min(int(place), int(steps) - 1)
     low, high = roads.parameter[first + k], roads.parameter[first + k + 1]
     before, after = roads.rate[first + k], roads.rate[first + k + 1]
-    x, rise = inside / step - k, high - low
-    begin, end = step * before - rise, rise - step * after
-    # Beyond its ends it goes on as it does there.
-    beyond = (along - inside) * (before if along < 0.0 else after)
-    return (1.0 - x) * low + x * high + x * (1.0 - x) * ((1.0 - x) * begin + x * end) + beyond
+    x, rise = place - k, high - low
+    begin, end = length / steps * before - rise, rise - length / steps * after
+    return (1.0 - x) * low + x * high + x * (1.0 - x) * ((1.0 - x) * begin + x * end)
 
 
 @kernel(error_model="numpy", forceinline=True, _nrt=False)

@@ -69,7 +69,7 @@ def _contradictions(elements: dict[str, etree._Element], file: Path, network: Ro
     return [
         _notice(
             "length of roads that have less geometry",
-            "their first and last <geometry> go on in their shape",
+            "their first and last <geometry> go on in their shape, a <paramPoly3> straight on",
             file,
             short,
         ),

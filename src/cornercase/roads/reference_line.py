@@ -45,7 +45,7 @@ class Geometry:
     Notes
     -----
     The parameter of a ``paramPoly3`` is not proportional to the distance, which is measured along the curve. Where the
-    curve is longer or shorter than `length` says, all of it is stretched or shortened to that.
+    curve is longer or shorter than `length` says, all of it is stretched or shortened to that. Beyond its ends it goes straight on.
     """
 
     s: float
@@ -72,7 +72,8 @@ class Geometry:
             (du, ddu), (dv, ddv) = (
                 (np.polyval(one, p), np.polyval(np.polyder(one), p)) for one in map(_derivative, (c[:4], c[4:]))
             )
-            return np.asarray((du * ddv - dv * ddu) / np.maximum(np.hypot(du, dv), _STILL) ** 3)
+            bend = (du * ddv - dv * ddu) / np.maximum(np.hypot(du, dv), _STILL) ** 3
+            return np.where((along < 0.0) | (along > self.length), 0.0, bend)
         around = np.clip(np.stack([along - _AROUND, along + _AROUND]), 0.0, self.length)
         turn = np.diff([self._local(one)[2] for one in around], axis=0)[0]
         return np.asarray(within_half_turn(turn) / np.maximum(around[1] - around[0], _AROUND))
@@ -88,21 +89,21 @@ class Geometry:
         if self.kind == "poly3":
             return self._poly3(along)
         p, (_, *c) = self.parameter(along), self.numbers
-        u, v = np.polyval(c[3::-1], p), np.polyval(c[:3:-1], p)
         du, dv = np.polyval(_derivative(c[:4]), p), np.polyval(_derivative(c[4:]), p)
-        return u, v, np.arctan2(dv, du)
+        turn, beyond = np.arctan2(dv, du), along - np.clip(along, 0.0, self.length)
+        u, v = np.polyval(c[3::-1], p), np.polyval(c[:3:-1], p)
+        return u + beyond * np.cos(turn), v + beyond * np.sin(turn), turn
 
     def parameter(self, along: FloatArray) -> FloatArray:
-        """Parameter of a ``paramPoly3`` at distances from its start, each (N,)."""
+        """Parameter of a ``paramPoly3`` at distances from its start, each (N,); beyond its ends it stays what it is."""
         value, slope = self.table
         step = self.length / (len(value) - 1)
-        inside = np.clip(along, 0.0, self.length)
-        k = np.clip((inside / step).astype(np.int64), 0, len(value) - 2)
-        x = inside / step - k
+        place = np.clip(along, 0.0, self.length) / step
+        k = np.clip(place.astype(np.int64), 0, len(value) - 2)
+        x = place - k
         low, high, rise = value[k], value[k + 1], value[k + 1] - value[k]
         begin, end = step * slope[k] - rise, rise - step * slope[k + 1]
-        beyond = (along - inside) * np.where(along < 0.0, slope[0], slope[-1])
-        return np.asarray((1.0 - x) * low + x * high + x * (1.0 - x) * ((1.0 - x) * begin + x * end) + beyond)
+        return np.asarray((1.0 - x) * low + x * high + x * (1.0 - x) * ((1.0 - x) * begin + x * end))
 
     @cached_property
     def table(self) -> tuple[FloatArray, FloatArray]:
