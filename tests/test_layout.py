@@ -19,7 +19,7 @@ ROOT = Path(__file__).parents[1]
 PACKAGE = ROOT / "src" / "cornercase"
 ROOMS = sorted(path.name for path in PACKAGE.iterdir() if (path / "__init__.py").exists())
 
-LONGEST_MODULE, LONGEST_FUNCTION, MOST_PARAMETERS = 500, 80, 10
+LONGEST_MODULE, LONGEST_FUNCTION, MOST_PARAMETERS = 800, 80, 10
 # Functions that are longer, or have more parameters, and why.
 LARGE = {
     "cli/estimating.py estimate": "one parameter for each option of the command",
