@@ -122,7 +122,13 @@ def warn_of(notices: Iterable[Notice]) -> None:
 
 
 def warn(sentence: str) -> None:
-    """Give a sentence, without a full stop at its end, as a `NoticeWarning` of whoever called cornercase."""
+    """Give a sentence as a `NoticeWarning` of whoever called cornercase.
+
+    Parameters
+    ----------
+    sentence : str
+        Without a full stop.
+    """
     level, frame = 1, sys._getframe()
     while frame.f_back is not None and frame.f_globals.get("__name__", "").startswith("cornercase."):
         level, frame = level + 1, frame.f_back

@@ -5,8 +5,9 @@ from __future__ import annotations
 import os
 import re
 import traceback
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager, suppress
+from functools import partial
 from pathlib import Path
 from types import FrameType
 from typing import Final
@@ -55,6 +56,11 @@ def guarded(name: str, part: object, doing: str = "") -> Iterator[None]:
         raise InputError(f"{name} failed{where}: {describe_error(error)}; fix it.") from error
 
 
+def maker_of(factory: Callable[..., object]) -> Callable[..., object]:
+    """Class or function of a factory that may have some of its options already."""
+    return factory.func if isinstance(factory, partial) else factory
+
+
 def is_built_in(part: object) -> bool:
     """Whether a part, or its class, comes with cornercase."""
     return str(getattr(part, "__module__", "")).partition(".")[0] == "cornercase"
@@ -84,7 +90,7 @@ def failure_of(part: str, error: BaseException, heard: int, time: float | None =
         Somebody asked the program to end.
     """
     raise_if_request(error, heard)
-    words = f"{part} failed{tell_instant(time)}: {describe_error(error)}"
+    words = f"{part} failed{format_instant(time)}: {describe_error(error)}"
     return LostError(words) if is_of_the_machine(error) else PartError(words)
 
 
@@ -96,7 +102,7 @@ def raise_if_request(error: BaseException, heard: int) -> None:
         raise KeyboardInterrupt from error
 
 
-def tell_instant(time: float | None) -> str:
+def format_instant(time: float | None) -> str:
     """Instant of a scenario as all failures name it: ``" at t = 1.25 s"``; nothing for None."""
     return "" if time is None else f" at t = {time:.6g} s"
 

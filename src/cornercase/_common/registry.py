@@ -10,7 +10,7 @@ from typing import Any, Final, Generic, TypeVar, cast
 
 from cornercase._common.errors import InputError, suggestion
 from cornercase._common.interrupts import requests_heard
-from cornercase._common.parts import guarded, raise_if_request
+from cornercase._common.parts import guarded, maker_of, raise_if_request
 from cornercase._common.texts import in_one_line
 
 T = TypeVar("T")
@@ -104,10 +104,10 @@ class Registry(Generic[T]):
             if name != base:
                 raise InputError(f"The {self._kind} '{name}' ends in a colon; give options as in '{base}:name=value'.")
             require_options(self._kind, base, factory, options)
-            with guarded(f"The {self._kind} '{name}'", getattr(factory, "func", factory), "as it was made"):
+            with guarded(f"The {self._kind} '{name}'", maker_of(factory), "as it was made"):
                 return factory(**options)
         if any(one.kind is one.POSITIONAL_ONLY for one in signature(factory).parameters.values()):
-            with guarded(f"The {self._kind} '{name}'", getattr(factory, "func", factory), "as it was made"):
+            with guarded(f"The {self._kind} '{name}'", maker_of(factory), "as it was made"):
                 whole: Any = factory(text, **options)
             whole.name = name
             return cast(T, whole)
@@ -115,7 +115,7 @@ class Registry(Generic[T]):
         given = {*options, *(factory.keywords if isinstance(factory, partial) else ())}
         options |= read_options(self._kind, base, factory, text, given)
         require_options(self._kind, base, factory, options)
-        with guarded(f"The {self._kind} '{name}'", getattr(factory, "func", factory), "as it was made"):
+        with guarded(f"The {self._kind} '{name}'", maker_of(factory), "as it was made"):
             try:
                 made: Any = factory(**options)
             except (TypeError, AttributeError) as error:

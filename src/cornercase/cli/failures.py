@@ -64,13 +64,18 @@ def exit_code_of(command: Callable[[], Any]) -> int:
         if lost:
             tell_of_interrupt()
             return exit_code()
-        if isinstance(error, OSError) and error.errno == errno.EPIPE:
+        if _is_closed_pipe(error) or (isinstance(error, SystemExit) and _is_closed_pipe(error.__context__)):
+            # typer makes the latter of the former.
             _write_to_nobody()
             return 1
         _tell(_sentence(error))
         return 1 if isinstance(error, StudyLostError) else 2
     # Between its parts typer takes each interrupt for Ctrl-C.
     return exit_code() if code == 128 + signal.SIGINT else code if isinstance(code, int) else 0
+
+
+def _is_closed_pipe(error: BaseException | None) -> bool:
+    return isinstance(error, OSError) and error.errno == errno.EPIPE
 
 
 def _tell(sentence: str) -> None:

@@ -11,7 +11,7 @@ from typing import Any, Final
 from weakref import WeakKeyDictionary
 
 from cornercase._common.errors import InputError
-from cornercase._common.parts import is_built_in
+from cornercase._common.parts import is_built_in, maker_of
 from cornercase.drivers.base import Driver
 from cornercase.drivers.mutants import name_driver
 from cornercase.drivers.registry import DRIVERS
@@ -135,8 +135,8 @@ def given_name(driver: str | Driver) -> str | None:
         cornercase, and for an object that Python code made.
     """
     if isinstance(driver, str):
-        factory: Any = DRIVERS.factory(driver.partition(":")[0])
-        return None if is_built_in(getattr(factory, "func", factory)) else driver
+        factory = DRIVERS.factory(driver.partition(":")[0])
+        return None if is_built_in(maker_of(factory)) else driver
     noted = getattr(driver, "__dict__", {}).get(_NOTED)
     if noted is None or is_built_in(type(driver)):
         return None

@@ -54,21 +54,6 @@ class CompiledDriver(Driver):
         # The path is kept with its route: while it exists, no other object can have its id.
         self._routes: dict[int, tuple[DrivenPath, int]] = {}
 
-    def limit(self, acceleration: float, deceleration: float) -> dict[str, float]:
-        """Keep what it decides within what its vehicle can do; as `limit_driver`."""
-        fields = Behaviour._fields if self.kind == BEHAVIOUR else Keeping._fields
-        own, exceeded = self._fleet.parameters[0], dict[str, float]()
-        for limit, bound, names in (
-            ("acceleration", acceleration, ("acceleration",)),
-            ("deceleration", deceleration, ("max_deceleration", "comfortable_deceleration")),
-        ):
-            rows = [fields.index(name) for name in names]
-            if own[rows[0]] > bound:
-                exceeded[limit] = float(own[rows[0]])
-            # Its formulas divide by them.
-            own[rows] = np.minimum(own[rows], max(bound, _LEAST_LIMIT))
-        return exceeded
-
     def join(self, fleet: Fleet, row: int) -> None:
         """Move what it knows into a row of a fleet, and keep a view of that.
 
@@ -116,16 +101,25 @@ class CompiledDriver(Driver):
 
 
 def decides_in_fleet(driver: Driver) -> TypeGuard[CompiledDriver]:
-    """Whether compiled code decides for a driver: a user's class may derive from a built-in one and decide itself."""
-    return isinstance(driver, CompiledDriver) and type(driver).acceleration is CompiledDriver.acceleration
-
-
-def limit_driver(driver: Driver, acceleration: float, deceleration: float) -> dict[str, float]:
-    """Let a driver whose decisions are compiled know what its vehicle can do, until it is started again.
+    """Whether compiled code decides for a driver: a user's class may derive from a built-in one and decide itself.
 
     Parameters
     ----------
     driver : Driver
+
+    Returns
+    -------
+    bool
+    """
+    return isinstance(driver, CompiledDriver) and type(driver).acceleration is CompiledDriver.acceleration
+
+
+def limit_driver(driver: CompiledDriver, acceleration: float, deceleration: float) -> dict[str, float]:
+    """Let a driver whose decisions are compiled know what its vehicle can do, until it is started again.
+
+    Parameters
+    ----------
+    driver : CompiledDriver
         Started, and not in a fleet yet.
     acceleration, deceleration : float
         m/s²; infinite for no limit.
@@ -136,8 +130,18 @@ def limit_driver(driver: Driver, acceleration: float, deceleration: float) -> di
         What it would do without, in m/s², for each limit that it would exceed: ``"acceleration"`` and
         ``"deceleration"``.
     """
-    assert isinstance(driver, CompiledDriver)
-    return driver.limit(acceleration, deceleration)
+    fields = Behaviour._fields if driver.kind == BEHAVIOUR else Keeping._fields
+    own, exceeded = driver._fleet.parameters[0], dict[str, float]()
+    for limit, bound, names in (
+        ("acceleration", acceleration, ("acceleration",)),
+        ("deceleration", deceleration, ("max_deceleration", "comfortable_deceleration")),
+    ):
+        rows = [fields.index(name) for name in names]
+        if own[rows[0]] > bound:
+            exceeded[limit] = float(own[rows[0]])
+        # Its formulas divide by them.
+        own[rows] = np.minimum(own[rows], max(bound, _LEAST_LIMIT))
+    return exceeded
 
 
 def form_fleet(

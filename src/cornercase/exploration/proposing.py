@@ -33,7 +33,7 @@ class Search:
     def __init__(self, optimizer: Optimizer, asynchronous: bool) -> None:
         self._optimizer, self._asynchronous = optimizer, asynchronous
         self.pending: FloatArray | None = None
-        self._name = f"The search '{getattr(optimizer, 'name', type(optimizer).__name__)}'"
+        self._name = f"The search '{optimizer.name}'"
         self._sums: list[list[FloatArray]] = []
 
     def ask(self, n: int) -> FloatArray:

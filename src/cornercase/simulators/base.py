@@ -69,7 +69,7 @@ class Simulator(ABC):
         How it takes the values of parameters. By name, ``concrete.values`` holds those of all parameters that the
         scenario file declares, varied or not. By file, it reads the file, and ``concrete.values`` holds those that
         differ from it: none, where the scenario is a file of its own, as in a suite.
-    tell_user : callable
+    on_notice : callable
         Takes a sentence for whoever runs scenarios. It becomes a `NoticeWarning`; in another process, it is sent to the
         one that asks.
 
@@ -100,7 +100,7 @@ class Simulator(ABC):
     repeats_itself: ClassVar[bool] = False
     takes_batches: ClassVar[bool] = False
     values_by: Literal["name", "file"] = "name"
-    tell_user: Callable[[str], None] = staticmethod(warn)
+    on_notice: Callable[[str], None] = staticmethod(warn)
 
     @abstractmethod
     def run(self, concretes: Sequence[ConcreteScenario]) -> Iterator[Recording | SimulationError]:
@@ -190,7 +190,7 @@ class Simulator(ABC):
             noticed: set[str] = vars(self).setdefault("_noticed", set())
             if subject not in noticed:
                 noticed.add(subject)
-                self.tell_user(sentence)
+                self.on_notice(sentence)
 
     def beside(self) -> Sequence[Simulator]:
         """Give the simulators that may run at the same time, each in a thread of its own.
@@ -217,7 +217,7 @@ class Simulator(ABC):
                 self.close()
         except InputError as error:
             # What it has run is there, and counts.
-            self.tell_user(str(error).removesuffix("."))
+            self.on_notice(str(error).removesuffix("."))
 
 
 def checked_seed(seed: int, whose: str) -> int:

@@ -214,7 +214,7 @@ def run_job(
         try:
             with site.simulator() as simulator:
                 noticed = list[str]()
-                simulator.tell_user = noticed.append
+                simulator.on_notice = noticed.append
                 found = list(outcomes_as_given(simulator, concretes))
         except InputError as error:
             raise InputError(_with_own_paths(str(error), places)) from None

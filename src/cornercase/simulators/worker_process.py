@@ -243,7 +243,7 @@ def _serve(connection: Connection, name: str, options: bytes, folder: Path) -> N
     except InputError as error:
         _send(connection, error)
         return
-    simulator.tell_user = partial(_tell, connection)
+    simulator.on_notice = partial(_send_notice, connection)
     _send(connection, None)
     with simulator:
         while True:
@@ -277,7 +277,7 @@ def _answer(connection: Connection, simulator: Simulator, concretes: list[Concre
         _send(connection, error)
 
 
-def _tell(connection: Connection, sentence: str) -> None:
+def _send_notice(connection: Connection, sentence: str) -> None:
     if not _send(connection, Noticed(sentence)):
         print(f"{sentence}.", file=sys.stderr)
 

@@ -10,7 +10,7 @@ from lxml import etree
 from cornercase._common.arguments import shown
 from cornercase._common.errors import InputError, PartError, SimulationError
 from cornercase._common.interrupts import requests_heard
-from cornercase._common.parts import failure_of, is_built_in, raise_if_request, tell_instant
+from cornercase._common.parts import failure_of, format_instant, is_built_in, raise_if_request
 from cornercase._common.recorded_xml import named, unrecorded
 from cornercase._common.texts import quoted_name
 from cornercase._common.typing import BoolArray, FloatArray
@@ -87,6 +87,7 @@ class Driving:
 
     def _join_fleet(self) -> None:
         driver, own = self.driver, self._world.entities[self.entity]
+        assert decides_in_fleet(driver)
         try:
             self._start()
         except DriverError as failure:
@@ -130,7 +131,7 @@ class Driving:
                 situation = self._situation(k, track, dt, rows)
                 acceleration = self._decided(situation)
                 for i in np.flatnonzero(rows & ~np.isfinite(acceleration)).tolist():
-                    instant = tell_instant(situation.time)
+                    instant = format_instant(situation.time)
                     why = f"{self._name} gave {acceleration[i]:g}{instant}, which is no acceleration in m/s²"
                     world.fail(np.arange(world.scenarios) == i, PartError(why))
                 if not self.in_fleet:
@@ -150,8 +151,8 @@ class Driving:
         except BaseException as error:
             raise_if_request(error, heard)
             each = "for the scenario" if expected == 1 else f"for each of {expected} scenarios"
-            instant = tell_instant(situation.time)
-            why = f"{self._name} gave no acceleration {each}{instant}, but {_told(given)}"
+            instant = format_instant(situation.time)
+            why = f"{self._name} gave no acceleration {each}{instant}, but {_shown(given)}"
             raise DriverError(PartError(why), splits=False) from error
 
     def _possible(self, acceleration: FloatArray, rows: BoolArray, time: float) -> FloatArray:
@@ -162,7 +163,7 @@ class Driving:
             worst = float(beyond[rows].max(initial=0.0))
             if limit not in self.exceeded and worst > _ROUNDING:
                 asked = worst + (own.max_acceleration if limit == "acceleration" else own.max_deceleration)
-                self._note(limit, f"first {asked:.6g} m/s²{tell_instant(time)}")
+                self._note(limit, f"first {asked:.6g} m/s²{format_instant(time)}")
         return np.clip(acceleration, least, most)
 
     def _note(self, limit: str, asked: str) -> None:
@@ -213,7 +214,7 @@ class Driving:
         return self._paths[k]
 
 
-def _told(given: object) -> str:
+def _shown(given: object) -> str:
     try:
         return shown(given)
     except Exception:
