@@ -21,9 +21,10 @@ from cornercase.cli.study_file import read_study_file
 from cornercase.drivers import Driver, told_driver
 from cornercase.metrics import METRICS, Clearance, measure
 from cornercase.optimizers import OPTIMIZERS, SobolOptimizer
-from cornercase.recordings import Recording
+from cornercase.recordings import Recording, read_recording
 from cornercase.simulators import SIMULATORS, BuiltinSimulator, Simulator, WorkerSimulator, start_simulator
 from cornercase.study import Study
+from cornercase.suite import Requirement, judge
 from fake_simulators import Plan
 
 pytestmark = pytest.mark.filterwarnings("ignore:without effect")
@@ -259,6 +260,15 @@ def test_42_s5_a_metric_that_fails_fails_its_scenario(tmp_path, monkeypatch, wro
     monkeypatch.setattr(Touchy, "wrong", "raise")
     with pytest.raises(InputError, match=r"^The metric touchy failed: SystemExit: 0 \("):
         measure(recording, "Ego", "Pedestrian", ["touchy"])
+
+
+def test_42_s5_a_metric_that_fails_in_a_requirement_alone_leaves_it_open(tmp_path, monkeypatch):
+    monkeypatch.setitem(METRICS._factories, "touchy", (Touchy, {}))
+    cc.simulate_many(X, tmp_path / "runs", values={"ego_start": 70.0}, duration=2.0)
+    recording = read_recording(tmp_path / "runs" / "x_intersection.csv")
+    verdict = judge(Requirement.parse("touchy > 0"), recording, "Ego", "Pedestrian")
+    assert verdict.state == "inconclusive"
+    assert verdict.reason.startswith("the metric touchy failed: SystemExit: 0 (test_failing_parts.py line ")
 
 
 @pytest.mark.parametrize("asked", ["ask", "tell"])

@@ -23,8 +23,9 @@ import pytest
 import cornercase as cc
 from conftest import EXAMPLES, same_recording
 from cornercase._common import dask_client
-from cornercase._common.errors import InputError, SimulationError
+from cornercase._common.errors import InputError, NoticeWarning, SimulationError
 from cornercase._common.version import __version__
+from cornercase.drivers import Driver
 from cornercase.exploration import demonstration, explore_configuration
 from cornercase.scenario import ConcreteScenario, LogicalScenario, Scenario, ScenarioParcel
 from cornercase.simulators import SIMULATORS, ClusterSimulator, start_simulator
@@ -79,6 +80,37 @@ def test_who_crashes_costs_itself_alone(on_cluster, tmp_path):
     gone = "the simulator's process ended with exit code 3, tried 2 times"
     assert found == [0, 1, 2, gone, "it cannot be", 5]
     assert len((tmp_path / "starts").read_text()) <= 2 + 3
+
+
+class Hard(Driver):
+    """Brakes harder than its car can, and ends Python where it begins far along its path."""
+
+    def acceleration(self, situation):
+        if (situation.active & (situation.distance > 60.0)).any():
+            sys.exit(0)
+        return np.full(len(situation.speed), -30.0)
+
+
+# Sent with its code, as one of a notebook is.
+Hard.__module__ = "__main__"
+
+
+def test_42_s5_a_driver_fails_and_is_noticed_on_a_cluster_as_here(on_cluster):
+    concretes = [ConcreteScenario(X, {"ego_start": start}, Scenario.read(X)) for start in (30.0, 70.0, 40.0)]
+    options: dict[str, Any] = {"duration": 1.0, "drivers": {"Ego": Hard()}}
+    with SIMULATORS.create("builtin", **options) as here, on_cluster("builtin", options) as there:
+        with pytest.warns(NoticeWarning) as noticed:
+            alone, lost, other = here.run(concretes)
+        assert len(noticed) == 1
+        said = noticed[0].message
+        assert "asks for more deceleration than the 9 m/s² of <Performance>" in str(said)
+        with pytest.warns(NoticeWarning) as noticed:
+            found = list(there.run(concretes))
+        assert [str(one.message) for one in noticed] == [str(said)]
+    assert same_recording(found[0], alone)
+    assert same_recording(found[2], other)
+    assert str(found[1]) == str(lost)
+    assert "failed at t = 0 s: SystemExit: 0 (test_cluster.py line " in str(lost)
 
 
 def test_each_worker_starts_the_simulator_once_and_closes_it(on_cluster, tmp_path):

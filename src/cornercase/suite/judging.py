@@ -8,6 +8,7 @@ from typing import Final
 
 import numpy as np
 
+from cornercase._common.errors import PartError
 from cornercase._common.texts import quoted_name
 from cornercase._common.typing import FloatArray
 from cornercase.drivers import ReferenceOutcome
@@ -53,7 +54,7 @@ def judge(
     -------
     Verdict
         Inconclusive where what the requirement speaks of never arose, or where the recording ends before the time that
-        the ego has.
+        the ego has, or where a metric of somebody's own raised an exception.
 
     Raises
     ------
@@ -77,9 +78,12 @@ def judge(
     """
     if requirement.formula is not None:
         others = others_there(recording, (other,) if isinstance(other, str) else other)
-        if isinstance(other, str) or len(other) == 1:
-            return _judge_formula(requirement, requirement.formula, signals_of(recording, ego, others[0], courses))
-        return _judge_each(requirement, requirement.formula, recording, ego, others)
+        try:
+            if isinstance(other, str) or len(other) == 1:
+                return _judge_formula(requirement, requirement.formula, signals_of(recording, ego, others[0], courses))
+            return _judge_each(requirement, requirement.formula, recording, ego, others)
+        except PartError as error:
+            return Verdict("inconclusive", requirement.text, str(error))
     verdict = _JUDGES[requirement.kind](requirement, recording, ego)
     if requirement.reference and verdict.state == "failed":
         return _judge_reference(verdict, requirement.reference, reference)
