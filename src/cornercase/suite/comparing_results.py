@@ -19,6 +19,7 @@ Answer = Literal["better", "worse", "mixed", "the same", "cannot say"]
 """What a comparison comes to."""
 
 Direction = Literal["worse", "better"]
+"""Which way a change goes."""
 
 # Scenarios that a finding names in a sentence, and findings that one sentence names.
 _NAMED: Final = 5
