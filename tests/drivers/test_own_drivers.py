@@ -13,7 +13,7 @@ import pytest
 
 import cornercase as cc
 from command_line import SPACE, X, cornercase
-from cornercase.drivers import NORMAL, BehaviourDriver, driver_command, driver_text, told_driver
+from cornercase.drivers import DRIVERS, NORMAL, BehaviourDriver, driver_command, driver_text, told_driver
 from cornercase.report import write_report
 from cornercase.study import Study
 
@@ -195,9 +195,31 @@ def test_42_5_drivers_that_python_makes_are_named_too(folder, monkeypatch):
             stored[name] = study.meta.settings["drivers"]["Ego"]
     assert driver_command(stored["name"]) == "my_aeb:Aeb:reaction=0.3"
     assert driver_command(stored["preset"]) == driver_text(stored["preset"]) == "normal:reaction_time=1.0"
+    assert driver_command({"driver": "rss", "delay": 1.5}) == "rss:delay=1.5"
     # Nobody knows how an object was made; its class, its settings and its file are known.
     assert driver_command(stored["object"]) is None
     assert driver_text(stored["object"]).startswith("my_aeb:Set, gain=2.0, sha256 ")
     page = write_report(folder / "object.db", folder / "r.html").read_text()
     assert "--driver Ego=DRIVER " in page
     assert "DRIVER stands for the driver of Ego, an object that Python code made (my_aeb:Set, gain=2.0" in page
+
+
+def test_42_5_what_a_study_says_of_drivers_makes_none(monkeypatch):
+    def made(**options: object) -> None:
+        raise AssertionError("made because a study says so")
+
+    monkeypatch.setattr(DRIVERS, "_factories", {**DRIVERS._factories, "foreign": (made, {})})
+    for stored in (
+        {"driver": "foreign", "file": "/etc/passwd"},
+        {"driver": "foreign", "options": {"file": "/etc/passwd"}},
+        {"driver": "own:Class", "options": {}, "sha256": 3},
+        {"driver": ["rss"], "delay": {}},
+        {"driver": "own:Class", "settings": [3]},
+        {"driver": "rss", "delay": [1.0]},
+        {"driver": "behaviour", "reaction_time": "__import__"},
+        {},
+        ["foreign"],
+        3.5,
+    ):
+        driver_command(stored)
+        assert isinstance(driver_text(stored), str)

@@ -14,7 +14,7 @@ from cornercase._common.errors import InputError
 from cornercase._common.parts import is_built_in, maker_of
 from cornercase.drivers.base import Driver
 from cornercase.drivers.mutants import name_driver
-from cornercase.drivers.registry import DRIVERS
+from cornercase.drivers.references.models import REFERENCES
 
 # Where a driver that was made by its name keeps that name.
 _NOTED: Final = "_cornercase_name"
@@ -113,11 +113,10 @@ def driver_command(description: object) -> str | None:
         return ":".join([name, ",".join(f"{key}={_value(one)}" for key, one in options.items())] if options else [name])
     with suppress(InputError):
         return name_driver(description)
-    if isinstance(name, str) and ":" not in name and name in DRIVERS:
-        given = f"{name}:" + ",".join(f"{key}={_value(one)}" for key, one in description.items() if key != "driver")
-        with suppress(InputError):
-            if DRIVERS.create(given).settings == description:
-                return given
+    # Nothing of another package is made because a study says so.
+    delay = description.get("delay")
+    if isinstance(name, str) and name in REFERENCES and len(description) == 2 and isinstance(delay, int | float):
+        return f"{name}:delay={delay}"
     return None
 
 
@@ -169,8 +168,9 @@ def driver_text(description: object) -> str:
         parts += [f"{key}={_value(one)}" for key, one in options.items()]
     else:
         # Without options its settings are all that tells it from another one.
-        own = description.get("settings", description)
-        parts += [f"{key}={_value(one)}" for key, one in own.items() if key not in ("driver", "sha256")]
+        own = description.get("settings")
+        known = own if isinstance(own, Mapping) else description
+        parts += [f"{key}={_value(one)}" for key, one in known.items() if key not in ("driver", "sha256")]
     if isinstance(checksum, str):
         parts.append(f"sha256 {checksum[:_OF_A_DIGEST]}…")
     return ", ".join(parts)

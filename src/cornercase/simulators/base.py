@@ -61,7 +61,7 @@ class Simulator(ABC):
         Whether it may run in cornercase's own process: it does not crash, does not hang, and leaves nothing behind.
     repeats_itself : bool, default False
         Whether the same scenario with the same settings gives the same recording, to the last bit. Then any difference
-        of two recordings is one of what is tested.
+        of two recordings is one of what is tested. It is tried with the first scenario of each study.
     takes_batches : bool, default False
         Whether many scenarios in one call take less time than one after the other. Such a simulator is given as
         many at once as there are; any other gets them one by one.
