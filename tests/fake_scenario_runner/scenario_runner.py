@@ -15,8 +15,9 @@ import carla
 
 assert not [folder for folder in sys.path if os.path.exists(os.path.join(folder, "road.xodr"))]
 parser = argparse.ArgumentParser()
-for name in ("host", "port", "timeout", "frameRate", "openscenario", "trafficManagerPort", "trafficManagerSeed"):
+for name in ("host", "port", "timeout", "openscenario", "trafficManagerPort", "trafficManagerSeed"):
     parser.add_argument(f"--{name}", required=True)
+parser.add_argument("--frameRate", required=True)
 parser.add_argument("--record", default="")
 parser.add_argument("--sync", action="store_true", required=True)
 options = parser.parse_args()

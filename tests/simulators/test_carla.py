@@ -6,7 +6,9 @@ With CARLA_HOST set to a host or host:port, the tests of runs use the CARLA that
 from __future__ import annotations
 
 import importlib.util
+import json
 import sys
+import tomllib
 from pathlib import Path
 from types import ModuleType, SimpleNamespace
 
@@ -14,6 +16,7 @@ import numpy as np
 import psutil
 import pytest
 from lxml import etree
+from packaging.requirements import Requirement
 
 from carla_served import REAL, Served, free_port
 from command_line import cornercase
@@ -207,7 +210,10 @@ def test_nobody_who_listens_and_another_version_are_said(scenario):
         InputError, match=rf"No CARLA answers on localhost:{nobody.port} .*-carla-rpc-port={nobody.port}"
     ):
         run(nobody, scenario, patience=0.5)
-    with Served(ROAD, "version=0.9.15") as server, pytest.raises(InputError, match=r"version 0.9.15.*carla==0.9.15"):
+    with (
+        Served(ROAD, "version=0.9.15") as server,
+        pytest.raises(InputError, match=r"version 0.9.15.*start CARLA 0.9.16\."),
+    ):
         run(server, scenario)
 
 
@@ -282,6 +288,86 @@ def test_what_carla_cannot_do_is_refused_before_there_is_a_study(tmp_path):
     assert done.returncode == 2
     assert "'C' asks for the driver 'simple', which CARLA does not have" in done.stderr
     assert not list(tmp_path.iterdir())
+
+
+def old_runner(folder, version, *, options="", controller=""):
+    """ScenarioRunner as it was, as far as one can tell by its files."""
+    files = {
+        "scenario_runner.py": f"VERSION = '0.9.13'\nparser.add_argument('--host')\n# as --frameRate\n{options}\n",
+        "srunner/scenariomanager/actorcontrols/basic_control.py": f"class BasicControl:\n    _waypoints = []\n{controller}\n",
+        "Docs/CHANGELOG.md": f"## Table of Contents\n\n## CARLA ScenarioRunner {version}\n\n## CARLA ScenarioRunner 0.9.12\n",
+    }
+    for name, text in files.items():
+        (folder / name).parent.mkdir(parents=True, exist_ok=True)
+        (folder / name).write_text(f"raise SystemExit('it was run')\n{text}")
+    return folder
+
+
+FRAME_RATE = "parser.add_argument('--frameRate', default='20', type=float)"
+TIMES = "    def update(self, times):\n        self._times = times"
+
+
+@pytest.mark.parametrize(
+    ("options", "controller", "lacks"),
+    [
+        ("", "", "lacks the option --frameRate and the times of trajectories"),
+        (FRAME_RATE, "", "lacks the times of trajectories"),
+        ("", TIMES, "lacks the option --frameRate; "),
+    ],
+)
+def test_42_13_an_old_scenario_runner_is_refused_before_anything_runs(
+    tmp_path, monkeypatch, options, controller, lacks
+):
+    folder = old_runner(tmp_path / "runner", "0.9.15", options=options, controller=controller)
+    monkeypatch.setenv("SCENARIO_RUNNER_ROOT", str(folder))
+    missing = CarlaSimulator.availability().missing
+    assert missing.startswith(f"{folder}: ScenarioRunner 0.9.15 {lacks}")
+    assert "cornercase needs that of CARLA 0.9.16: get it by `git clone --branch v0.9.16" in missing
+    with pytest.raises(InputError) as refused:
+        CarlaSimulator()
+    assert str(refused.value) == missing
+    assert json.loads(cornercase("simulators", "--json").stdout)["carla"]["missing"] == missing
+    (line,) = [one for one in cornercase("simulators").stdout.splitlines() if one.split()[:1] == ["carla"]]
+    assert line.split()[1] == "no"
+    study = tmp_path / "study.db"
+    done = cornercase(
+        "explore", T, "--range", "c_start_time=0:5", "--ego", "Ego", "--other", "C", "--metric", "ttc", "--simulator",
+        "carla:undriven=true", "--budget", "2", "-o", study,
+    )  # fmt: skip
+    assert (done.returncode, done.stderr.count("\n")) == (2, 1)
+    assert missing in done.stderr
+    assert not study.exists()
+
+
+def test_42_13_a_scenario_runner_that_has_all_is_taken_whatever_it_calls_itself(tmp_path, monkeypatch):
+    folder = old_runner(tmp_path / "runner", "1.0.0", options=FRAME_RATE, controller=TIMES)
+    monkeypatch.setenv("SCENARIO_RUNNER_ROOT", str(folder))
+    assert CarlaSimulator.availability().missing == ""
+    (folder / "Docs" / "CHANGELOG.md").unlink()
+    (folder / "scenario_runner.py").write_text("")
+    assert "ScenarioRunner lacks the option --frameRate" in CarlaSimulator.availability().missing
+
+
+def test_42_13_the_extra_is_what_the_index_has_and_pages_say_so():
+    root = Path(__file__).parents[2]
+    extras = tomllib.loads((root / "pyproject.toml").read_text(encoding="utf-8"))["project"]["optional-dependencies"]
+    clients = [Requirement(one) for one in extras["carla"]]
+
+    def wanted(python, machine, system):
+        given = {"python_version": python, "platform_machine": machine, "sys_platform": system}
+        return [one for one in clients if one.marker is not None and one.marker.evaluate(given)]
+
+    # Wheels of 0.9.16 are there for Python 3.10 to 3.12, on Linux and Windows; of 0.9.15 up to 3.10.
+    for machine, system in (("x86_64", "linux"), ("AMD64", "win32")):
+        for python in ("3.11", "3.12"):
+            (client,) = wanted(python, machine, system)
+            assert client.specifier.contains("0.9.16")
+            assert not client.specifier.contains("0.9.15")
+        assert not wanted("3.13", machine, system)
+    for machine, system in (("aarch64", "linux"), ("arm64", "darwin"), ("x86_64", "darwin"), ("ARM64", "win32")):
+        assert not wanted("3.12", machine, system)
+    for page in (root / "README.md", *(root / "docs").rglob("*.md"), *(root / "src").rglob("*.py")):
+        assert "carla==0.9.15" not in page.read_text(encoding="utf-8"), page
 
 
 def test_it_is_listed_with_what_it_needs(monkeypatch):

@@ -19,10 +19,18 @@ from cornercase.simulators.carla.tracker import Tracker
 RUNNER: Final = "SCENARIO_RUNNER_ROOT"
 PYTHON: Final = "CORNERCASE_CARLA_PYTHON"
 ROOT: Final = "CARLA_ROOT"
-_UNKNOWN: Final = (
-    "ScenarioRunner is not known; get it from github.com/carla-simulator/scenario_runner and set SCENARIO_RUNNER_ROOT"
-    " to its folder."
-)
+_GET_IT: Final = "`git clone --branch v0.9.16 https://github.com/carla-simulator/scenario_runner`"
+_UNKNOWN: Final = f"ScenarioRunner is not known; get it by {_GET_IT} and set SCENARIO_RUNNER_ROOT to its folder."
+# What it has to have, by file, as it stands in its source: since 0.9.16. No constant of it names its version.
+_NEEDED: Final = {
+    "scenario_runner.py": (re.compile(r"""['"]--frameRate['"]"""), "the option --frameRate"),
+    "srunner/scenariomanager/actorcontrols/basic_control.py": (
+        re.compile(r"\bself\._times\b"),
+        "the times of trajectories in controllers (_times)",
+    ),
+}
+_CHANGES: Final = "Docs/CHANGELOG.md"
+_VERSION: Final = re.compile(r"^## CARLA ScenarioRunner (\d[\w.]*)", re.MULTILINE)
 _ENDING, _POLL = 2.0, 0.02
 # ScenarioRunner prints one of these when a scenario has ended; its exit code does not tell.
 _ENDED: Final = ("All scenario tests were passed", "Not all scenario tests were successful")
@@ -40,7 +48,7 @@ class ScenarioRunner:
     Raises
     ------
     InputError
-        Its folder is not known, or holds none.
+        Its folder is not known, or holds none that cornercase can use.
     """
 
     def __init__(self, folder: str, python: str, carla_root: str) -> None:
@@ -118,6 +126,8 @@ class ScenarioRunner:
 def scenario_runner_folder(given: str) -> Path:
     """Find ScenarioRunner: in the folder that is given, or in that of the environment variable.
 
+    Its files are read, and nothing of it is run.
+
     Parameters
     ----------
     given : str
@@ -130,7 +140,7 @@ def scenario_runner_folder(given: str) -> Path:
     Raises
     ------
     InputError
-        Neither is known, or there is none in it.
+        Neither is known, there is none in it, or it is older than what cornercase uses of it.
     """
     text = given or os.environ.get(RUNNER, "")
     if not text:
@@ -138,7 +148,23 @@ def scenario_runner_folder(given: str) -> Path:
     folder = Path(text)
     if not (folder / "scenario_runner.py").is_file():
         raise InputError(f"{folder}: holds no scenario_runner.py; {RUNNER} has to be the folder of ScenarioRunner.")
+    lacks = [what for name, (sign, what) in _NEEDED.items() if not sign.search(_source(folder / name))]
+    if lacks:
+        version = _VERSION.search(_source(folder / _CHANGES))
+        which = "ScenarioRunner" if version is None else f"ScenarioRunner {version[1]}"
+        raise InputError(
+            f"{folder}: {which} lacks {' and '.join(lacks)}; cornercase needs that of CARLA 0.9.16: get it by {_GET_IT}"
+            f" and set {RUNNER} to its folder."
+        )
     return folder.resolve()
+
+
+def _source(path: Path) -> str:
+    """Text of a file; empty where there is none."""
+    try:
+        return path.read_text(encoding="utf-8", errors="replace")
+    except OSError:
+        return ""
 
 
 def _watch(

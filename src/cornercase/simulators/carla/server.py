@@ -53,8 +53,8 @@ class Server:
                 ) from error
             if ours != theirs:
                 raise InputError(
-                    f"CARLA on {self.host}:{self.port} is of version {theirs}, the client here of {ours}; pip install"
-                    f" carla=={theirs}."
+                    f"CARLA on {self.host}:{self.port} is of version {theirs}, the client here of {ours}; start CARLA"
+                    f" {ours}."
                 )
             self._client = client
         return self._client

@@ -26,7 +26,10 @@ from cornercase.simulators.carla.table import Status, findings
 from cornercase.simulators.carla.tracker import Tracker
 from cornercase.simulators.hosts import address
 
-_MISSING: Final = "CARLA's client is not installed; pip install 'cornercase[carla]' with a Python of 3.10 to 3.12."
+_MISSING: Final = (
+    "CARLA's client is not installed; pip install 'cornercase[carla]' with Python 3.11 or 3.12, on Linux or Windows on"
+    " x86-64."
+)
 # A server takes its port and the two after it.
 _PORTS_EACH: Final = 4
 # Road file of a run, in a folder that is on no path of Python's.
@@ -94,7 +97,7 @@ class CarlaSimulator(Simulator):
     Raises
     ------
     InputError
-        CARLA's client is not installed, ScenarioRunner is not known, or an option is out of range.
+        CARLA's client is not installed, ScenarioRunner is not known or too old, or an option is out of range.
     """
 
     name = "carla"
