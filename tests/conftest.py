@@ -6,6 +6,7 @@ import os
 import signal
 from collections.abc import Container, Iterable, Iterator
 from pathlib import Path
+from typing import NoReturn
 
 # Threads of linear algebra wait for each other in a loop, which took a third of all time on two busy processors.
 for _library in ("OPENBLAS", "OMP"):
@@ -53,6 +54,13 @@ def interrupts() -> Iterator[None]:
         signal.signal(signal.SIGINT, signal.default_int_handler)
     yield
     signal.signal(signal.SIGINT, before)
+
+
+def without(what: str) -> NoReturn:
+    """Skip what needs something that is not there; in CI, where it has to be, that is a failure."""
+    if os.environ.get("CI", "").lower() in ("", "0", "false"):
+        pytest.skip(what)
+    pytest.fail(f"{what}; in CI it has to be there", pytrace=False)
 
 
 def at_night(values: Iterable[object], rest: Container[object]) -> list[object]:

@@ -13,6 +13,7 @@ from filelock import FileLock
 
 import cornercase as cc
 from browser.studies import MAKERS, made
+from conftest import without
 
 if TYPE_CHECKING:
     from playwright.sync_api import Browser, BrowserContext, Page
@@ -44,12 +45,15 @@ def find_chromium(own: Path) -> str | None:
 
 @pytest.fixture(scope="session")
 def browser() -> Iterator[Browser]:
-    """Chromium, or a skip that says how to get it."""
-    playwright = pytest.importorskip("playwright.sync_api", reason="playwright is not installed")
+    """Chromium, or a skip that says how to get it; a failure in CI."""
+    try:
+        from playwright import sync_api as playwright
+    except ModuleNotFoundError:
+        without("playwright is not installed: run `pip install -e '.[dev]'`")
     with playwright.sync_playwright() as driver:
         path = find_chromium(Path(driver.chromium.executable_path))
         if path is None:
-            pytest.skip("there is no Chromium: install it, or name it in CORNERCASE_CHROMIUM")
+            without("there is no Chromium: install it, or name it in CORNERCASE_CHROMIUM")
         with driver.chromium.launch(executable_path=path, args=list(ARGUMENTS)) as chromium:
             yield chromium
 
