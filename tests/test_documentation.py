@@ -40,7 +40,7 @@ PAGES = sorted(
 # They need nothing but the examples, or what one of them has written, and take less than a second.
 CHEAP = ("check", "convert", "measure", "metrics", "simulate", "simulators")
 # Options of other programs, and names that are no module's: files, and a property in OpenSCENARIO.
-EXTERNAL = {"--csv_logger", "--dashboard-address", "--fcd-output", "--nthreads", "--resources"}
+EXTERNAL = {"--frameRate", "--csv_logger", "--dashboard-address", "--fcd-output", "--nthreads", "--resources"}
 NO_MODULES = {
     "cornercase.aspects",
     "cornercase.db",
