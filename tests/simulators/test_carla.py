@@ -68,7 +68,7 @@ dynamicsShape="step" dynamicsDimension="time" value="0"/><SpeedActionTarget><Abs
 
     path = tmp_path / "straight.xosc"
     path.write_text(f"""<?xml version="1.0"?>
-<OpenSCENARIO><FileHeader revMajor="1" revMinor="2" date="2026-11-21T00:00:00" author="" description="CARLA:straight"/>
+<OpenSCENARIO><FileHeader revMajor="1" revMinor="2" date="2026-11-21T00:00:00" author="" description="straight"/>
 <ParameterDeclarations><ParameterDeclaration name="gap" parameterType="double" value="40"/>
 <ParameterDeclaration name="end" parameterType="double" value="6"/></ParameterDeclarations><CatalogLocations/>
 <RoadNetwork><LogicFile filepath="road.xodr"/></RoadNetwork><Entities>{vehicle("Ego")}{vehicle("C")}

@@ -45,8 +45,8 @@ class Geometry:
     Notes
     -----
     The parameter of a ``paramPoly3`` is not proportional to the distance, which is measured along the curve. Where the
-    curve is longer or shorter than `length` says, all of it is stretched or shortened to that. Beyond its ends it goes
-    straight on.
+    curve is longer or shorter than `length` says, all of it is stretched or shortened to that. Beyond its ends it
+    goes straight on.
     """
 
     s: float

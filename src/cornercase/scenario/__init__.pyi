@@ -1,3 +1,4 @@
+from .axes import turn_axes as turn_axes
 from .concrete_files import ConcreteFile as ConcreteFile
 from .concrete_files import copy_beside as copy_beside
 from .concrete_files import fill_concrete as fill_concrete

@@ -12,6 +12,7 @@ from lxml import etree
 from cornercase._common.errors import InputError
 from cornercase._common.files import portable_name, read_file, written_whole
 from cornercase._common.texts import plain_text
+from cornercase.scenario.axes import LEFT_HANDED, left_handed_header
 from cornercase.scenario.declared_types import typed_value, value_text
 from cornercase.scenario.openscenario import DRIVER_PROPERTY, Scenario
 from cornercase.scenario.parameter import Value
@@ -111,7 +112,9 @@ def fill_concrete(
     root = tree.getroot()
     header = root.find("FileHeader")
     if description is not None and header is not None:
-        _set(header, "description", plain_text(description), target)
+        # It also says in which axes the file is.
+        axes = "" if left_handed_header(root) is None else LEFT_HANDED
+        _set(header, "description", plain_text(axes + description), target)
     for declaration in root.iterfind("ParameterDeclarations/ParameterDeclaration"):
         name = declaration.get("name", "")
         if name in values:

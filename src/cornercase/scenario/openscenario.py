@@ -13,7 +13,9 @@ from lxml import etree
 
 from cornercase._common import arguments
 from cornercase._common.errors import InputError, suggestion
+from cornercase._common.ledger import Notice
 from cornercase._common.recorded_xml import children, named, unrecorded, was_read
+from cornercase.scenario.axes import left_handed_header
 from cornercase.scenario.catalogs import Catalogs
 from cornercase.scenario.expressions import names_in
 from cornercase.scenario.parameter import Value
@@ -163,6 +165,27 @@ class Scenario:
         for needed in ("Entities", "Storyboard"):
             if root.find(needed) is None:
                 raise InputError(f"{self.path}: has no <{needed}>, so there is nothing to run.")
+
+    @property
+    def is_left_handed(self) -> bool:
+        """Whether its positions are in CARLA's left-handed axes, instead of those of the road file."""
+        return left_handed_header(self.root) is not None
+
+    def axes_notices(self) -> tuple[Notice, ...]:
+        """Say that positions are turned, where its axes are left-handed.
+
+        Returns
+        -------
+        tuple of Notice
+        """
+        header = left_handed_header(self.root)
+        if header is None:
+            return ()
+        why = (
+            "the description begins with 'CARLA:', so that positions are in left-handed axes, as ScenarioRunner reads"
+            " them; they are turned to the axes of the road file, in which recordings are, too"
+        )
+        return (Notice(("signs of y and headings",), why, self.path, (int(str(header.sourceline)),)),)
 
     @cached_property
     def entities(self) -> tuple[str, ...]:

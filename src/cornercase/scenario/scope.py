@@ -11,6 +11,7 @@ from lxml import etree
 from cornercase._common.errors import InputError, suggestion
 from cornercase._common.typing import BoolArray, FloatArray
 from cornercase.scenario.attributes import Attributes
+from cornercase.scenario.axes import TURNED, left_handed_header
 from cornercase.scenario.constraints import Declaration, read_declarations, violations
 from cornercase.scenario.declared_types import INTEGERS, NUMERIC, typed_numbers, typed_value, value_text
 from cornercase.scenario.expressions import evaluate
@@ -37,6 +38,8 @@ class Scope(Attributes):
         For each parameter, the parameters of the logical scenario that its value depends on.
     catalogs : callable, optional
         Gives the entry of a catalog, by the names of both.
+    left_handed : bool, default False
+        Whether the file's positions are in left-handed axes; what is read of them is turned.
     """
 
     def __init__(
@@ -46,8 +49,10 @@ class Scope(Attributes):
         values: Mapping[str, Any],
         origins: Mapping[str, set[str]],
         catalogs: Catalogs | None = None,
+        left_handed: bool = False,
     ) -> None:
         super().__init__(source, scenarios, values, origins)
+        self._left_handed = left_handed
         self._catalogs = catalogs
         self._depth = 0
 
@@ -74,7 +79,14 @@ class Scope(Attributes):
         Scope
             As in `of_declarations`.
         """
-        return cls.of_declarations(source, read_declarations(root, source), concretes, catalogs)
+        scope = cls.of_declarations(source, read_declarations(root, source), concretes, catalogs)
+        scope._left_handed = left_handed_header(root) is not None
+        return scope
+
+    def number(self, element: etree._Element, attribute: str, default: float | None = None) -> FloatArray:
+        """Read an attribute as a number for each scenario, in the axes of the road file; as `Attributes.number`."""
+        found = super().number(element, attribute, default)
+        return 0.0 - found if self._left_handed and attribute in TURNED.get(str(element.tag), ()) else found
 
     @classmethod
     def of_declarations(
@@ -171,7 +183,7 @@ class Scope(Attributes):
         InputError
             A value cannot be evaluated.
         """
-        inner = Scope(self.source, self.scenarios, self.values, self._origins, self._catalogs)
+        inner = Scope(self.source, self.scenarios, self.values, self._origins, self._catalogs, self._left_handed)
         inner._depth, inner.used, inner._refused = self._depth, self.used, self._refused
         for declaration in read_declarations(element, self.source):
             inner._declare(declaration)

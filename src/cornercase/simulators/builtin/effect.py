@@ -47,7 +47,7 @@ def notices_after_reading(scenario: Scenario, read: bool = True) -> tuple[Notice
     -------
     tuple of Notice
     """
-    found: list[Notice] = []
+    found: list[Notice] = [*scenario.axes_notices()]
     scenario.catalog_files()  # They are looked for only where the scenario refers to one of them.
     networks = PreparedScenario.of(scenario).networks
     for file, element in scenario.read_parts():

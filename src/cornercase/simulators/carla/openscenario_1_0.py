@@ -16,7 +16,7 @@ from cornercase._common.arguments import numbers_or_texts, path
 from cornercase._common.errors import InputError
 from cornercase._common.files import require_other_file, written_whole
 from cornercase._common.pending_files import written_together
-from cornercase.scenario import DRIVER_PROPERTY, Scenario, Scope, Value, copy_beside
+from cornercase.scenario import DRIVER_PROPERTY, Scenario, Scope, Value, copy_beside, turn_axes
 from cornercase.simulators.builtin.checking import schema_errors
 from cornercase.simulators.carla.dialect import Agents, assign_controllers
 from cornercase.simulators.carla.foreign_code import refuse_code
@@ -53,6 +53,10 @@ _RULES: Final = {"greaterOrEqual": "greaterThan", "lessOrEqual": "lessThan"}
 # Numbers and truth values of XML.
 _NUMBER: Final = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?|-?INF|NaN|true|false", re.ASCII)
 _MOST_ENTITIES: Final = 500
+_TURNED: Final = (
+    "Positions were turned from CARLA's left-handed axes, in which the file is as its description begins with 'CARLA:',"
+    " to those of the road file; the new file's description does not begin so."
+)
 
 
 @dataclass(frozen=True)
@@ -250,6 +254,8 @@ def concrete_tree(scenario: Scenario, values: Mapping[str, Value]) -> etree._Ele
     for child in root:
         _resolve(child, scope)
     _trim(root)
+    if scenario.is_left_handed:
+        turn_axes(root)
     return root
 
 
@@ -272,8 +278,9 @@ def _tree_1_0(
     slowest = (
         {} if recording is None else dict(zip(recording.names, np.fmin.reduce(recording.speed, axis=1), strict=True))
     )
+    turned = (_TURNED,) if scenario.is_left_handed else ()
     made = plan(root, sorted(driven), scenario.path, town, astray, slowest)
-    notes = made.notes
+    notes = [*turned, *made.notes]
     for name in made.sampled if not run.open_loop else ():
         if name in made.reacting:
             raise InputError(

@@ -176,11 +176,12 @@ class CarlaSimulator(Simulator):
             What is left out, what is done otherwise, and what becomes a trajectory.
         """
         root = concrete_tree(scenario, values or {})
-        return merged(
+        found = (
             Notice((one.what,), one.row.note + _INSTEAD[one.row.status], scenario.path, ())
             for one in findings(root)
             if one.row.status in _INSTEAD
         )
+        return merged((*scenario.axes_notices(), *found))
 
     @classmethod
     def availability(cls) -> Availability:

@@ -137,8 +137,13 @@ class EsminiSimulator(Simulator):
         Raises
         ------
         InputError
-            It names a driver of cornercase.
+            It names a driver of cornercase, or its axes are left-handed.
         """
+        if scenario.is_left_handed:
+            raise InputError(
+                f"{scenario.path}: its description begins with 'CARLA:', so that its axes are left-handed, which esmini"
+                " does not know; `cornercase convert` writes the scenario in other axes."
+            )
         if self._undriven or not scenario.drivers:
             return
         name, driver = next(iter(scenario.drivers.items()))

@@ -1,0 +1,48 @@
+"""Axes of a scenario file: those of the standard and of its road file, or the left-handed ones of CARLA."""
+
+from __future__ import annotations
+
+from typing import Final
+
+from lxml import etree
+
+from cornercase._common.recorded_xml import unrecorded
+
+LEFT_HANDED: Final = "CARLA:"
+"""A description in the header that begins so turns the axes of the whole file, as in ScenarioRunner."""
+
+TURNED: Final = {
+    "WorldPosition": ("y", "h"),
+    "RelativeWorldPosition": ("dy",),
+    "RelativeObjectPosition": ("dy",),
+    "RoadPosition": ("t",),
+    "Orientation": ("h",),
+    "Clothoid": ("curvature", "curvaturePrime", "curvatureDot"),
+    "ClothoidSplineSegment": ("curvatureStart", "curvatureEnd", "hOffset"),
+}
+"""Attributes by element that have the other sign in left-handed axes."""
+
+
+def left_handed_header(root: etree._Element) -> etree._Element | None:
+    """Header of a scenario file that says that its axes are left-handed; None where it says nothing of the kind."""
+    for header in unrecorded(root, "FileHeader"):
+        if str(header.attrib.get("description", "")).startswith(LEFT_HANDED):
+            return header
+    return None
+
+
+def turn_axes(root: etree._Element) -> None:
+    """Write positions in the other axes, in a tree whose attributes are numbers.
+
+    Parameters
+    ----------
+    root : lxml element
+        It is changed.
+    """
+    for element in root.iter(*TURNED):
+        for name in TURNED[str(element.tag)]:
+            try:
+                number = float(element.get(name, ""))
+            except ValueError:
+                continue  # what is no number is refused where it is read
+            element.set(name, repr(0.0 - number))
