@@ -30,7 +30,7 @@ INIT = f'<Private entityRef="Ego">{teleport("10")}{speed_action("1")}</Private>'
 HEAD = """
 # What cornercase reads of OpenDRIVE
 
-cornercase reads road files of OpenDRIVE 1.4 to 1.8. It uses each element and attribute of the standard, ignores it with a
+cornercase reads road files of OpenDRIVE 1.4 to 1.9. It uses each element and attribute of the standard, ignores it with a
 notice, or refuses it.
 
 - **Without effect**: `cornercase check` lists what a file contains and cornercase ignores; `simulate` and `explore` print it as
@@ -38,6 +38,9 @@ notice, or refuses it.
 - **Refused**: the command ends with exit code 2 and one sentence that names the element and its line.
 
 If an element is refused or without effect, the same holds for everything inside it.
+
+A road of OpenDRIVE 1.9 may have lanes in two layers, `<lanes layer="permanent">` and `<lanes layer="temporary">`, those of roadworks.
+cornercase drives on the permanent ones, and a notice names the others; to drive on these, make them the permanent ones of the file.
 
 There are three more notices, which do not concern a single element: roads that climb or bank by more than 2 %, because vehicles
 drive in the plane; lanes for buses, taxis, trams or full cars only, because everybody may drive on them; and linked roads that do

@@ -13,6 +13,8 @@ from cornercase._common.errors import InputError
 from cornercase.roads import RoadNetwork
 from cornercase.roads.lane_graph import Stretch
 from cornercase.roads.reference_line import Geometry
+from cornercase.scenario.xml import XmlFiles
+from cornercase.simulators import check
 
 REFERENCE = Path(__file__).parents[3] / "shared" / "reference" / "openscenario"
 
@@ -237,3 +239,72 @@ def test_43_3_a_car_keeps_its_speed_on_a_parametric_cubic(tmp_path):
     # A step is straight, and the bend at its begin counts for all of it.
     np.testing.assert_allclose(speed, 20.0, rtol=5e-3)
     assert speed.mean() == pytest.approx(20.0, rel=1e-3)
+
+
+LAYERS = (
+    '<lanes layer="permanent"><laneSection s="0"><center><lane id="0" type="none"/></center><right>'
+    '<lane id="-1" type="driving"><link>{links}</link><width sOffset="0" a="4" b="0" c="0" d="0"/></lane></right>'
+    '</laneSection></lanes><lanes layer="temporary"><laneOffset s="0" a="-50" b="0" c="3" d="0"/>'
+    '<laneSection s="0" length="50"><center><lane id="0" type="none"/></center><right><lane id="-1" type="driving">'
+    '<width sOffset="0" a="2" b="0" c="0" d="0"/></lane></right></laneSection></lanes>'
+)
+
+
+def _layered(folder, links="", old="", new=""):
+    text = rn.road("1", 100.0, links=rn.linked("successor", "2", "start"))
+    start, end = text.index("<lanes>"), text.index("</road>")
+    text = text[:start] + LAYERS.format(links=links) + text[end:]
+    second = rn.road("2", 100.0, at=(100.0, 0.0, 0.0), links=rn.linked("predecessor", "1", "end"))
+    path = rn.write(folder, text.replace(old, new), second)
+    path.write_text(path.read_text().replace('revMinor="8"', 'revMinor="9"'))
+    return path
+
+
+def test_43_4_only_the_permanent_lanes_are_driven_on(tmp_path):
+    links = '<successor id="-1" layer="permanent"/><successor id="-2" layer="temporary"/>'
+    path = _layered(tmp_path, links)
+    root = XmlFiles().root(path)
+    network = RoadNetwork.of_xml(root, path)
+    assert network.roads[0].offsets == ()
+    assert network.roads[0].sections[0][1][-1].successors == (-1,)
+    scenario = scenario_file(tmp_path, init=private("Ego", teleport("1"), speed_action("10")))
+    path = _layered(tmp_path, links)
+    recording = run(scenario, duration=15.0)
+    np.testing.assert_allclose(recording.y[0], -2.0)
+    assert recording.x[0, -1] == pytest.approx(151.0)
+    found = [str(one) for one in check(scenario).notices if "road.xodr" in str(one)]
+    assert found == [
+        "<lanes> in <road> (road.xodr, line 1): nothing reads it here; only the lanes of the layer 'permanent' are driven on"
+    ]
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "words"),
+    [
+        (
+            '"temporary"',
+            '"permanent"',
+            "road 1, line 1: has a second <lanes> of the layer 'permanent'; keep one of them",
+        ),
+        ('"permanent"', '"temporary"', "road 1, line 1: has only <lanes> of the layer 'temporary'; give it those of"),
+        ('layer="temporary"', "", "road 1, line 1: has a second <lanes> of the layer 'permanent'"),
+        ('layer="temporary"', 'layer="winter"', "line 1: layer 'winter' of <lanes> cannot be used"),
+    ],
+)
+def test_43_4_layers_that_cannot_be_told_apart_are_refused(tmp_path, old, new, words):
+    with pytest.raises(InputError, match=words):
+        RoadNetwork.read(_layered(tmp_path, old=old, new=new))
+
+
+def test_43_4_links_of_temporary_lanes_in_a_junction_are_left_out(tmp_path):
+    links = "".join(
+        f'<laneLink from="-1" to="{to}" fromLayer="{one}" toLayer="{other}"/>'
+        for to, one, other in (
+            (-1, "permanent", "permanent"),
+            (-2, "permanent", "temporary"),
+            (-3, "temporary", "temporary"),
+        )
+    )
+    junction = f'<junction id="j"><connection id="0" incomingRoad="1" connectingRoad="2" contactPoint="start">{links}</connection></junction>'
+    network = rn.network(tmp_path, rn.road("1", 10.0), rn.road("2", 10.0, junction="j"), junction)
+    assert network.connections["j"] == (("1", "2", "start", {-1: -1}),)

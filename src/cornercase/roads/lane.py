@@ -24,6 +24,9 @@ _DRIVABLE: Final = (
     "slipLane", "bus", "taxi", "HOV",
 )  # fmt: skip
 
+PERMANENT: Final = "permanent"
+"""Layer of lanes that are there when no roadworks are."""
+
 Polynomial = tuple[float, float, float, float, float]
 """Where it starts in m, and the coefficients of a cubic from there on."""
 
@@ -151,11 +154,22 @@ def _read_lanes(section: etree._Element, side: str, where: str) -> dict[int, Lan
             element.get("type", "none"),
             widths,
             () if widths else read_polynomials(element.iterfind("border"), "sOffset", where),
-            tuple(lane_number(link, where) for link in element.iterfind("link/predecessor")),
-            tuple(lane_number(link, where) for link in element.iterfind("link/successor")),
+            _linked(element, "link/predecessor", where),
+            _linked(element, "link/successor", where),
             element.get("direction") == "reversed",
         )
     return found
+
+
+def _linked(lane: etree._Element, path: str, where: str) -> tuple[int, ...]:
+    """Lanes of the permanent layer that a lane is linked to."""
+    links = [(lane_number(link, where), is_permanent(link)) for link in lane.iterfind(path)]
+    return tuple(number for number, permanent in links if permanent)
+
+
+def is_permanent(element: etree._Element, *names: str) -> bool:
+    """Whether lanes, or the lanes of a link, are those of the permanent layer, by attributes of these names."""
+    return all(element.get(name, PERMANENT) == PERMANENT for name in names or ("layer",))
 
 
 def lane_number(element: etree._Element, where: str, name: str = "id") -> int:

@@ -13,7 +13,7 @@ from lxml import etree
 
 from cornercase._common.errors import InputError, suggestion
 from cornercase._common.typing import BoolArray, FloatArray, IntArray
-from cornercase.roads.lane import lane_number
+from cornercase.roads.lane import is_permanent, lane_number
 from cornercase.roads.lane_graph import LaneGraph, Stretch
 from cornercase.roads.lane_path import LanePath, join
 from cornercase.roads.ledger import LEDGER
@@ -49,7 +49,7 @@ class RoadNetwork:
 
     @classmethod
     def read(cls, path: Path | str) -> RoadNetwork:
-        """Read an OpenDRIVE file, of version 1.4 to 1.8; elevation is left out.
+        """Read an OpenDRIVE file, of version 1.4 to 1.9; elevation and temporary lanes are left out.
 
         Parameters
         ----------
@@ -470,7 +470,11 @@ def _places_of_links(root: etree._Element, path: Path) -> dict[str, list[float]]
 def _connections(junction: etree._Element, where: str) -> list[tuple[str, str, str, dict[int, int]]]:
     found = []
     for e in junction.iterfind("connection"):
-        links = {lane_number(k, where, "from"): lane_number(k, where, "to") for k in e.iterfind("laneLink")}
+        links = {
+            lane_number(k, where, "from"): lane_number(k, where, "to")
+            for k in e.iterfind("laneLink")
+            if is_permanent(k, "fromLayer", "toLayer")
+        }
         connecting = e.get("connectingRoad") or e.get("linkedRoad") or ""
         found.append((e.get("incomingRoad", ""), connecting, e.get("contactPoint", "start"), links))
     return found

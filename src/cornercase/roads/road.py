@@ -11,12 +11,15 @@ import numpy as np
 from lxml import etree
 
 from cornercase._common.errors import InputError
+from cornercase._common.recorded_xml import unrecorded
 from cornercase._common.typing import BoolArray, FloatArray, IntArray
 from cornercase.roads.lane import (
+    PERMANENT,
     Polynomial,
     Section,
     differentiated,
     evaluate_polynomials,
+    is_permanent,
     read_polynomials,
     read_sections,
 )
@@ -223,8 +226,9 @@ def read_road(element: etree._Element, where: str, cuts: Iterable[float] = ()) -
     geometries = tuple(one for one in geometries if one.length > _ROUNDING) or geometries[-1:]
     if geometries[-1].length <= 0.0:
         raise InputError(f"{where}: a <geometry> has the length 0 m; it must be above 0.")
-    sections = element.findall("lanes/laneSection")
-    if not sections:
+    lanes = _permanent_lanes(element, where)
+    sections = [] if lanes is None else lanes.findall("laneSection")
+    if lanes is None or not sections:
         raise InputError(f"{where}: has no <laneSection>.")
     return Road(
         element.get("id", ""),
@@ -232,11 +236,29 @@ def read_road(element: etree._Element, where: str, cuts: Iterable[float] = ()) -
         element.get("junction", "-1"),
         element.get("rule", "RHT") != "LHT",
         geometries,
-        read_polynomials(element.iterfind("lanes/laneOffset"), "s", where),
+        read_polynomials(lanes.iterfind("laneOffset"), "s", where),
         tuple(read_sections(sections, length, cuts, where)),
         _link(element.find("link/predecessor"), where),
         _link(element.find("link/successor"), where),
     )
+
+
+def _permanent_lanes(road: etree._Element, where: str) -> etree._Element | None:
+    """Lanes of the permanent layer, of which a road has one; None where it has none at all."""
+    layers = unrecorded(road, "lanes")
+    found = [one for one in layers if one.attrib.get("layer", PERMANENT) == PERMANENT]
+    if len(found) > 1:
+        raise InputError(
+            f"{where}, line {found[1].sourceline}: has a second <lanes> of the layer '{PERMANENT}'; keep one of them,"
+            " or name the layer of the other."
+        )
+    if layers and not found:
+        layer = layers[0].attrib.get("layer")
+        raise InputError(
+            f"{where}, line {layers[0].sourceline}: has only <lanes> of the layer '{layer}'; give it those of the layer"
+            f" '{PERMANENT}', which are driven on."
+        )
+    return next((one for one in found if is_permanent(one)), None)
 
 
 def _link(element: etree._Element | None, where: str) -> Link | None:
