@@ -15,6 +15,7 @@ from cornercase._common.parts import is_built_in, maker_of
 from cornercase.drivers.base import Driver
 from cornercase.drivers.mutants import name_driver
 from cornercase.drivers.references.models import REFERENCES
+from cornercase.drivers.registry import DRIVERS
 
 # Where a driver that was made by its name keeps that name.
 _NOTED: Final = "_cornercase_name"
