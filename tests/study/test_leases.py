@@ -16,7 +16,7 @@ import pytest
 
 from cornercase import SimulationError
 from cornercase._common.errors import InputError, StudyLostError
-from cornercase.study import Study, write_note
+from cornercase.study import Study, begun_study, write_note
 from synthetic import SPACE, about
 
 POINTS = np.array([[0.25, 0.5], [0.5, 0.25]])
@@ -189,3 +189,19 @@ def test_others_may_write_their_notes_and_read_while_one_writes(path):
     with Study.open(path) as study:
         assert [row.state for row in study.rows()] == ["failed", "failed"]
         assert study.notes() == {1: "seen", 2: "seen"}
+
+
+@pytest.mark.parametrize("noted", [True, False])
+def test_42_s3_a_new_study_is_not_removed_with_a_note_that_somebody_wrote(tmp_path, noted):
+    path = tmp_path / "new.db"
+
+    def begin():
+        with begun_study(path, about(SPACE, "distance")) as study:
+            study.propose(1, POINTS, SPACE.values(POINTS))
+            if noted:
+                write_note(path, 1, "looked at")
+            raise InputError("as before")
+
+    with pytest.raises(InputError, match="as before"):
+        begin()
+    assert path.exists() == noted
