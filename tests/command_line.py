@@ -8,10 +8,12 @@ import json
 import os
 import subprocess
 import sys
+import warnings
 from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
 
 from conftest import EXAMPLES
+from cornercase import NoticeWarning
 from cornercase.cli import main
 from waiting import until
 
@@ -29,7 +31,9 @@ def cornercase(*arguments: object, cwd: Path | None = None) -> Ended:
     sys.argv = words
     code = 0
     try:
-        with contextlib.redirect_stdout(said), contextlib.redirect_stderr(told), folder:
+        # As in a process of its own, a notice is printed, each command sets its own filters, and none is an error.
+        with contextlib.redirect_stdout(said), contextlib.redirect_stderr(told), folder, warnings.catch_warnings():
+            warnings.simplefilter("default", NoticeWarning)
             main()
     except SystemExit as ended:
         code = int(ended.code or 0)

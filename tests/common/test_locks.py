@@ -24,12 +24,11 @@ time.sleep(600)
 
 def test_one_process_at_a_time_holds_a_lock_and_its_end_frees_it(tmp_path):
     path = tmp_path / "study.db.lock"
-    process = subprocess.Popen([sys.executable, "-c", HOLDER, str(path)], stdout=subprocess.PIPE, text=True)
-    assert process.stdout is not None
-    assert process.stdout.readline().strip() == "True"
-    assert taken_lock(path) is None
-    process.kill()
-    process.wait()
+    with subprocess.Popen([sys.executable, "-c", HOLDER, str(path)], stdout=subprocess.PIPE, text=True) as process:
+        assert process.stdout is not None
+        assert process.stdout.readline().strip() == "True"
+        assert taken_lock(path) is None
+        process.kill()
     lock = taken_lock(path)
     assert lock is not None
     lock.release()

@@ -150,11 +150,7 @@ class Guardian:
                 self.remove(Path(name))
         with self._lock:
             if self._process is not None:
-                assert self._process.stdin is not None
-                # It may have been killed.
-                with suppress(OSError):
-                    self._process.stdin.close()
-                self._process.wait()
+                _dismiss(self._process)
                 self._process = None
 
     def __enter__(self) -> Self:
@@ -174,7 +170,7 @@ class Guardian:
                     return
                 except OSError:
                     # It was killed; another one takes over.
-                    self._process.wait()
+                    _dismiss(self._process)
             self._start()
 
     def _start(self) -> None:
@@ -191,6 +187,14 @@ class Guardian:
         with suppress(OSError):
             for kind, name in self._guarded:
                 _write(self._process, kind, name, guarded=True)
+
+
+def _dismiss(process: subprocess.Popen[bytes]) -> None:
+    """Let a guardian end, which may have been killed."""
+    assert process.stdin is not None
+    with suppress(OSError):
+        process.stdin.close()
+    process.wait()
 
 
 def _write(process: subprocess.Popen[bytes], kind: str, name: str, *, guarded: bool) -> None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import subprocess
 import tempfile
 from collections.abc import Callable, Iterator
+from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
@@ -125,7 +126,7 @@ def write_mp4(frames: Iterator[Frame], path: Path, fps: float) -> None:
             process.stdin.write(first.tobytes())
             for frame in frames:
                 process.stdin.write(frame.tobytes())
-            process.stdin.close()
+            process.stdin.flush()
         except BrokenPipeError:
             # Why it ended is told below.
             pass
@@ -133,6 +134,9 @@ def write_mp4(frames: Iterator[Frame], path: Path, fps: float) -> None:
             process.kill()
             raise
         finally:
+            # What could not be written is lost with it.
+            with suppress(BrokenPipeError):
+                process.stdin.close()
             process.wait()
         if process.returncode != 0:
             said.seek(0)
