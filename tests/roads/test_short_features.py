@@ -168,3 +168,10 @@ def test_43_1_of_records_at_one_place_the_last_holds(tmp_path: Path) -> None:
 def test_43_1_a_piece_of_a_length_below_0_is_refused(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="a <geometry> has the length -1 m; it must be above 0"):
         rn.network(tmp_path, one_road(geometries=GEOMETRY.format(0, 0, -1, "<line/>")))
+
+
+def test_43_1_before_the_first_offset_lanes_are_shifted_as_where_it_begins(tmp_path: Path) -> None:
+    late = '<laneOffset s="25" a="0.5" b="0.1" c="0.01" d="-0.001"/>'
+    road = rn.network(tmp_path, one_road(offsets=late)).roads[0]
+    np.testing.assert_allclose(road.center(0, -1, np.array([0.0, 10.0, 24.9, 25.0])), -1.5)
+    assert road.center(0, -1, np.array([27.0])) == pytest.approx(-1.5 + 0.1 * 2 + 0.01 * 4 - 0.001 * 8)

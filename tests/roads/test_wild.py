@@ -34,7 +34,9 @@ def by_file() -> list[Any]:
     """Road files, of which one in forty, and no town, is looked at by day."""
     files = sorted(str(path.relative_to(WILD)) for path in WILD.rglob("*.xodr")) if CENTRES.is_file() else []
     return [
-        pytest.param(file, marks=() if k % 40 == 7 and "_towns" not in file else pytest.mark.slow)
+        pytest.param(
+            file, id=file.replace("/", "-"), marks=() if k % 40 == 7 and "_towns" not in file else pytest.mark.slow
+        )
         for k, file in enumerate(files)
     ]
 
@@ -49,24 +51,36 @@ def test_43_1_every_lane_can_be_driven_with_the_speed_that_is_asked_for(file: st
     assert wrong == []
 
 
+# Files in which lanes are elsewhere, by a part of their path, and why.
+ELSEWHERE = {
+    "_towns/Town01": "the centres are those of another version of it, with other roads",
+    "_towns/Town02": "the centres are those of another version of it, with other roads",
+    "_towns/Town04": "the centres are those of another version of it, with other roads",
+    "border": "neither of them reads <border>, and lanes without a width have none there",
+    "redundant_info_lane_offset": "before the first <laneOffset>, esmini takes s from the begin of the road",
+    "redundant_info_superelevation": "esmini banks the road, which the file leans by 20 rad",
+    "parampoly3_arclength_range_valid": "the road is 61 m longer than its geometry",
+    "Ex_Entry_Exit": "esmini banks the road: 1.9 cm",
+    "smoothness_example/many_invalid": "esmini banks the road: two points, 2 and 7 cm",
+}
+
+
 def test_43_3_lanes_are_where_carla_and_esmini_have_them() -> None:
-    near = found = 0
+    found, off = 0, []
     for file, points in centres().items():
-        if "_towns" in file:
+        if any(part in file for part in ELSEWHERE):
             continue
-        try:
-            network = RoadNetwork.read(WILD / file)
-        except InputError:
-            continue
+        network = RoadNetwork.read(WILD / file)
         for point in points:
             found += 1
-            x, y, _ = network.world(
-                network.index_of(point["road"]), int(point["lane"]), np.array([float(point["s"])]), np.zeros(1)
-            )
+            road, s = network.index_of(point["road"]), np.array([float(point["s"])])
+            x, y, _ = network.world(road, int(point["lane"]), s, np.zeros(1))
             apart = [
                 np.hypot(x[0] - float(point[f"{who}_x"]), y[0] - float(point[f"{who}_y"]))
-                for who in ("carla", "esmini") if point[f"{who}_x"]
-            ]  # fmt: skip
-            near += min(apart, default=0.0) <= NEAR
-    assert found > 5000
-    assert near / found >= 0.995
+                for who in ("carla", "esmini")
+                if point[f"{who}_x"]
+            ]
+            if min(apart, default=0.0) > NEAR:
+                off.append(f"{file}, road {point['road']}, lane {point['lane']}, s = {point['s']}: {min(apart):.3g} m")
+    assert found > 7500
+    assert off == []

@@ -230,13 +230,17 @@ def read_road(element: etree._Element, where: str, cuts: Iterable[float] = ()) -
     sections = [] if lanes is None else lanes.findall("laneSection")
     if lanes is None or not sections:
         raise InputError(f"{where}: has no <laneSection>.")
+    offsets = read_polynomials(lanes.iterfind("laneOffset"), "s", where)
+    if offsets and offsets[0][0] > _ROUNDING:
+        # Before the first one the lanes are shifted as they are where it begins, as in CARLA.
+        offsets = ((0.0, offsets[0][1], 0.0, 0.0, 0.0), *offsets)
     return Road(
         element.get("id", ""),
         length,
         element.get("junction", "-1"),
         element.get("rule", "RHT") != "LHT",
         geometries,
-        read_polynomials(lanes.iterfind("laneOffset"), "s", where),
+        offsets,
         tuple(read_sections(sections, length, cuts, where)),
         _link(element.find("link/predecessor"), where),
         _link(element.find("link/successor"), where),
