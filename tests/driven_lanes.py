@@ -26,6 +26,8 @@ _APART = 0.5
 _MIXED = 0.35
 # m: lanes that are shorter have no speed but that of the change from one to the next.
 _SHORT = 1.0
+# rad: a lane that turns by more from one sample to the next has a corner.
+_CORNER = 0.02
 # Of the reference line; where a lane is shorter, the engine leaves the reference line alone.
 _NARROW = 0.15
 
@@ -97,8 +99,8 @@ def _drive(network: RoadNetwork, r: int, section: int, lane: int) -> DrivenLane:
     inside = np.minimum(distance - begin, until - distance) > _MIXED
     error = np.where(inside & _smooth(road, section, lane, s), np.maximum(error, 0.0), 0.0)
     worst = int(error.argmax())
-    length = _length(road, section, lane)
-    whole = abs((until - begin) / length - 1.0) if length > _SHORT else 0.0
+    length, even = _length(road, section, lane)
+    whole = abs((until - begin) / length - 1.0) if even and length > _SHORT else 0.0
     if whole > error[worst]:
         return DrivenLane(road.name, lane, start, float(whole), path.lane_s[0])
     return DrivenLane(road.name, lane, start, float(error[worst]), float(s[worst]))
@@ -131,9 +133,14 @@ def _slope(road: Road, section: int, lane: int, s: Floats) -> Floats:
     return 0.5 * (inner + outer)
 
 
-def _length(road: Road, section: int, lane: int) -> float:
-    """Length of a lane, from the shape of the road alone."""
+def _length(road: Road, section: int, lane: int) -> tuple[float, bool]:
+    """Length of a lane, from the shape of the road alone, and whether it has neither corners nor steps to cut."""
     start, end = road.section_span(section)
-    s = np.linspace(start, end, int((end - start) / 0.05) + 2)
-    x, y, _ = road.at(s, road.center(section, lane, s))
-    return float(np.hypot(np.diff(x), np.diff(y)).sum())
+    s = np.linspace(start, end, int((end - start) / (0.5 * STEP)) + 2)
+    center = road.center(section, lane, s)
+    x, y, _ = road.at(s, center)
+    chord = np.hypot(np.diff(x), np.diff(y))
+    turned = np.abs(np.diff(np.unwrap(np.arctan2(np.diff(y), np.diff(x)))))
+    shrunk = 1.0 - road.bend(s) * center
+    even = turned.max(initial=0.0) < _CORNER and shrunk.min() > _NARROW and chord.max() < 2.0 * STEP
+    return float(chord.sum()), bool(even)
