@@ -73,6 +73,11 @@ class Holding(Steady):
 class Unmade(Steady):
     def __init__(self):
         sys.exit(0)
+
+
+class Interrupting(Steady):
+    def __init__(self):
+        raise KeyboardInterrupt
 '''
 SEARCH: tuple[object, ...] = (
     "explore", X, "--space", SPACE, "--ego", "Ego", "--other", "Pedestrian", "--metric", "wttc", "--optimizer", "sobol",
@@ -212,11 +217,11 @@ def test_42_8_a_script_is_not_begun_anew_by_a_driver_of_its_own(folder, guard, k
     assert done.stdout == f"{kind} Recording\n", done.stderr
 
 
-def test_42_s5_a_driver_that_cannot_be_made_is_named(folder):
-    done = searched(folder, "Unmade")
+@pytest.mark.parametrize(("driver", "raised"), [("Unmade", "SystemExit: 0"), ("Interrupting", "KeyboardInterrupt")])
+def test_42_s5_a_driver_that_cannot_be_made_is_named(folder, driver, raised):
+    done = searched(folder, driver)
     assert done.returncode == 2
-    assert done.stderr.startswith("cornercase: The driver 'faulty:Unmade' cannot be made")
-    assert "SystemExit: 0" in done.stderr
+    assert done.stderr.startswith(f"cornercase: The driver 'faulty:{driver}' cannot be made: {raised}")
 
 
 class Touchy(Clearance):

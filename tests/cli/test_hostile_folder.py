@@ -177,11 +177,11 @@ if __name__ == "__main__":
     x, space, notes = sys.argv[1:]
     given = dict(space=space, ego="Ego", other="Pedestrian", metrics=["wttc"], optimizer="sobol", duration=3.0)
     cc.explore(x, "new.db", budget=2, batch=2, workers=2, **given)
-    for path in (["", *sys.path], [os.getcwd(), *sys.path]):
+    for budget, path in ((4, ["", *sys.path]), (6, [os.getcwd(), *sys.path])):
         sys.path = path
         for note in Path(notes).iterdir():
             note.unlink()
-        cc.explore(x, "new.db", budget=len(path), batch=2, workers=2, **given)
+        cc.explore(x, "new.db", budget=budget, batch=2, workers=2, **given)
         assert sys.path is path
         print(sorted(one.name for one in Path(notes).iterdir()))
 """
@@ -226,7 +226,8 @@ def test_42_s1_a_driver_hides_no_module(clean):
 def test_42_s1_only_what_a_driver_imports_is_found_beside_it(tmp_path, monkeypatch):
     """Other modules try many that need not be there, as on other platforms."""
     files = {
-        "driver_here": "import beside_it\nfrom package_here.part import name\nimport elsewhere_it\n",
+        "driver_here": "import beside_it\nfrom package_here.part import name\nimport elsewhere_it\n"
+        "def later():\n    import beside_later\n", "beside_later": "",
         "beside_it": "import importlib\nimportlib.import_module('beside_that')\n",
         "beside_that": "", "tried_here": "raise AssertionError",
     }  # fmt: skip
@@ -246,6 +247,9 @@ def test_42_s1_only_what_a_driver_imports_is_found_beside_it(tmp_path, monkeypat
     import_here("driver_here")
     assert {"driver_here", "beside_it", "beside_that", "package_here.other"} <= sys.modules.keys()
     assert str(tmp_path) not in sys.path
+    # A driver may import as it drives.
+    sys.modules["driver_here"].later()
+    assert "beside_later" in sys.modules
     with pytest.raises(ModuleNotFoundError):
         importlib.import_module("tried_here")
 

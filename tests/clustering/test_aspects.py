@@ -278,9 +278,12 @@ class NumberForUnit(Aspect):
             Widens,
             r"^The aspect 'odd' gives [12] numbers for each instant of scenario \d+ of .*, and [12] for scenario 1;",
         ),
-        (Refuses, r"^The aspect 'odd' cannot be made: RuntimeError: not today\.$"),
+        (
+            Refuses,
+            r"^The aspect 'odd' failed as it was made: RuntimeError: not today \(test_aspects\.py line .*; fix it\.$",
+        ),
         (WithoutUnit, r"^The aspect 'odd' cannot be made: AttributeError: .*unit"),
-        (WithoutSeries, r"^The aspect 'odd' cannot be made: TypeError: .*series"),
+        (WithoutSeries, r"^The aspect 'odd' failed as it was made: TypeError: .*series"),
         (NumberForUnit, r"^The aspect 'odd' has 3 as its unit; it has to be a text\.$"),
     ],
 )

@@ -28,7 +28,7 @@ class Listening(Optimizer):
 
     def __init__(self, inner):
         super().__init__()
-        self._inner, self.told = inner, []
+        self._inner, self.told, self.name = inner, [], inner.name
 
     def ask(self, n):
         return self._inner.ask(n)

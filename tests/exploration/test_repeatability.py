@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 import pytest
 
 import cornercase as cc
 from command_line import cornercase
-from cornercase._common.errors import NoticeWarning
+from cornercase._common.errors import NoticeWarning, SimulationError
 from cornercase.drivers import Driver
 from cornercase.recordings import Recording
 from cornercase.report import write_report
@@ -172,6 +172,35 @@ def test_42_6_a_simulator_is_not_believed_that_it_repeats_itself(explore):
         explore("a.db", simulator="steady-simulator"), explore("b.db", simulator="steady-simulator")
     ).certain
     assert not cc.compare(explore("c.db", simulator="drifting"), explore("d.db", simulator="drifting")).certain
+
+
+@pytest.mark.filterwarnings("ignore:runs differ")
+def test_42_6_a_second_run_that_fails_is_told(explore, monkeypatch):
+    class Once(Steady):
+        """Runs a scenario once."""
+
+        name, wrong = "once", RuntimeError("known already")
+        ran: ClassVar[set[float]] = set()
+
+        def run(self, concretes):
+            for concrete, found in zip(concretes, super().run(concretes), strict=True):
+                value = float(concrete.values["ego_start"])
+                if value in self.ran:
+                    if isinstance(self.wrong, SimulationError):
+                        yield self.wrong
+                        continue
+                    raise self.wrong
+                self.ran.add(value)
+                yield found
+
+    SIMULATORS.register("once", Once)
+    # What fails by itself differs; what somebody else may have ended is tried again.
+    assert tried(explore("a.db", simulator="once")) == {"scenario": 1, "same": False, "apart": None}
+    Once.ran.clear()
+    monkeypatch.setattr(Once, "wrong", SimulationError("no licence"))
+    with pytest.warns(NoticeWarning, match=r"scenario 1 could not be run a second time \(no licence\)"):
+        path = explore("b.db", simulator="once")
+    assert tried(path) == {}
 
 
 def test_42_6_it_is_tried_once_and_also_when_a_search_goes_on(explore, monkeypatch):

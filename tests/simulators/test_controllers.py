@@ -201,12 +201,24 @@ def test_42_4_a_driver_that_gives_no_number_fails_its_own_scenario(tmp_path):
         (None, "but None"),
         (1j * np.ones(1), "but array([0.+1.j])"),
         ("fast", "fast"),
+        (-1.0, "but -1.0"),
     ],
 )
 def test_42_4_a_driver_that_gives_something_else_fails(tmp_path, given, said):
     for lost in driven_by(tmp_path, lambda situation: given):
         assert f"{OWN} gave no acceleration for the scenario at t = 0 s, but" in str(lost)
         assert said in str(lost)
+
+
+def test_42_4_one_number_is_not_taken_for_all_scenarios(tmp_path):
+    """Who decides by the first scenario decides otherwise when it is alone."""
+
+    def decide(situation):
+        return -0.1 * situation.speed[:1]
+
+    for v, found in zip((8.0, 12.0), driven_by(tmp_path, decide, (8.0, 12.0)), strict=True):
+        (alone,) = driven_by(tmp_path, decide, [v])
+        assert same_recording(alone, found)
 
 
 class MyExit(BaseException):

@@ -50,8 +50,13 @@ asyncio.run(main(json.loads(sys.argv[1])))
 """
 
 
+# Other tests of this process may listen, too.
+_BEFORE: set[int] = set()
+
+
 @pytest.fixture(scope="module")
 def client():
+    _BEFORE.update(one.port for one in listening())
     with dask_client.connected("local", 2) as made:
         yield made
 
@@ -60,7 +65,8 @@ def listening() -> list[Any]:
     """Addresses at which this process, and all that it has started, listen."""
     me = psutil.Process()
     processes = [me, *me.children(recursive=True)]
-    return [one.laddr for each in processes for one in each.net_connections() if one.status == psutil.CONN_LISTEN]
+    found = [one.laddr for each in processes for one in each.net_connections() if one.status == psutil.CONN_LISTEN]
+    return [one for one in found if one.port not in _BEFORE]
 
 
 def test_42_s4_nobody_else_can_connect_to_a_local_cluster(client):

@@ -99,11 +99,12 @@ def take_no_settings() -> None:
 class _Here:
     """Finds modules of the current folder, after all others: what a person has named there, and what that imports."""
 
-    # Top-level modules that were found so, by their names.
-    _found: Final = set[str]()
-
     def __init__(self) -> None:
         self._folder = os.getcwd()
+        # Top-level modules that were found so, by their names.
+        self.found: set[str] = set()
+        # Whether what a person has named is being imported; later only what was found here may import from here.
+        self.is_open = True
 
     def find_spec(
         self, name: str, path: Sequence[str] | None, target: ModuleType | None = None, /
@@ -112,7 +113,7 @@ class _Here:
             return None
         spec = PathFinder.find_spec(name, [self._folder], target)
         if spec is not None:
-            self._found.add(name)
+            self.found.add(name)
         return spec
 
     def _is_asked(self) -> bool:
@@ -120,7 +121,10 @@ class _Here:
         frame: FrameType | None = sys._getframe(2)
         while frame is not None and (name := _package_of(frame)) in _IMPORTING:
             frame = frame.f_back
-        return frame is not None and (frame.f_globals is globals() or name in self._found or name == "cloudpickle")
+        if frame is None:
+            return False
+        asks = frame.f_globals is globals() or name == "cloudpickle"
+        return name in self.found or (self.is_open and asks)
 
 
 def _package_of(frame: FrameType) -> str:
@@ -134,7 +138,10 @@ def _found_here() -> Iterator[None]:
     try:
         yield
     finally:
-        sys.meta_path.remove(finder)
+        finder.is_open = False
+        # What was found may import more as it runs.
+        if not finder.found:
+            sys.meta_path.remove(finder)
 
 
 def import_here(name: str) -> ModuleType:
@@ -200,11 +207,21 @@ def kept_from_children() -> AbstractContextManager[None]:
     return _SAFE()
 
 
+def _main_folder() -> str | None:
+    """Folder from which the program was started: that of a script, or that of the package of a module."""
+    main = sys.modules.get("__main__")
+    file, spec = getattr(main, "__file__", None), getattr(main, "__spec__", None)
+    if file is None:
+        return None
+    above = 0 if spec is None else spec.name.count(".")
+    return str(Path(os.path.realpath(file)).parents[above])
+
+
 def _path_of_children() -> list[str]:
     here = os.path.realpath(os.getcwd())
-    # An empty one stands for whatever is the current folder, as in notebooks.
-    places = [one for one in sys.path if one]
-    # A script that was started in its folder is loaded again by its children, with what lies beside it.
-    places.sort(key=lambda one: os.path.realpath(one) == here)
+    # A script that was started in its folder is loaded again by its children, with what lies beside it. Nobody else,
+    # such as a notebook, needs the folder; an empty path stands for it, too.
+    last = [one for one in sys.path if one and os.path.realpath(one) == here] if _main_folder() == here else []
+    places = [one for one in sys.path if one and os.path.realpath(one) != here] + last
     package = str(Path(__file__).parents[2])
     return places if package in places else [*places, package]

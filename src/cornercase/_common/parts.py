@@ -13,7 +13,7 @@ from types import FrameType
 from typing import Final
 
 from cornercase._common.errors import InputError, LostError, PartError, SimulationError, is_of_the_machine
-from cornercase._common.interrupts import is_request, requests_heard
+from cornercase._common.interrupts import is_request, noted_interrupts, requests_heard
 from cornercase._common.texts import shorten
 
 _PACKAGE: Final = str(Path(__file__).parents[1])
@@ -43,17 +43,18 @@ def guarded(name: str, part: object, doing: str = "") -> Iterator[None]:
     InputError
         ``"The simulator 'braking' failed in close: …; fix it."``
     """
-    heard = requests_heard()
-    try:
-        yield
-    except InputError:
-        raise
-    except BaseException as error:
-        raise_if_request(error, heard)
-        if is_built_in(part):
+    with noted_interrupts():
+        heard = requests_heard()
+        try:
+            yield
+        except InputError:
             raise
-        where = f" {doing}" if doing else ""
-        raise InputError(f"{name} failed{where}: {describe_error(error)}; fix it.") from error
+        except BaseException as error:
+            raise_if_request(error, heard)
+            if is_built_in(part):
+                raise
+            where = f" {doing}" if doing else ""
+            raise InputError(f"{name} failed{where}: {describe_error(error)}; fix it.") from error
 
 
 def maker_of(factory: Callable[..., object]) -> Callable[..., object]:
@@ -162,7 +163,7 @@ def _last_lines(error: BaseException) -> list[str]:
     """Last lines of a traceback, from where it leaves this package."""
     frames = list(traceback.walk_tb(error.__traceback__))
     own = [k for k, (frame, _) in enumerate(frames) if not _is_ours(frame)]
-    frames = frames[own[0] :] if own else frames
+    frames = frames[own[0] :] if own else []
     found = traceback.StackSummary.extract(iter(frames[-_MOST_LINES:]))
     return [_line(one) for one in found]
 

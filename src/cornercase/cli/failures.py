@@ -68,10 +68,18 @@ def exit_code_of(command: Callable[[], Any]) -> int:
             # typer makes the latter of the former.
             _write_to_nobody()
             return 1
+        if isinstance(error, SystemExit) and _is_of_typer(error):
+            return error.code if isinstance(error.code, int) else 0
         _tell(_sentence(error))
         return 1 if isinstance(error, StudyLostError) else 2
     # Between its parts typer takes each interrupt for Ctrl-C.
     return exit_code() if code == 128 + signal.SIGINT else code if isinstance(code, int) else 0
+
+
+def _is_of_typer(error: BaseException) -> bool:
+    """Whether typer has raised an exception, as when it has completed a command for a shell."""
+    *_, (frame, _) = traceback.walk_tb(error.__traceback__)
+    return str(frame.f_globals.get("__name__")).partition(".")[0] in ("typer", "click")
 
 
 def _is_closed_pipe(error: BaseException | None) -> bool:

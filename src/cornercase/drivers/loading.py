@@ -6,7 +6,7 @@ from typing import Protocol, TypeGuard, runtime_checkable
 
 from cornercase._common.current_folder import import_here
 from cornercase._common.errors import InputError, suggestion
-from cornercase._common.interrupts import requests_heard
+from cornercase._common.interrupts import noted_interrupts, requests_heard
 from cornercase._common.parts import raise_if_request
 from cornercase._common.registry import read_options, require_options
 from cornercase._common.texts import in_one_line
@@ -129,31 +129,33 @@ def load_driver(name: str) -> Driver:
     place = f"{module_name}:{class_name}"
     if colon and not text:
         raise InputError(f"The driver '{name}' ends in a colon; give options as in '{place}:name=value'.")
-    heard = requests_heard()
-    try:
-        module = import_here(module_name)
-    except ModuleNotFoundError as error:
-        raise InputError(
-            f"The driver '{name}' cannot be loaded since there is no module '{error.name}';"
-            " install it or start in its folder."
-        ) from error
-    except BaseException as error:
-        raise_if_request(error, heard)
-        raise InputError(
-            f"The driver '{name}' cannot be loaded since its module fails: {in_one_line(error)}."
-        ) from error
-    made = getattr(module, class_name, None)
-    if not isinstance(made, type):
-        raise InputError(f"The driver '{name}' cannot be loaded since '{module_name}' has no class '{class_name}'.")
-    options = read_options("driver", place, made, text) if text else {}
-    require_options("driver", place, made, options)
-    try:
-        driver = made(**options)
-    except InputError:
-        raise
-    except BaseException as error:
-        raise_if_request(error, heard)
-        raise InputError(f"The driver '{name}' cannot be made: {in_one_line(error)}.") from error
+    # Else Python itself would take a `KeyboardInterrupt` of the driver for one that somebody typed.
+    with noted_interrupts():
+        heard = requests_heard()
+        try:
+            module = import_here(module_name)
+        except ModuleNotFoundError as error:
+            raise InputError(
+                f"The driver '{name}' cannot be loaded since there is no module '{error.name}';"
+                " install it or start in its folder."
+            ) from error
+        except BaseException as error:
+            raise_if_request(error, heard)
+            raise InputError(
+                f"The driver '{name}' cannot be loaded since its module fails: {in_one_line(error)}."
+            ) from error
+        made = getattr(module, class_name, None)
+        if not isinstance(made, type):
+            raise InputError(f"The driver '{name}' cannot be loaded since '{module_name}' has no class '{class_name}'.")
+        options = read_options("driver", place, made, text) if text else {}
+        require_options("driver", place, made, options)
+        try:
+            driver = made(**options)
+        except InputError:
+            raise
+        except BaseException as error:
+            raise_if_request(error, heard)
+            raise InputError(f"The driver '{name}' cannot be made: {in_one_line(error)}.") from error
     if not is_driver(driver):
         raise InputError(
             f"The class '{place}' is not a driver: it neither derives from cornercase.drivers.Driver nor has start(),"

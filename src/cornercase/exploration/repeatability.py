@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-from cornercase._common.errors import InputError, SimulationError
+from cornercase._common.errors import InputError, PartError, SimulationError
 from cornercase._common.ledger import warn
 from cornercase.recordings import Recording, farthest_apart, same_bytes
 from cornercase.simulators import SIMULATORS
@@ -34,15 +34,22 @@ def try_repeatability(study: Study, again: Callable[[Row], Recording | Simulatio
     Warns
     -----
     NoticeWarning
-        Runs differ.
+        Runs differ, or the second run failed.
     """
     row = next((row for row in study.rows() if row.state == "done"), None)
     if row is None:
         return False
     if not study.meta.repeatability and _claims_to_repeat_itself(study.meta.simulator):
         outcome = again(row)
-        # That it fails may have reasons outside; then it is tried when the study goes on.
-        if isinstance(outcome, Recording):
+        if isinstance(outcome, PartError):
+            study.save_repeatability(row.id, False, None)
+        elif isinstance(outcome, SimulationError):
+            # It may have reasons outside, such as a time-out on a busy machine.
+            warn(
+                f"scenario {row.id} could not be run a second time ({outcome}), so it is not known whether runs repeat"
+                " themselves; the same command tries it again"
+            )
+        else:
             first = study.recording(row.id)
             same = same_bytes(first, outcome)
             study.save_repeatability(row.id, same, None if same else farthest_apart(first, outcome))

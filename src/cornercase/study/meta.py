@@ -197,8 +197,8 @@ class StudyMeta:
         if self.repeatability.get("same", True):
             return ""
         apart = self.repeatability.get("apart")
-        how = f"entities are up to {apart:.3g} m apart" if apart else "more than positions differs"
-        return f"scenario {self.repeatability['scenario']} was run twice, and in its recordings {how}"
+        how = f"in its recordings entities are up to {apart:.3g} m apart" if apart else "more than positions differs"
+        return f"scenario {self.repeatability['scenario']} was run twice, and {how}"
 
     @property
     def drivers(self) -> dict[str, Any]:

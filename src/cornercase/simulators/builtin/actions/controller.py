@@ -147,7 +147,11 @@ class Driving:
         except BaseException as error:
             raise DriverError(failure_of(self._name, error, heard, situation.time), splits=True) from error
         try:
-            return np.broadcast_to(np.asarray(given).astype(np.float64, casting="same_kind"), (expected,))
+            acceleration: FloatArray = np.asarray(given).astype(np.float64, casting="same_kind")
+            # One number would be that of the first scenario for all others, too.
+            if acceleration.shape != (expected,):
+                raise ValueError
+            return acceleration
         except BaseException as error:
             raise_if_request(error, heard)
             each = "for the scenario" if expected == 1 else f"for each of {expected} scenarios"
