@@ -8,6 +8,7 @@ import shutil
 import subprocess
 import sys
 import tomllib
+import warnings
 from importlib import metadata
 from pathlib import Path
 
@@ -15,7 +16,9 @@ import pytest
 import yaml
 from packaging.requirements import Requirement
 
+from command_line import X, cornercase
 from conftest import without
+from cornercase import NoticeWarning
 
 ROOT = Path(__file__).parents[1]
 WORKFLOW = yaml.safe_load((ROOT / ".github" / "workflows" / "tests.yml").read_text(encoding="utf-8"))
@@ -91,6 +94,21 @@ def test_42_17_ci_has_all_packages_that_tests_need():
                 missing.append(one.name)
     if missing:
         without(f"packages of the extra 'dev' are not installed: {', '.join(missing)}")
+
+
+def test_42_17_a_warning_that_no_test_expects_is_an_error():
+    for category in (UserWarning, NoticeWarning, RuntimeWarning, FutureWarning, ResourceWarning, DeprecationWarning):
+        with pytest.raises(category, match="careless"):
+            warnings.warn("careless", category, stacklevel=1)
+    # What scenario files hold for others; others' own use of what will be gone.
+    warnings.warn("without effect: <Axles>", NoticeWarning, stacklevel=1)
+    with pytest.warns(DeprecationWarning, match="old"):
+        warnings.warn_explicit("old", DeprecationWarning, "elsewhere.py", 1, module="elsewhere")
+
+
+def test_42_17_a_command_within_a_test_prints_its_notices(tmp_path):
+    done = cornercase("simulate", X, "--set", "ego_start=40", "-o", tmp_path / "recording.csv")
+    assert (done.returncode, done.stderr.count("Without effect: ")) == (0, 1)
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="it is a script of Unix")

@@ -85,6 +85,11 @@ class CarMaker:
     def get_pid(self):
         return self.process.pid
 
+    def __del__(self):
+        # Whoever was told its number has ended it.
+        if hasattr(self, "process"):
+            self.process.wait()
+
 
 class Condition:
     def __init__(self, control, state):

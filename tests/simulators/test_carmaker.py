@@ -29,6 +29,9 @@ from cornercase.simulators.carmaker.port import CommandPort
 from cornercase.simulators.carmaker.port_run import PortRun
 from cornercase.study import Study
 
+# The entities of a TestRun's scenario need no boxes, of which there is a test.
+pytestmark = pytest.mark.filterwarnings("ignore:.* have no <BoundingBox>:UserWarning")
+
 SAMPLE = Path(__file__).parents[3] / "shared" / "reference" / "simulators" / "carmaker" / "example.erg"
 SCENARIO = """<?xml version="1.0"?>
 <OpenSCENARIO>
@@ -162,7 +165,10 @@ def run(project, port, values=None, **options):
     simulator = CarMakerSimulator(
         testrun="Crossing", project=str(project), hosts="127.0.0.1", port=port.number, **options
     )
-    (found,) = simulator.run([ConcreteScenario(project.parent / "s.xosc", values or {"ego_speed": 42.5})])
+    try:
+        (found,) = simulator.run([ConcreteScenario(project.parent / "s.xosc", values or {"ego_speed": 42.5})])
+    finally:
+        simulator.close()
     return found
 
 
