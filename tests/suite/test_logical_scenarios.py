@@ -46,6 +46,9 @@ DRIVER, SLOWER = "normal", "normal:reaction_time=1.5,max_deceleration=4"
 CLEARLY = 1e-3
 # By which a score may differ and not count as moved.
 ROUNDING = 1e-6
+# By how much one may move and the versions still count as the same: m or s.
+TOLERANCE = 0.1
+VERDICTS = {(False, False): "the same", (True, False): "worse", (False, True): "better", (True, True): "mixed"}
 
 
 def overlaps(recording, one, other):
@@ -131,6 +134,12 @@ def require_told(old, new, ego):
         assert sum(one < -ROUNDING for one in moves) <= change.worse <= sum(one < 0 for one in moves)
         assert sum(one > ROUNDING for one in moves) <= change.better <= sum(one > 0 for one in moves)
     assert sum(told.outcomes.values()) == len(both)
+    if both:
+        ends = [(touched(a[1], ego), touched(b[1], ego)) for a, b in both.values()]
+        moves = [b[2][name] - a[2][name] for a, b in both.values() for name in METRIC_NAMES]
+        worse = (False, True) in ends or min(moves) < -TOLERANCE
+        better = (True, False) in ends or max(moves) > TOLERANCE
+        assert told.verdict == VERDICTS[worse, better], told.verdict_reason
     return told
 
 
@@ -189,6 +198,8 @@ def go_through(logical, folder, ego, other, size=6):
         "with the other only": ends[True, False],
         "worse": [one.worse for one in told.scores],
         "better": [one.better for one in told.scores],
+        "verdict": told.verdict,
+        "verdict of the suites": suites.verdict,
     }
 
 
