@@ -53,7 +53,7 @@ INEXACT = {
 
 
 @pytest.mark.parametrize("file", by_file())
-def test_43_1_every_lane_can_be_driven_with_the_speed_that_is_asked_for(file: str) -> None:
+def test_43_1_every_lane_can_be_driven_at_the_speed_asked_for_but_for_what_is_allowed(file: str) -> None:
     try:
         network = RoadNetwork.read(WILD / file)
     except InputError:
