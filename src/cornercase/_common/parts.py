@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-import os
 import re
 import traceback
 from collections.abc import Callable, Iterable, Iterator
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
 from functools import partial
 from pathlib import Path
 from types import FrameType
@@ -14,7 +13,7 @@ from typing import Final
 
 from cornercase._common.errors import InputError, LostError, PartError, SimulationError, is_of_the_machine
 from cornercase._common.interrupts import is_request, noted_interrupts, requests_heard
-from cornercase._common.texts import shorten
+from cornercase._common.texts import shorten, without_folders
 
 _PACKAGE: Final = str(Path(__file__).parents[1])
 # Last lines of a traceback that are kept, and characters of one, of a message and of all of it.
@@ -125,7 +124,7 @@ def describe_error(error: BaseException) -> str:
         message = str(error)
     except BaseException:
         message = ""
-    message = shorten(" ".join(_without_folders(message).split()).rstrip(".: "), _LONGEST_MESSAGE)
+    message = shorten(" ".join(without_folders(message).split()).rstrip(".: "), _LONGEST_MESSAGE)
     name = type(error).__name__
     lines = "; ".join(_last_lines(error))
     return shorten((f"{name}: {message}" if message else name) + (f" ({lines})" if lines else ""), _LONGEST)
@@ -176,12 +175,3 @@ def _line(one: traceback.FrameSummary) -> str:
 
 def _is_ours(frame: FrameType) -> bool:
     return frame.f_code.co_filename.startswith(_PACKAGE)
-
-
-def _without_folders(message: str) -> str:
-    """Name files in the current folder and in that of the user as relative ones."""
-    for find, short in ((Path.cwd, ""), (Path.home, f"~{os.sep}")):
-        # The one may be gone, and the other unknown.
-        with suppress(OSError, RuntimeError):
-            message = message.replace(f"{find()}{os.sep}", short)
-    return message

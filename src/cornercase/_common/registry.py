@@ -207,7 +207,7 @@ def declared_options(factory: Callable[..., Any]) -> dict[str, Parameter]:
     dict of str to Parameter
     """
     taken = dict(signature(factory).parameters)
-    made = factory.func if isinstance(factory, partial) else factory
+    made = maker_of(factory)
     for above in made.__mro__ if isinstance(made, type) else ():
         if not any(one.kind is one.VAR_KEYWORD for one in taken.values()):
             break
