@@ -15,7 +15,7 @@ from typing import Final
 from lxml import etree
 
 from cornercase._common.errors import InputError, NoticeWarning, suggestion
-from cornercase._common.recorded_xml import asked_attributes, children, was_read
+from cornercase._common.recorded_xml import adaptations, asked_attributes, children, was_read
 
 # More lines, and more things, than this are counted, not named.
 _MOST_LINES: Final = 5
@@ -66,9 +66,16 @@ class Entry:
         return any(one in ("*", value) or _same_number(value, one) for one in self.unless)
 
 
+class Label(StrEnum):
+    """What a notice says of parts of a file."""
+
+    WITHOUT_EFFECT = "without effect"
+    ADAPTED = "adapted"
+
+
 @dataclass(frozen=True)
 class Notice:
-    """Parts of a file that have no effect, all for one reason.
+    """Parts of a file that have no effect, or are not read as they stand there, all for one reason.
 
     Attributes
     ----------
@@ -79,12 +86,22 @@ class Notice:
     file : Path
     lines : tuple of int
         Where they stand, in order.
+    label : Label
+    rule : str
+        What the standard says of parts that are adapted; empty for others.
     """
 
     what: tuple[str, ...]
     why: str
     file: Path
     lines: tuple[int, ...]
+    label: Label = Label.WITHOUT_EFFECT
+    rule: str = ""
+
+    @property
+    def sentence(self) -> str:
+        """The notice with its label, without a full stop."""
+        return f"{self.label}: {self}"
 
     def __str__(self) -> str:
         named = ", ".join(map(str, self.lines[:_MOST_LINES]))
@@ -99,12 +116,15 @@ class Notice:
 
 def merged(notices: Iterable[Notice]) -> tuple[Notice, ...]:
     """Notices of which those of one file and for one reason are one."""
-    found: dict[tuple[Path, str], tuple[dict[str, None], set[int]]] = {}
+    found: dict[tuple[Path, str, Label, str], tuple[dict[str, None], set[int]]] = {}
     for notice in notices:
-        names, lines = found.setdefault((notice.file, notice.why), ({}, set()))
+        names, lines = found.setdefault((notice.file, notice.why, notice.label, notice.rule), ({}, set()))
         names.update(dict.fromkeys(notice.what))
         lines.update(notice.lines)
-    return tuple(Notice(tuple(names), why, file, tuple(sorted(lines))) for (file, why), (names, lines) in found.items())
+    return tuple(
+        Notice(tuple(names), why, file, tuple(sorted(lines)), label, rule)
+        for (file, why, label, rule), (names, lines) in found.items()
+    )
 
 
 def distinct(notices: Iterable[Notice]) -> tuple[Notice, ...]:
@@ -115,10 +135,30 @@ def distinct(notices: Iterable[Notice]) -> tuple[Notice, ...]:
     return tuple(found.values())
 
 
+def adapted(element: etree._Element, file: Path | str) -> tuple[Notice, ...]:
+    """Name what breaks the standard and was read all the same, below an element and in it, after the file was read.
+
+    Parameters
+    ----------
+    element : lxml element
+    file : path
+
+    Returns
+    -------
+    tuple of Notice
+    """
+    every = etree.ElementBase.iter if isinstance(element, etree.ElementBase) else etree._Element.iter
+    return merged(
+        Notice((what,), why, Path(file), (_line(one),), Label.ADAPTED, rule)
+        for one in every(element)
+        for what, why, rule in adaptations(one)
+    )
+
+
 def warn_of(notices: Iterable[Notice]) -> None:
     """Give each notice as a `NoticeWarning` of whoever called cornercase."""
     for notice in notices:
-        warn(f"without effect: {notice}")
+        warn(notice.sentence)
 
 
 def warn(sentence: str) -> None:

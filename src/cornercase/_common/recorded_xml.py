@@ -30,12 +30,15 @@ class RecordedElement(etree.ElementBase):
         Names of attributes, whether or not the element has them; None as long as none was asked for.
     made : dict or None
         What was made of it, for `made_once`.
+    adapted : dict or None
+        Where it breaks the standard and was read all the same, for `adapt`.
     """
 
     # Of the class as long as nothing was read, so that an element costs nothing to make.
     found: bool = False
     asked: set[str] | None = None
     made: dict[str, Any] | None = None
+    adapted: dict[tuple[str, str], str] | None = None
 
     def get(self, key: Any, default: Any = None) -> Any:
         """Value of an attribute."""
@@ -140,6 +143,30 @@ def made_once(element: etree._Element, what: str, make: Callable[[], T]) -> T:
         element.made[what] = make()
     found: T = element.made[what]
     return found
+
+
+def adapt(element: etree._Element, what: str, why: str, rule: str) -> None:
+    """Note that a part of a file breaks the standard, and how it was read all the same.
+
+    Parameters
+    ----------
+    element : lxml element
+        Where it stands; one that records nothing notes nothing.
+    what : str
+        The part: ``"type of <ParameterDeclaration>"``.
+    why : str
+        What it was read as, in plain words; without a capital at its beginning or a full stop at its end.
+    rule : str
+        What the standard says: ``"the type is one of boolean, …"``; as `why`.
+    """
+    if isinstance(element, RecordedElement):
+        element.adapted = {**(element.adapted or {}), (what, why): rule}
+
+
+def adaptations(element: etree._Element) -> list[tuple[str, str, str]]:
+    """What was noted of an element by `adapt`: what, why and rule of each."""
+    noted = element.adapted if isinstance(element, RecordedElement) else None
+    return [(what, why, rule) for (what, why), rule in (noted or {}).items()]
 
 
 def recording_parser(**options: Any) -> etree.XMLParser:

@@ -265,7 +265,7 @@ def _tell_check(found: Any) -> None:
     if found.variables:
         out.print(f"variables: {', '.join(found.variables)}")
     for notice in found.notices:
-        out.print(shorten(f"without effect: {notice}", LONGEST))
+        out.print(shorten(notice.sentence, LONGEST))
     if found.schema is None:
         out.print("schema: not looked at; it comes with pip install 'cornercase[validate]'")
     else:

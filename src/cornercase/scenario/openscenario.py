@@ -13,7 +13,7 @@ from lxml import etree
 
 from cornercase._common import arguments
 from cornercase._common.errors import InputError, suggestion
-from cornercase._common.ledger import Notice
+from cornercase._common.ledger import Label, Notice
 from cornercase._common.recorded_xml import children, named, unrecorded, was_read
 from cornercase.scenario.axes import left_handed_header
 from cornercase.scenario.catalogs import Catalogs
@@ -185,7 +185,10 @@ class Scenario:
             "the description begins with 'CARLA:', so that positions are in left-handed axes, as ScenarioRunner reads"
             " them; they are turned to the axes of the road file, in which recordings are, too"
         )
-        return (Notice(("signs of y and headings",), why, self.path, (int(str(header.sourceline)),)),)
+        rule = "positions are in right-handed axes, x east and y north, with headings counter-clockwise"
+        return (
+            Notice(("signs of y and headings",), why, self.path, (int(str(header.sourceline)),), Label.ADAPTED, rule),
+        )
 
     @cached_property
     def entities(self) -> tuple[str, ...]:

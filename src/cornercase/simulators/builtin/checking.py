@@ -67,7 +67,7 @@ class Check:
         if self.schema is not None:
             validity += f"{len(self.invalid)} errors" if self.invalid else "valid"
         lines = [f"<Check of {self.path.name}: {'cannot' if self.trouble else 'can'} be run, {validity}; {held}"]
-        lines += [f"without effect: {notice}" for notice in self.notices]
+        lines += [notice.sentence for notice in self.notices]
         return "\n  ".join([*lines, *self.invalid, *self.trouble]) + ">"
 
 

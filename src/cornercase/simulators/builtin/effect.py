@@ -1,11 +1,11 @@
-"""Parts of a scenario without effect in the builtin simulator."""
+"""Parts of a scenario without effect in the builtin simulator, or not read as they stand there."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 
 from cornercase._common.errors import InputError
-from cornercase._common.ledger import Notice, local_name, merged
+from cornercase._common.ledger import Notice, adapted, local_name, merged
 from cornercase.roads import name_without_effect
 from cornercase.scenario import Scenario, Value, VariesError
 from cornercase.simulators.builtin.batch import Batch
@@ -51,6 +51,7 @@ def notices_after_reading(scenario: Scenario, read: bool = True) -> tuple[Notice
     scenario.catalog_files()  # They are looked for only where the scenario refers to one of them.
     networks = PreparedScenario.of(scenario).networks
     for file, element in scenario.read_parts():
+        found += adapted(element, file)
         if local_name(element) == "OpenDRIVE":
             found += name_without_effect(element, file, networks.get(file), read)
         else:
