@@ -136,7 +136,7 @@ def distinct(notices: Iterable[Notice]) -> tuple[Notice, ...]:
 
 
 def adapted(element: etree._Element, file: Path | str) -> tuple[Notice, ...]:
-    """Name what breaks the standard and was read all the same, below an element and in it, after the file was read.
+    """Name what breaks the standard and was read all the same: in an element, below and above, once the file was read.
 
     Parameters
     ----------
@@ -150,7 +150,7 @@ def adapted(element: etree._Element, file: Path | str) -> tuple[Notice, ...]:
     every = etree.ElementBase.iter if isinstance(element, etree.ElementBase) else etree._Element.iter
     return merged(
         Notice((what,), why, Path(file), (_line(one),), Label.ADAPTED, rule)
-        for one in every(element)
+        for one in (*element.iterancestors(), *every(element))
         for what, why, rule in adaptations(one)
     )
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import re
 from pathlib import Path
 from typing import Final
 
@@ -10,9 +11,11 @@ from lxml import etree
 
 from cornercase._common.errors import InputError
 from cornercase._common.files import read_file
-from cornercase._common.recorded_xml import recording_parser
+from cornercase._common.recorded_xml import adapt, recording_parser
 
 _DEEPEST: Final = 200
+# White space and comments before the declaration of XML, which should stand first.
+_BEFORE_DECLARATION: Final = re.compile(rb"\A((?:\xef\xbb\xbf)?)((?>\s+|<!--(?:(?!-->).)*-->)+)(?=<\?xml\s)", re.DOTALL)
 
 
 def read_xml(path: Path | str) -> etree._Element:
@@ -53,13 +56,12 @@ def parse_xml(data: bytes, path: Path | str) -> etree._Element:
     InputError
         It is no XML, has a document type declaration, or is nested more than 200 deep.
     """
-    parser = recording_parser(
-        resolve_entities=False, no_network=True, load_dtd=False, huge_tree=False, remove_comments=False
-    )
     try:
-        root = etree.fromstring(data, parser)
+        root = _parsed(data)
     except etree.XMLSyntaxError as error:
-        raise InputError(f"{path}: is not well-formed XML ({error.msg}).") from error
+        root = _parsed_leniently(data)
+        if root is None:
+            raise InputError(f"{path}: is not well-formed XML ({error.msg}).") from error
     if root.getroottree().docinfo.internalDTD is not None:
         raise InputError(f"{path}: has a document type declaration, which is not read; remove <!DOCTYPE …>.")
     depth = 0
@@ -68,6 +70,45 @@ def parse_xml(data: bytes, path: Path | str) -> etree._Element:
         if depth > _DEEPEST:
             raise InputError(f"{path}: elements are nested more than {_DEEPEST} deep.")
     return root
+
+
+def _parsed(data: bytes) -> etree._Element:
+    parser = recording_parser(
+        resolve_entities=False, no_network=True, load_dtd=False, huge_tree=False, remove_comments=False
+    )
+    return etree.fromstring(data, parser)
+
+
+def _parsed_leniently(data: bytes) -> etree._Element | None:
+    """Root of a document whose comments or declaration alone break the rules of XML; None where other things do."""
+    faults = []
+    declared_late = _BEFORE_DECLARATION.match(data)
+    if declared_late:
+        # As many lines, so that messages name the right ones.
+        data = declared_late[1] + data[declared_late.end() :].replace(
+            b"?>", b"?>" + b"\n" * declared_late[2].count(b"\n"), 1
+        )
+        faults.append(("XML declaration", "it is read as if it stood at the beginning", "it stands at the beginning"))
+    mended = _with_mended_comments(data)
+    if mended != data:
+        faults.append(("comments that hold '--'", "they are read as comments", "a comment holds no '--'"))
+    try:
+        root = _parsed(mended)
+    except etree.XMLSyntaxError:
+        return None
+    for what, why, rule in faults:
+        adapt(root, what, why, f"{rule} (XML 1.0)")
+    return root
+
+
+def _with_mended_comments(data: bytes) -> bytes:
+    """Document whose comments, each of which ends at its first "-->", hold no two hyphens in a row."""
+    pieces, place = [], 0
+    while (begin := data.find(b"<!--", place)) >= 0 and (end := data.find(b"-->", begin + 4)) >= 0:
+        comment = data[begin + 4 : end].replace(b"--", b"__")
+        pieces += [data[place : begin + 4], comment[:-1] + b"_" if comment.endswith(b"-") else comment]
+        place = end
+    return b"".join((*pieces, data[place:]))
 
 
 class XmlFiles:
