@@ -59,9 +59,10 @@ def parse_xml(data: bytes, path: Path | str) -> etree._Element:
     try:
         root = _parsed(data)
     except etree.XMLSyntaxError as error:
-        root = _parsed_leniently(data)
-        if root is None:
+        mended = _parsed_leniently(data)
+        if mended is None:
             raise InputError(f"{path}: is not well-formed XML ({error.msg}).") from error
+        root = mended
     if root.getroottree().docinfo.internalDTD is not None:
         raise InputError(f"{path}: has a document type declaration, which is not read; remove <!DOCTYPE …>.")
     depth = 0
