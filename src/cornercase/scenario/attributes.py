@@ -11,6 +11,7 @@ import numpy as np
 from lxml import etree
 
 from cornercase._common.errors import InputError
+from cornercase._common.recorded_xml import adapt
 from cornercase._common.typing import BoolArray, FloatArray
 from cornercase.scenario.constraints import Declaration
 from cornercase.scenario.declared_types import value_text
@@ -272,7 +273,9 @@ class Attributes:
         text = text.strip()
         try:
             if text.startswith("${") and text.endswith("}"):
-                return rounded(evaluate(text[2:-1], self.values))
+                result = rounded(evaluate(text[2:-1], self.values))
+                self._note_texts(text, result, element, attribute)
+                return result
             if text[:1] == "$" and text[1:] in self.values:
                 return self.values[text[1:]]
             if text.startswith("$"):
@@ -280,6 +283,17 @@ class Attributes:
         except InputError as error:
             raise self._error(element, attribute, f"cannot be evaluated. {error}") from None
         return text
+
+    def _note_texts(self, text: str, result: Any, element: _Placed, attribute: str) -> None:
+        """Note that an expression calculates with texts that are numbers."""
+        texts = [name for name in sorted(names_in(text)) if isinstance(self.values.get(name), str)]
+        if texts and isinstance(element, etree._Element) and isinstance(result, float | np.floating | np.ndarray):
+            adapt(
+                element,
+                f"{attribute} of <{element.tag}>",
+                f"the text of the parameter {', '.join(texts)} is taken as a number",
+                "an expression calculates with numbers, not with texts",
+            )
 
     def _float(self, text: Value, element: _Placed, attribute: str = "value", endless: bool = False) -> float:
         try:

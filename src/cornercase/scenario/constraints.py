@@ -10,7 +10,7 @@ import numpy as np
 from lxml import etree
 
 from cornercase._common.errors import InputError, suggestion
-from cornercase._common.recorded_xml import made_once
+from cornercase._common.recorded_xml import adapt, made_once
 from cornercase._common.typing import BoolArray
 from cornercase.scenario.declared_types import NUMERIC, typed_value
 
@@ -22,6 +22,9 @@ _RULES: Final[dict[str, Callable[[Any, Any], Any]]] = {
     "lessThan": np.less,
     "lessOrEqual": np.less_equal,
 }
+
+# Rules for what has no order.
+_OF_TEXTS: Final = {"equalTo", "notEqualTo"}
 
 _SIGNS: Final = {
     "equalTo": "=",
@@ -110,6 +113,14 @@ class Declaration:
             for group in element.iterfind("ConstraintGroup")
         )
         kind = element.get("parameterType", "string")
+        ordered = {one.rule for group in groups for one in group} - _OF_TEXTS
+        if kind == "string" and ordered:
+            adapt(
+                element,
+                f"<ValueConstraint> of {element.get('name', '')}",
+                "its texts are compared as numbers where they are numbers",
+                "texts are only equalTo and notEqualTo each other",
+            )
         line: Any = element.sourceline
         return cls(element.get("name", ""), kind, element.get("value", ""), groups, line)
 
@@ -226,12 +237,19 @@ def _known(rule: str) -> str:
 
 def _compare(rule: str, value: Any, bound: Any, kind: str) -> Any:
     """Compare values as those of a type; raises a `ValueError` for what is none of it."""
-    if kind not in NUMERIC:
+    if kind not in NUMERIC and not (kind == "string" and rule not in _OF_TEXTS and _are_numbers(value, bound)):
         of_kind = np.vectorize(lambda one: str(typed_value(_plain(one), kind)), otypes=[str])
         return _RULES[rule](of_kind(value), of_kind(bound))
     value, bound = np.asarray(value, dtype=np.float64), np.asarray(bound, dtype=np.float64)
     near = np.abs(value - bound) <= _TOLERANCE
     return near if rule == "equalTo" else _RULES[rule](value, bound) & ~near | (near & (rule.endswith("OrEqual")))
+
+
+def _are_numbers(*values: Any) -> bool:
+    try:
+        return all(np.isfinite(np.asarray(value, dtype=np.float64)).all() for value in values)
+    except ValueError:
+        return False
 
 
 def _plain(value: Any) -> Any:

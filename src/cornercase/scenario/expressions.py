@@ -91,10 +91,22 @@ def evaluate(expression: str, values: Mapping[str, Operand]) -> Operand:
     try:
         with np.errstate(all="ignore"):
             result = parser.binary(0, 0)
-    except TypeError:
+    except (TypeError, ValueError):
         raise InputError(f"The expression '{_shortened(expression)}' mixes text and numbers.") from None
     parser.end()
     return result
+
+
+def _is_text(value: Operand) -> bool:
+    return isinstance(value, str)
+
+
+def _number(value: Operand) -> Operand:
+    """Number that a text is, of a parameter that is declared as a text; anything else as it is."""
+    try:
+        return float(value) if _is_text(value) else value
+    except ValueError:
+        return value
 
 
 def names_in(text: str) -> set[str]:
@@ -145,7 +157,11 @@ class _Parser:
         while (word := self._peek()) in _BINARY and _BINARY[word][0] > weakest:
             self._next += 1
             strength, apply = _BINARY[word]
-            left = apply(left, self.binary(strength, depth + 1))
+            right = self.binary(strength, depth + 1)
+            # Two texts are equal as texts, a text and a number as numbers.
+            if word not in ("==", "!=") or _is_text(left) != _is_text(right):
+                left, right = _number(left), _number(right)
+            left = apply(left, right)
         return left
 
     def end(self) -> None:
@@ -160,7 +176,7 @@ class _Parser:
             self._next += 1
             if word == "not":
                 return np.logical_not(self.binary(2, depth + 1))
-            value = self._unary(depth + 1)
+            value = _number(self._unary(depth + 1))
             return np.negative(value) if word == "-" else value
         return self._primary(depth)
 
@@ -199,7 +215,7 @@ class _Parser:
         self._expect(")")
         if len(arguments) != count:
             raise self._error(f"'{name}' takes {count} argument{'s' if count > 1 else ''}, not {len(arguments)}")
-        return function(*arguments)
+        return function(*map(_number, arguments))
 
     def _peek(self) -> str:
         return self._tokens[self._next][1] if self._next < len(self._tokens) else ""
