@@ -265,8 +265,12 @@ class Attributes:
             It is not the same for all scenarios.
         """
         text = self.text(element, attribute, "true" if default else "false")
-        if text not in ("true", "false", "1", "0"):
+        if text.lower() not in ("true", "false", "1", "0"):
             raise self._error(element, attribute, f"is '{text}', not true or false")
+        if text != text.lower() and isinstance(element, etree._Element):
+            why = f"'{text}' is read as {text.lower()}"
+            adapt(element, f"{attribute} of <{element.tag}>", why, "a boolean is true, false, 1 or 0")
+            text = text.lower()
         return text in ("true", "1")
 
     def _value(self, text: str, element: _Placed, attribute: str = "value") -> Any:
@@ -299,7 +303,9 @@ class Attributes:
         try:
             number = float(text)
         except ValueError:
-            raise self._error(element, attribute, f"is '{text}', which is not a number") from None
+            comma = isinstance(text, str) and _literal(text.replace(",", ".", 1)) is not None
+            hint = f"; write it with a point, as {text.replace(',', '.', 1)}" if comma and isinstance(text, str) else ""
+            raise self._error(element, attribute, f"is '{text}', which is not a number{hint}") from None
         if not np.isfinite(number) and not (endless and number == np.inf):
             raise self._error(element, attribute, f"is '{text}', which is not a finite number")
         return number

@@ -12,6 +12,7 @@ from lxml import etree
 from cornercase._common.errors import InputError
 from cornercase._common.files import read_file
 from cornercase._common.recorded_xml import adapt, recording_parser
+from cornercase.scenario.adapting import adapt_openscenario
 
 _DEEPEST: Final = 200
 # White space and comments before the declaration of XML, which should stand first.
@@ -133,6 +134,7 @@ class XmlFiles:
         """Root of a file, as in `read_xml`; the same object each time, which is not to be changed."""
         if path not in self._roots:
             self._roots[path] = root = parse_xml(self.content(path), path)
+            adapt_openscenario(root)
             # Elements remember what was read of them as long as somebody holds them.
             self._elements[path] = list(root.iter())
         return self._roots[path]

@@ -9,7 +9,7 @@ import numpy as np
 from lxml import etree
 
 from cornercase._common.errors import InputError, suggestion
-from cornercase._common.recorded_xml import named, unrecorded
+from cornercase._common.recorded_xml import adapt, named, unrecorded
 from cornercase.scenario import Scope
 from cornercase.simulators.builtin.tracks.track import ALONG_LEGS, AT_CORNERS, AT_VERTICES
 from cornercase.simulators.builtin.world.state import Entity, Tow
@@ -20,6 +20,22 @@ _TURNING: Final = {"segment": ALONG_LEGS, "corner": AT_CORNERS, "off": AT_VERTIC
 _MOST_TRAILERS: Final = 20
 # m; no vehicle, nor what stands beside a road, is larger.
 _LARGEST: Final = 10_000.0
+# Length, width and how far the centre is ahead, in m, where a file gives none: those of the entities that come with
+# esmini, and of common vehicles where it has none.
+_SIZES: Final = {
+    "car": (5.04, 2.0, 1.4),
+    "van": (4.5, 1.8, 1.3),
+    "truck": (5.7, 2.6, 2.2),
+    "bus": (12.0, 2.55, 3.0),
+    "trailer": (4.5, 2.0, 1.4),
+    "semitrailer": (11.23, 2.6, 2.56),
+    "motorbike": (2.5, 0.5, 1.0),
+    "bicycle": (1.8, 0.5, 0.5),
+    "tram": (30.0, 2.4, 0.0),
+    "train": (25.0, 2.8, 0.0),
+    "pedestrian": (0.6, 0.5, 0.06),
+    "misc": (1.0, 1.0, 0.0),
+}
 _LIMITS: Final = ("maxSpeed", "maxAcceleration", "maxDeceleration")
 
 
@@ -92,9 +108,6 @@ def _body(element: etree._Element, name: str, scope: Scope) -> tuple[etree._Elem
 
 
 def _entity(body: etree._Element, name: str, scope: Scope) -> Entity:
-    dimensions, center = body.find("BoundingBox/Dimensions"), body.find("BoundingBox/Center")
-    if dimensions is None or center is None:
-        raise InputError(f"{scope.source}: the entity '{name}' has no <BoundingBox> with <Center> and <Dimensions>.")
     kind = {"Pedestrian": "pedestrian", "MiscObject": "misc"}.get(body.tag) or scope.text(
         body, "vehicleCategory", "car"
     )
@@ -106,8 +119,7 @@ def _entity(body: etree._Element, name: str, scope: Scope) -> Entity:
         for attribute, limit in zip(_LIMITS, limits, strict=True):
             if limit < 0.0:
                 raise InputError(f"{scope.source}: {attribute} of '{name}' is {limit:g}; it must not be below 0.")
-    length, width = scope.one_number(dimensions, "length"), scope.one_number(dimensions, "width")
-    reach = scope.one_number(center, "x")
+    length, width, reach = _box(body, kind, scope)
     if not (length > 0 and width > 0):
         raise InputError(f"{scope.source}: the bounding box of '{name}' needs a positive length and width.")
     if max(length, width, abs(reach)) > _LARGEST:
@@ -118,6 +130,21 @@ def _entity(body: etree._Element, name: str, scope: Scope) -> Entity:
     own = {key: "" if item is None else scope.text(item, "value") for key, item in found.items()}
     slides, turning = own["ignoreHeadingForTrajMotion"] == "true", _TURNING.get(own["plineInterpolation"], "")
     return Entity(name, kind, length, width, reach, limits[0], limits[1], limits[2], slides, turning)
+
+
+def _box(body: etree._Element, kind: str, scope: Scope) -> tuple[float, float, float]:
+    """Length and width of an entity's box, and how far its centre is ahead, in m: those of its kind for none."""
+    dimensions, center = body.find("BoundingBox/Dimensions"), body.find("BoundingBox/Center")
+    length, width, ahead = _SIZES.get(kind, _SIZES["car"])
+    known = {} if dimensions is None else {key: scope.one_number(dimensions, key, 0.0) for key in ("length", "width")}
+    reach = ahead if center is None else scope.one_number(center, "x")
+    found = known.get("length") or length, known.get("width") or width
+    if center is None or not all(known.get(key) for key in ("length", "width")):
+        part = "<BoundingBox>" if dimensions is None or center is None else "size of <BoundingBox>"
+        why = f"the {kind} is taken as {found[0]:g} m long and {found[1]:g} m wide, its centre {reach:g} m ahead"
+        rule = "an entity has a <BoundingBox> with <Center> and <Dimensions>, which are above 0 m"
+        adapt(body if dimensions is None else dimensions, part, why, rule)
+    return *found, reach
 
 
 def _pulled(body: etree._Element, scope: Scope, name: str) -> Iterator[tuple[etree._Element, Scope] | str]:

@@ -9,6 +9,7 @@ import numpy as np
 from lxml import etree
 
 from cornercase._common.errors import InputError, suggestion
+from cornercase._common.recorded_xml import adapt
 from cornercase._common.typing import BoolArray
 from cornercase.scenario import Scope
 from cornercase.simulators.builtin.actions.action import Action
@@ -23,8 +24,14 @@ from cornercase.simulators.builtin.actions.longitudinal import (
 from cornercase.simulators.builtin.actions.speed_profile import SpeedProfileAction
 from cornercase.simulators.builtin.actions.synchronise import SynchronizeAction
 from cornercase.simulators.builtin.paths.positions import entity_index, read_position, read_route
+from cornercase.simulators.builtin.world.held import as_held, nobody_asks
 from cornercase.simulators.builtin.world.lanes import assign_route, place_entity
-from cornercase.simulators.builtin.world.signals import named_controller, named_phase
+from cornercase.simulators.builtin.world.signals import (
+    SIGNAL_CONDITIONS,
+    SignalController,
+    named_controller,
+    named_phase,
+)
 from cornercase.simulators.builtin.world.state import LATERAL, LONGITUDINAL, World
 
 # Actions that change nothing that a criticality metric measures.
@@ -64,9 +71,12 @@ def read_action(element: etree._Element, scope: Scope, world: World, entity: int
     inner = next(iter(element.iterchildren("*")), None)
     while inner is not None and inner.tag in _HOLDERS:
         inner = next(iter(inner.iterchildren("*")), None)
+    if element.tag in WITHOUT_EFFECT:
+        return None
     if inner is None:
-        raise InputError(f"{scope.source}, line {element.sourceline}: <{element.tag}> holds no action.")
-    if inner.tag in WITHOUT_EFFECT or element.tag in WITHOUT_EFFECT:
+        adapt(element, f"<{element.tag}> without an action", "is skipped", f"<{element.tag}> holds an action")
+        return None
+    if inner.tag in WITHOUT_EFFECT:
         return None
     if inner.tag in _GLOBAL_READERS:
         return _GLOBAL_READERS[inner.tag](inner, scope, world, entity)
@@ -153,15 +163,9 @@ class PresenceAction(Action):
 class ValueAction(Action):
     """Sets or modifies a variable or, as files before 1.2 did, a parameter."""
 
-    def __init__(self, element: etree._Element, scope: Scope, world: World, entity: int | None) -> None:
-        kind = "variableRef" if element.tag == "VariableAction" else "parameterRef"
-        self._name = element.get(kind, "").lstrip("$")
-        values = world.variables if kind == "variableRef" else world.parameters
+    def __init__(self, element: etree._Element, scope: Scope, values: dict[str, Any], name: str) -> None:
+        self._name, self._values = name, values
         where = f"{scope.source}, line {element.sourceline}"
-        if self._name not in values:
-            what = "variable" if kind == "variableRef" else "parameter"
-            raise InputError(f"{where}: there is no {what} '{self._name}'; {suggestion(self._name, values)}")
-        self._values = values
         self._operation: Callable[[Any, Any], Any] = np.add
         change, given = element.find("SetAction"), None
         if change is not None:
@@ -176,7 +180,8 @@ class ValueAction(Action):
             given = inner
             self._operation = np.multiply if inner.tag == "MultiplyByValue" else np.add
         numeric = values[self._name].dtype.kind == "f"
-        self._value = scope.number(given, "value") if numeric else np.full(scope.scenarios, scope.text(given, "value"))
+        text = "" if numeric else as_held(given, scope, values[self._name])
+        self._value = scope.number(given, "value") if numeric else np.full(scope.scenarios, text)
         if not numeric and not self._set:
             raise InputError(f"{where}: '{self._name}' is not a number and can only be set.")
 
@@ -187,18 +192,42 @@ class ValueAction(Action):
         self._values[self._name] = np.where(where, new, values)
 
 
+def _read_value(element: etree._Element, scope: Scope, world: World, entity: int | None) -> Action | None:
+    kind = "variableRef" if element.tag == "VariableAction" else "parameterRef"
+    what, values = kind.removesuffix("Ref"), world.variables if kind == "variableRef" else world.parameters
+    name = element.get(kind, "").lstrip("$")
+    if name in values:
+        return ValueAction(element, scope, values, name)
+    if nobody_asks(element, f"{what.capitalize()}Condition"):
+        why = f"is skipped, as there is no {what} '{name}', and no condition asks for one"
+        adapt(element, f"<{element.tag}>", why, f"{kind} names a {what} that is declared")
+        return None
+    where = f"{scope.source}, line {element.sourceline}"
+    raise InputError(f"{where}: there is no {what} '{name}'; {suggestion(name, values)}")
+
+
 class SignalControllerAction(Action):
     """Begins a phase of a controller of traffic signals, which goes on from there."""
 
-    def __init__(self, element: etree._Element, scope: Scope, world: World, entity: int | None) -> None:
-        where = f"{scope.source}, line {element.sourceline}"
-        name = scope.text(element, "trafficSignalControllerRef")
-        self._controller = named_controller(world.signal_controllers, name, where)
-        self._phase = named_phase(self._controller, scope.text(element, "phase"), where)
+    def __init__(self, controller: SignalController, phase: int) -> None:
+        self._controller, self._phase = controller, phase
 
     def start(self, world: World, where: BoolArray) -> None:
         self._controller.go_to(self._phase, world.time, where)
         self._controller.switch(world.signals, world.time, world.running)
+
+
+def _read_signal_controller(element: etree._Element, scope: Scope, world: World, entity: int | None) -> Action | None:
+    where, name = f"{scope.source}, line {element.sourceline}", scope.text(element, "trafficSignalControllerRef")
+    phase = scope.text(element, "phase")
+    controller = world.signal_controllers.get(name)
+    if (controller is None or phase not in controller.names) and nobody_asks(element, *SIGNAL_CONDITIONS):
+        lacking = f"signal controller '{name}'" if controller is None else f"phase '{phase}' of '{name}'"
+        why = f"is skipped, as there is no {lacking}, and no condition asks for signals"
+        adapt(element, f"<{element.tag}>", why, "it names a signal controller of the file, and a phase of it")
+        return None
+    controller = named_controller(world.signal_controllers, name, where)
+    return SignalControllerAction(controller, named_phase(controller, phase, where))
 
 
 class SignalAction(Action):
@@ -230,10 +259,10 @@ _READERS: Final[dict[str, Callable[[etree._Element, Scope, World, int], Action]]
     "VisibilityAction": VisibilityAction,
 }
 
-_GLOBAL_READERS: Final[dict[str, Callable[[etree._Element, Scope, World, int | None], Action]]] = {
+_GLOBAL_READERS: Final[dict[str, Callable[[etree._Element, Scope, World, int | None], Action | None]]] = {
     "EntityAction": PresenceAction,
-    "VariableAction": ValueAction,
-    "ParameterAction": ValueAction,
+    "VariableAction": _read_value,
+    "ParameterAction": _read_value,
     "TrafficSignalStateAction": SignalAction,
-    "TrafficSignalControllerAction": SignalControllerAction,
+    "TrafficSignalControllerAction": _read_signal_controller,
 }

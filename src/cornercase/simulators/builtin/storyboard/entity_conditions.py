@@ -77,7 +77,7 @@ def rule_of(element: etree._Element, scope: Scope) -> Callable[[Any, Any], Any]:
     callable
         Takes two values or arrays.
     """
-    rule = scope.text(element, "rule", "equalTo")
+    rule = scope.text(element, "rule")
     if rule not in _RULES:
         raise InputError(f"{scope.source}, line {element.sourceline}: rule '{rule}': {suggestion(rule, _RULES)}")
     return _RULES[rule]

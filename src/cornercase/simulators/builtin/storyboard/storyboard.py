@@ -11,6 +11,7 @@ import numpy as np
 from lxml import etree
 
 from cornercase._common.errors import InputError
+from cornercase._common.recorded_xml import adapt
 from cornercase._common.typing import BoolArray
 from cornercase.scenario import Scenario, Scope
 from cornercase.simulators.builtin.actions.action import Action
@@ -214,6 +215,8 @@ class Storyboard:
         actions = []
         for action in event.iterfind("Action"):
             name = action.get("name", "")
+            if action.find("*") is None:
+                adapt(action, "<Action> without an action", "is skipped", "<Action> holds an action")
             for element in action.iterchildren("*"):
                 private = element.tag == "PrivateAction"
                 for actor, chosen in choices.items() if private else [(None, None)]:

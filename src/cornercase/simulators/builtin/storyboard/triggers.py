@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from typing import Any, Final, Protocol
 
 import numpy as np
@@ -10,6 +10,7 @@ from lxml import etree
 
 from cornercase._common.errors import InputError, suggestion
 from cornercase._common.masks import anywhere
+from cornercase._common.recorded_xml import adapt
 from cornercase._common.typing import BoolArray, FloatArray
 from cornercase.scenario import Scope
 from cornercase.simulators.builtin.frames import leaves
@@ -24,6 +25,7 @@ from cornercase.simulators.builtin.storyboard.entity_conditions import (
     number_of_rule,
     rule_of,
 )
+from cornercase.simulators.builtin.world.held import as_held
 from cornercase.simulators.builtin.world.signals import named_controller, named_phase
 from cornercase.simulators.builtin.world.state import World
 
@@ -364,10 +366,7 @@ def _held(element: etree._Element, scope: Scope, world: World, elements: Element
     if values[name].dtype.kind == "f":
         rule, value = rule_of(element, scope), scope.number(element, "value")
         return ByValue(lambda world: np.asarray(rule(values[name], value)))
-    text, rule_name = scope.text(element, "value"), scope.text(element, "rule", "equalTo")
-    if text in ("0", "1") and set(np.unique(values[name])) <= {"true", "false"}:
-        text = "true" if text == "1" else "false"
-    # Texts are ordered by their letters, as in esmini.
+    text, rule_name = as_held(element, scope, values[name]), scope.text(element, "rule")
     orders: dict[str, Callable[[Any, Any], Any]] = {
         "equalTo": np.equal,
         "notEqualTo": np.not_equal,
@@ -381,7 +380,27 @@ def _held(element: etree._Element, scope: Scope, world: World, elements: Element
             f"{scope.source}, line {element.sourceline}: rule '{rule_name}': {suggestion(rule_name, orders)}"
         )
     compare = orders[rule_name]
+    if rule_name not in ("equalTo", "notEqualTo"):
+        numeric = not np.isnan(_numbers([text, *np.unique(values[name])])).any()
+        why = "as the number that it is" if numeric else "by its letters, as in esmini"
+        why = f"'{name}', which is declared as a text, is compared {why}"
+        adapt(element, f"rule of <{element.tag}>", why, "what is ordered is declared as a number")
+        if numeric:
+            rule, number = rule_of(element, scope), float(text)
+            return ByValue(lambda world: np.asarray(rule(_numbers(values[name]), number)))
     return ByValue(lambda world: np.asarray(compare(values[name], text)))
+
+
+def _numbers(texts: Iterable[str]) -> FloatArray:
+    """Texts as numbers, NaN where they are none."""
+
+    def number(text: str) -> float:
+        try:
+            return float(text)
+        except ValueError:
+            return np.nan
+
+    return np.array([number(text) for text in texts])
 
 
 def _never(element: etree._Element, scope: Scope, world: World, elements: Elements) -> Test:

@@ -10,8 +10,13 @@ import numpy.typing as npt
 from lxml import etree
 
 from cornercase._common.errors import InputError, suggestion
+from cornercase._common.recorded_xml import adapt
 from cornercase._common.typing import BoolArray, FloatArray, IntArray
 from cornercase.scenario import Scope
+from cornercase.simulators.builtin.world.held import nobody_asks
+
+SIGNAL_CONDITIONS: Final = ("TrafficSignalCondition", "TrafficSignalControllerCondition")
+"""Conditions that ask for what traffic signals show."""
 
 # A phase begins this little early, in s, since times are multiples of the time step but for rounding.
 _TINY: Final = 1e-6
@@ -93,6 +98,10 @@ def read_signal_controllers(root: etree._Element, scope: Scope) -> dict[str, Sig
         still = np.ones(scope.scenarios, dtype=np.bool_) if not phases else durations.sum(axis=0) <= 0
         still |= (durations < 0).any(axis=0)
         if still.any() and not any(scope.origins(phase.get("duration", "")) for phase in phases):
+            if nobody_asks(element, *SIGNAL_CONDITIONS):
+                why = f"'{name}' is left out, as it has no phase that takes time, and no condition asks for signals"
+                adapt(element, "<TrafficSignalController>", why, "a signal controller has phases that take time")
+                continue
             raise InputError(f"{where}: the signal controller '{name}' needs phases that take some time.")
         for phase, duration in zip(phases, durations, strict=True):
             scope.refuse(phase, "duration", "is below 0", duration < 0)

@@ -1,0 +1,251 @@
+"""OpenSCENARIO files that break the standard where only one thing can be meant: what they say is put right."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator
+from typing import Final
+
+from lxml import etree
+
+from cornercase._common.recorded_xml import adapt
+
+_TYPES: Final = ("boolean", "dateTime", "double", "integer", "string", "unsignedInt", "unsignedShort", "int")
+_VEHICLES: Final = (
+    "bicycle", "bus", "car", "motorbike", "semitrailer", "trailer", "train", "tram", "truck", "van",
+)  # fmt: skip
+_STATES: Final = (
+    "completeState", "endTransition", "runningState", "skipTransition", "standbyState", "startTransition",
+    "stopTransition",
+)  # fmt: skip
+
+# Values of enumerated attributes, by their name or by that of the element, too.
+_ENUMERATIONS: Final[dict[str, tuple[str, ...]]] = {
+    "parameterType": _TYPES,
+    "variableType": _TYPES,
+    "angleType": ("heading", "pitch", "roll"),
+    "conditionEdge": ("falling", "none", "rising", "risingOrFalling"),
+    "coordinateSystem": ("entity", "lane", "road", "trajectory", "world"),
+    "AccelerationCondition/direction": ("longitudinal", "lateral", "vertical"),
+    "RelativeSpeedCondition/direction": ("longitudinal", "lateral", "vertical"),
+    "SpeedCondition/direction": ("longitudinal", "lateral", "vertical"),
+    "displacement": (
+        "any", "leftToReferencedEntity", "rightToReferencedEntity", "trailingReferencedEntity",
+        "leadingReferencedEntity",
+    ),
+    "domainAbsoluteRelative": ("absolute", "relative"),
+    "dynamicsDimension": ("distance", "rate", "time"),
+    "dynamicsShape": ("cubic", "linear", "sinusoidal", "step"),
+    "followingMode": ("follow", "position"),
+    "priority": ("overwrite", "override", "parallel", "skip"),
+    "relativeDistanceType": ("lateral", "longitudinal", "cartesianDistance", "euclidianDistance"),
+    "routeStrategy": ("fastest", "leastIntersections", "random", "shortest"),
+    "routingAlgorithm": ("assignedRoute", "fastest", "leastIntersections", "shortest", "undefined"),
+    "rule": ("equalTo", "greaterThan", "lessThan", "greaterOrEqual", "lessOrEqual", "notEqualTo"),
+    "speedTargetValueType": ("delta", "factor"),
+    "StoryboardElementStateCondition/state": _STATES,
+    "storyboardElementType": ("act", "action", "event", "maneuver", "maneuverGroup", "story"),
+    "triggeringEntitiesRule": ("all", "any"),
+    "Orientation/type": ("absolute", "relative"),
+    "ByObjectType/type": ("miscellaneous", "pedestrian", "vehicle", "external"),
+    "objectType": ("miscellaneous", "pedestrian", "vehicle", "external"),
+    "vehicleCategory": _VEHICLES,
+    "pedestrianCategory": ("animal", "pedestrian", "wheelchair"),
+}  # fmt: skip
+
+# Other words for these values, in small letters.
+_SYNONYMS: Final = {
+    "bool": "boolean", "float": "double", "real": "double", "number": "double", "long": "integer", "short": "integer",
+    "str": "string", "text": "string", "uint": "unsignedInt", "unsigned": "unsignedInt",
+    "unsignedinteger": "unsignedInt", "ushort": "unsignedShort",
+    "euclideandistance": "euclidianDistance", "greaterthanorequal": "greaterOrEqual",
+    "greaterthanorequalto": "greaterOrEqual", "greaterorequalto": "greaterOrEqual", "lessthanorequal": "lessOrEqual",
+    "lessthanorequalto": "lessOrEqual", "lessorequalto": "lessOrEqual", "equal": "equalTo", "equals": "equalTo",
+    "notequal": "notEqualTo", "motorcycle": "motorbike", "bike": "bicycle",
+}  # fmt: skip
+
+_FLAGS: Final = frozenset({
+    "activateAnimation", "activateLateral", "activateLighting", "activateLongitudinal", "active", "alongRoute",
+    "animation", "closed", "continuous", "freeSpace", "freespace", "graphics", "lateral", "lighting", "longitudinal",
+    "loop", "oppositeLanes", "selectTriggeringEntities", "sensors", "traffic",
+})  # fmt: skip
+
+# What is needed by the standard, and what it is where it is missing.
+_NEEDED: Final[dict[str, dict[str, str]]] = {
+    "Condition": {"conditionEdge": "none", "delay": "0"},
+    "Event": {"priority": "parallel"},
+    "ManeuverGroup": {"maximumExecutionCount": "1"},
+    "Actors": {"selectTriggeringEntities": "false"},
+    "TriggeringEntities": {"triggeringEntitiesRule": "any"},
+    "Vehicle": {"vehicleCategory": "car"},
+    "Center": {"x": "0", "y": "0", "z": "0"},
+    "Trajectory": {"closed": "false"},
+    "Route": {"closed": "false"},
+    "Timing": {"domainAbsoluteRelative": "relative", "scale": "1", "offset": "0"},
+    "TrajectoryFollowingMode": {"followingMode": "follow"},
+    "DistanceCondition": {"freespace": "false"},
+    "RelativeDistanceCondition": {"freespace": "false", "relativeDistanceType": "euclidianDistance"},
+    "TimeHeadwayCondition": {"freespace": "false"},
+    "TimeToCollisionCondition": {"freespace": "false"},
+    "LaneOffsetAction": {"continuous": "false"},
+    "LateralDistanceAction": {"continuous": "false", "freespace": "false"},
+    "LongitudinalDistanceAction": {"continuous": "false", "freespace": "false"},
+    "RelativeTargetSpeed": {"continuous": "false"},
+    "SpeedActionDynamics": {"dynamicsDimension": "time"},
+    "LaneChangeActionDynamics": {"dynamicsDimension": "time"},
+}
+# What a transition at once does not use.
+_AT_ONCE: Final = {"dynamicsDimension": "time", "value": "0"}
+
+# Where spaces are part of what is said.
+_TEXTS: Final = frozenset({"FileHeader", "Property", "License", "UserDefinedAction", "CustomCommandAction"})
+_DECLARATIONS: Final = {"ParameterDeclaration": "parameterType", "VariableDeclaration": "variableType"}
+_ENDLESS: Final = "999999999"
+
+
+def adapt_openscenario(root: etree._Element) -> None:
+    """Put right what a file means but does not say as the standard asks for, and note each such place.
+
+    Parameters
+    ----------
+    root : lxml element
+        Of a scenario, a catalog or a parameter distribution; anything else is left as it is.
+    """
+    name = etree.QName(root).localname
+    if name.lower() != "openscenario":
+        return
+    _adapt_names(root)
+    if root.tag != "OpenSCENARIO":
+        root.tag = "OpenSCENARIO"
+        _note(root, f"<{name}>", "is read as <OpenSCENARIO>", "the root element is <OpenSCENARIO>")
+    every = list(etree.ElementBase.iter(root, etree.Element))
+    if not any(element.tag == "FileHeader" for element in etree.ElementBase.iterchildren(root, "FileHeader")):
+        why = "the file is read as OpenSCENARIO 1.3, in right-handed axes"
+        _note(root, "missing <FileHeader>", why, "a file begins with its <FileHeader>")
+    for element in every:
+        _adapt_spaces(element)
+        _adapt_declaration(element)
+        _adapt_values(element)
+        _adapt_missing(element)
+
+
+def _adapt_names(root: etree._Element) -> None:
+    """Take elements out of a namespace."""
+    spaces = set()
+    for element in etree.ElementBase.iter(root, "{*}*"):
+        qualified = etree.QName(element)
+        if qualified.namespace is not None:
+            spaces.add(qualified.namespace)
+            element.tag = qualified.localname
+    if spaces:
+        etree.cleanup_namespaces(root, keep_ns_prefixes=["xsi"])
+        what = f"namespace {sorted(spaces)[0]}"
+        _note(root, what, "is left out", "elements of OpenSCENARIO are in no namespace")
+
+
+def _adapt_spaces(element: etree._Element) -> None:
+    if element.tag in _TEXTS:
+        return
+    for key, value in _attributes(element):
+        bare = value.strip()
+        if bare != value:
+            element.set(key, bare)
+            # Around numbers and booleans, XML allows for them.
+            if not _is_number(bare) and bare not in ("true", "false"):
+                why = f"'{bare}' is read without the spaces around it"
+                _note(element, f"{key} of <{element.tag}>", why, "spaces are part of a name")
+
+
+def _adapt_declaration(element: etree._Element) -> None:
+    """Put right the declaration of a parameter or variable, and where distributions name one."""
+    kind = _DECLARATIONS.get(str(element.tag))
+    named = "name" if kind is not None else "parameterName" if str(element.tag).endswith("Distribution") else None
+    name = "" if named is None else element.attrib.get(named, "")
+    if named is not None and len(name) > 1 and name.startswith("$"):
+        element.set(named, name[1:])
+        why = f"'{name}' is read as '{name[1:]}'"
+        _note(element, f"{named} of <{element.tag}>", why, "names are declared without a dollar sign")
+    if kind is None or element.attrib.get(kind):
+        return
+    value = element.attrib.get("value", "")
+    meant = "double" if _is_number(value) else "boolean" if value.lower() in ("true", "false") else "string"
+    element.set(kind, meant)
+    why = f"that of '{element.attrib.get('name', '')}' is read as {meant}, as its value is '{value[:40]}'"
+    _note(element, f"missing {kind} of <{element.tag}>", why, f"a declaration has a {kind}")
+
+
+def _adapt_values(element: etree._Element) -> None:
+    """Put right enumerations, booleans and counts that are spelled in another way."""
+    tag, declared = str(element.tag), _DECLARATIONS.get(str(element.tag))
+    for key, value in _attributes(element):
+        known = _ENUMERATIONS.get(key) or _ENUMERATIONS.get(f"{tag}/{key}")
+        if known is not None and value not in known and not value.startswith("$"):
+            meant = _meant(value, known)
+            if meant is not None:
+                element.set(key, meant)
+                _note(element, f"{key} of <{tag}>", f"'{value}' is read as {meant}", f"it is {_either(known)}")
+        elif key in _FLAGS and value.lower() in ("true", "false") and value != value.lower():
+            _set_flag(element, key, value)
+    value = element.attrib.get("value", "")
+    if declared is not None and element.attrib.get(declared) == "boolean" and value.lower() in ("true", "false"):
+        _set_flag(element, "value", value)
+    if tag in ("Event", "ManeuverGroup") and element.attrib.get("maximumExecutionCount") == "-1":
+        element.set("maximumExecutionCount", _ENDLESS)
+        why = "-1 is read as as often as it is triggered, as in esmini"
+        _note(element, f"maximumExecutionCount of <{tag}>", why, "it is a whole number above 0")
+
+
+def _attributes(element: etree._Element) -> list[tuple[str, str]]:
+    return [(str(key), str(value)) for key, value in element.items()]
+
+
+def _set_flag(element: etree._Element, key: str, value: str) -> None:
+    if value != value.lower():
+        element.set(key, value.lower())
+        why = f"'{value}' is read as {value.lower()}"
+        _note(element, f"{key} of <{element.tag}>", why, "a boolean is true, false, 1 or 0")
+
+
+def _adapt_missing(element: etree._Element) -> None:
+    """Fill in what the standard asks for, where it can be but one thing."""
+    tag = str(element.tag)
+    needed = _NEEDED.get(tag)
+    if needed is None:
+        return
+    if tag.endswith("ActionDynamics") and element.attrib.get("dynamicsShape") == "step":
+        needed = _AT_ONCE
+    for key, value in needed.items():
+        if element.attrib.get(key, "") == "":
+            element.set(key, value)
+            _note(element, f"missing {key} of <{tag}>", f"is read as {value}", f"<{tag}> has a {key}")
+
+
+def _meant(value: str, known: tuple[str, ...]) -> str | None:
+    """Which of the values is meant by one that is none of them; None where that is open."""
+    plain = re.sub("[^a-z]", "", value.lower())
+    if plain in _SYNONYMS and _SYNONYMS[plain] in known:
+        return _SYNONYMS[plain]
+    return next((one for one in known if one.lower() == plain), None)
+
+
+def _either(known: tuple[str, ...]) -> str:
+    return f"{', '.join(known[:-1])} or {known[-1]}"
+
+
+def _is_number(text: str) -> bool:
+    try:
+        float(text)
+    except ValueError:
+        return False
+    return True
+
+
+def _note(element: etree._Element, what: str, why: str, rule: str) -> None:
+    for one in _shown(element):
+        adapt(one, what, why, rule)
+
+
+def _shown(element: etree._Element) -> Iterator[etree._Element]:
+    """Where a note is seen: of a catalog, only the entries are asked what was noted of them."""
+    catalog = None if element.getparent() is not None else etree.ElementBase.find(element, "Catalog")
+    yield from (element,) if catalog is None else etree.ElementBase.iterchildren(catalog, etree.Element)
