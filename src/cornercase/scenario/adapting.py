@@ -189,6 +189,9 @@ def _adapt_values(element: etree._Element) -> None:
     value = element.attrib.get("value", "")
     if declared is not None and element.attrib.get(declared) == "boolean" and value.lower() in ("true", "false"):
         _set_flag(element, "value", value)
+    if tag == "ConnectTrailerAction" and element.attrib.get("trailer") and not element.attrib.get("trailerRef"):
+        element.set("trailerRef", element.attrib.pop("trailer"))
+        _note(element, f"trailer of <{tag}>", "is read as trailerRef", f"<{tag}> has a trailerRef")
     if tag in ("Event", "ManeuverGroup") and element.attrib.get("maximumExecutionCount") == "-1":
         element.set("maximumExecutionCount", _ENDLESS)
         why = "-1 is read as as often as it is triggered, as in esmini"

@@ -129,9 +129,14 @@ class Batch:
         return not all(one.in_fleet for one in self._drivings)
 
     @property
-    def exceeded(self) -> list[str]:
-        """Sentences on drivers that asked for more than their vehicles can do, once the batch has run."""
-        return [text for one in self._drivings for text in one.exceeded.values()]
+    def remarks(self) -> list[str]:
+        """Sentences on drivers that asked for more than their vehicles can do, and on what is not as the file says.
+
+        Once the batch has run; without a full stop.
+        """
+        if self.failure is not None and self._world.scenarios > 1:
+            return []
+        return [*self._world.remarks, *(text for one in self._drivings for text in one.exceeded.values())]
 
     def run(self, threads: int = 1, turn: Lock | None = None) -> None:
         """Step until every scenario has ended, or a driver fails.

@@ -13,11 +13,10 @@ from cornercase._common.recorded_xml import adapt, named, unrecorded
 from cornercase.scenario import Scope
 from cornercase.simulators.builtin.tracks.track import ALONG_LEGS, AT_CORNERS, AT_VERTICES
 from cornercase.simulators.builtin.world.state import Entity, Tow
+from cornercase.simulators.builtin.world.towing import MOST_TRAILERS, front_first, read_tow
 
 _TURNING: Final = {"segment": ALONG_LEGS, "corner": AT_CORNERS, "off": AT_VERTICES, "none": AT_VERTICES}
 
-# More trailers than that behind one vehicle are a catalog entry that pulls itself.
-_MOST_TRAILERS: Final = 20
 # m; no vehicle, nor what stands beside a road, is larger.
 _LARGEST: Final = 10_000.0
 # Length, width and how far the centre is ahead, in m, where a file gives none: those of the entities that come with
@@ -81,16 +80,7 @@ def read_entities(objects: Sequence[etree._Element], scope: Scope) -> tuple[tupl
             found.append(_entity(trailer[0], found[front].name + "+", trailer[1]))
             pairs.append((front, len(found) - 1))
             front = len(found) - 1
-    tows = [_tow(one, two, bodies, found) for one, two in pairs]
-    behind = {tow.trailer: tow.vehicle for tow in tows}
-
-    def depth(one: int) -> int:
-        count = 0
-        while one in behind and count < _MOST_TRAILERS:
-            one, count = behind[one], count + 1
-        return count
-
-    return tuple(found), tuple(sorted(tows, key=lambda tow: depth(tow.vehicle)))
+    return tuple(found), front_first([read_tow(one, two, found) for one, two in pairs])
 
 
 def _body(element: etree._Element, name: str, scope: Scope) -> tuple[etree._Element, Scope]:
@@ -129,7 +119,8 @@ def _entity(body: etree._Element, name: str, scope: Scope) -> Entity:
     found = {key: named(items, key) for key in ("ignoreHeadingForTrajMotion", "plineInterpolation")}
     own = {key: "" if item is None else scope.text(item, "value") for key, item in found.items()}
     slides, turning = own["ignoreHeadingForTrajMotion"] == "true", _TURNING.get(own["plineInterpolation"], "")
-    return Entity(name, kind, length, width, reach, limits[0], limits[1], limits[2], slides, turning)
+    body_and_scope = body, scope
+    return Entity(name, kind, length, width, reach, limits[0], limits[1], limits[2], slides, turning, body_and_scope)
 
 
 def _box(body: etree._Element, kind: str, scope: Scope) -> tuple[float, float, float]:
@@ -149,7 +140,7 @@ def _box(body: etree._Element, kind: str, scope: Scope) -> tuple[float, float, f
 
 def _pulled(body: etree._Element, scope: Scope, name: str) -> Iterator[tuple[etree._Element, Scope] | str]:
     """Bodies of the trailers behind a vehicle, from the front; of one that is an entity of its own, the name."""
-    for _ in range(_MOST_TRAILERS):
+    for _ in range(MOST_TRAILERS):
         holder = body.find("Trailer")
         inner = None if holder is None else holder.find("Trailer")
         reference = None if holder is None else holder.find("TrailerRef")
@@ -161,15 +152,4 @@ def _pulled(body: etree._Element, scope: Scope, name: str) -> Iterator[tuple[etr
             if reference is not None and (other := scope.text(reference, "entityRef", "")):
                 yield other
             return
-    raise InputError(f"{scope.source}: the entity '{name}' pulls more than {_MOST_TRAILERS} trailers.")
-
-
-def _tow(vehicle: int, trailer: int, bodies: list[tuple[etree._Element, Scope]], entities: list[Entity]) -> Tow:
-    (front, front_scope), (back, back_scope) = bodies[vehicle], bodies[trailer]
-    hitch, coupler = front.find("TrailerHitch"), back.find("TrailerCoupler")
-    if hitch is None or coupler is None:
-        raise InputError(
-            f"{front_scope.source}: '{entities[vehicle].name}' cannot pull '{entities[trailer].name}', as it has no"
-            f" {'<TrailerHitch>' if hitch is None else '<TrailerCoupler>'}."
-        )
-    return Tow(vehicle, trailer, front_scope.one_number(hitch, "dx"), back_scope.one_number(coupler, "dx"))
+    raise InputError(f"{scope.source}: the entity '{name}' pulls more than {MOST_TRAILERS} trailers.")

@@ -161,12 +161,14 @@ class BuiltinSimulator(Simulator):
         for i, concrete in enumerate(concretes):
             files.setdefault((concrete.path, concrete.source), []).append(i)
         with ThreadPoolExecutor(available_cpus()) as pool:
-            crew = _Crew(pool, Lock(), WeakSet())
+            crew = _Crew(pool, Lock(), WeakSet(), [])
             try:
                 for chosen in files.values():
                     self._run_file(concretes, chosen, ran, crew)
                 # Recordings of the first batch are made while the next ones still run.
                 yield from _made(ran, crew.turn)
+                for sentences in crew.remarks:
+                    self.notice(sentences)
             except BaseException:
                 # The pool waits for its threads; whoever interrupts does not wait for the rest of the batches.
                 for batch in crew.running:
@@ -222,8 +224,6 @@ class BuiltinSimulator(Simulator):
                     ran.update((i, (started[-1], place)) for place, i in enumerate(part))
                     if batch.failure is not None and len(part) > 1:
                         self._run_apart(prepared, concretes, part, ran, crew, batch.failure.splits)
-                    else:
-                        self.notice(batch.exceeded)
         except VariesError as varies:
             wait(started)
             differing = {tuple(concretes[i].values.get(name) for name in sorted(varies.names)) for i in chosen}
@@ -288,19 +288,23 @@ class _Crew(NamedTuple):
     pool: ThreadPoolExecutor
     turn: Lock
     running: WeakSet[Batch]
+    remarks: list[list[str]]
 
     def start(self, batch: Batch, beside: int) -> Future[Batch]:
         """Run a batch beside so many others, itself included; one that is alone has run then."""
         self.running.add(batch)
+        remarks: list[str] = []
+        self.remarks.append(remarks)
         if beside > 1:
-            return self.pool.submit(self._run, batch, max(available_cpus() // beside, 1))
+            return self.pool.submit(self._run, batch, max(available_cpus() // beside, 1), remarks)
         done: Future[Batch] = Future()
-        done.set_result(self._run(batch, available_cpus()))
+        done.set_result(self._run(batch, available_cpus(), remarks))
         return done
 
-    def _run(self, batch: Batch, threads: int) -> Batch:
+    def _run(self, batch: Batch, threads: int, remarks: list[str]) -> Batch:
         with self.turn:
             batch.run(threads, self.turn)
+            remarks += batch.remarks
         return batch
 
 

@@ -161,7 +161,7 @@ class SumoSimulator(Simulator):
         with SumoCoupling(network, types, self._time_step, self._seed) as coupling:
             batch = self._batch(prepared, values, {**self._drivers, **dict.fromkeys(types, _LeftToSumo())}, coupling)
             batch.run()
-        self.notice(batch.exceeded)
+        self.notice(batch.remarks)
         return coupling.error or batch.results([0])[0]
 
     def _batch(

@@ -23,6 +23,7 @@ from cornercase.simulators.builtin.actions.longitudinal import (
 )
 from cornercase.simulators.builtin.actions.speed_profile import SpeedProfileAction
 from cornercase.simulators.builtin.actions.synchronise import SynchronizeAction
+from cornercase.simulators.builtin.actions.trailer import read_trailer_action
 from cornercase.simulators.builtin.paths.positions import entity_index, read_position, read_route
 from cornercase.simulators.builtin.world.held import as_held, nobody_asks
 from cornercase.simulators.builtin.world.lanes import assign_route, place_entity
@@ -241,7 +242,7 @@ class SignalAction(Action):
         world.signals[self._name] = np.where(where, self._state, before)
 
 
-_READERS: Final[dict[str, Callable[[etree._Element, Scope, World, int], Action]]] = {
+_READERS: Final[dict[str, Callable[[etree._Element, Scope, World, int], Action | None]]] = {
     "TeleportAction": TeleportAction,
     "SpeedAction": SpeedAction,
     "SpeedProfileAction": SpeedProfileAction,
@@ -257,6 +258,7 @@ _READERS: Final[dict[str, Callable[[etree._Element, Scope, World, int], Action]]
     "AssignControllerAction": ControllerAction,
     "ActivateControllerAction": ControllerAction,
     "VisibilityAction": VisibilityAction,
+    "TrailerAction": read_trailer_action,
 }
 
 _GLOBAL_READERS: Final[dict[str, Callable[[etree._Element, Scope, World, int | None], Action | None]]] = {

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from pathlib import Path
 from typing import Final
 
 import numpy as np
@@ -50,6 +51,7 @@ class LaneChangeAction(Action):
 
     def __init__(self, element: etree._Element, scope: Scope, world: World, entity: int) -> None:
         self._entity = entity
+        self._place = f"{Path(scope.source).name}, line {element.sourceline}"
         self._transition = Transition(child(element, "LaneChangeActionDynamics", scope), scope)
         target = child(element, "LaneChangeTarget", scope)
         absolute, relative = target.find("AbsoluteTargetLane"), target.find("RelativeTargetLane")
@@ -76,7 +78,9 @@ class LaneChangeAction(Action):
             return
         lane = self._lane(world)
         done = change_lane(world, e, lane, where)
-        world.fail(where & ~done, f"{world.names[e]} is to change to a lane that is not there")
+        if not done[where].all():
+            # As in esmini, it ends in its own lane; there it jumps aside first.
+            self._stay(world, where & ~done)
         pose = lane_of(world, e)
         forward = np.where(looks_along(world, pose), 1.0, -1.0)
         self._from[where] = world.offset[e][where]
@@ -132,6 +136,15 @@ class LaneChangeAction(Action):
         """Leave the entity in the lane that it is in by now, or in that of the change where it follows a route."""
         world.changes_lanes[self._entity][where] = False
         attach_to_lane(world, self._entity, where & (world.route[self._entity] == 0))
+
+    def _stay(self, world: World, where: BoolArray) -> None:
+        """Take the lane that the entity is in for that of the change, in the scenarios of a mask."""
+        e, own = self._entity, lane_of(world, self._entity).lane
+        assert own is not None
+        why = f"{world.names[e]} is to change to a lane that is not there, and stays in its own"
+        world.remark(self._place, "<LaneChangeAction>", why, where)
+        stays = change_lane(world, e, own, where)
+        world.fail(where & ~stays, f"{world.names[e]} is to change lanes, and is in none ({self._place})")
 
     def _lane(self, world: World) -> IntArray:
         if self._reference is None:

@@ -35,6 +35,7 @@ from cornercase.simulators.builtin.world.layout import (
     PRESENT,
     PULL_X,
     PULL_Y,
+    PULLED_BY,
     SIDEWAYS,
     SPEED,
     STANDING_SINCE,
@@ -86,7 +87,8 @@ def move(scene, tracks, n, dt, rest):
     f, b, numbers = scene.floats[n], scene.flags[n], scene.numbers[n]
     entities, beyond = f.shape[1], False
     for t in range(scene.tows.shape[0]):
-        b[MOVED, int(scene.tows[t, 1])] = True
+        if numbers[PULLED_BY, int(scene.tows[t, 1])] == int(scene.tows[t, 0]):
+            b[MOVED, int(scene.tows[t, 1])] = True
     for e in range(entities):
         if rest[e] == RESTING or not b[PRESENT, e]:
             continue
@@ -101,7 +103,8 @@ def move(scene, tracks, n, dt, rest):
             beyond = beyond or goes_over(tracks, row, f[DISTANCE, e])
     _stop_at_ends(scene, tracks, n, dt, rest)
     for t in range(scene.tows.shape[0]):
-        _pull_trailer(scene, n, t)
+        if numbers[PULLED_BY, int(scene.tows[t, 1])] == int(scene.tows[t, 0]):
+            _pull_trailer(scene, n, t)
     for e in range(entities):
         if rest[e] != RESTING:
             _measure(f, b, e, dt)

@@ -21,7 +21,7 @@ ROWS_OF_FLOATS: Final = 26
 ) = range(9)  # fmt: skip
 """Rows of what is or is not so."""
 
-TRACK, ROUTE, LAST_ROAD, DRIVER = range(4)
+TRACK, ROUTE, LAST_ROAD, DRIVER, PULLED_BY = range(5)
 """Rows of whole numbers."""
 
 UNASKED: Final = -1.0
@@ -65,7 +65,13 @@ FLAGS: Final = {
     "jumped": (JUMPED, False),
 }
 
-NUMBERS: Final = {"track": (TRACK, -1), "route": (ROUTE, 0), "last_road": (LAST_ROAD, -1), "driver": (DRIVER, -1)}
+NUMBERS: Final = {
+    "track": (TRACK, -1),
+    "route": (ROUTE, 0),
+    "last_road": (LAST_ROAD, -1),
+    "driver": (DRIVER, -1),
+    "pulled_by": (PULLED_BY, -1),
+}
 
 BESIDE: Final = 1.0
 """Further than this from the middle of its new lane, in m, the lane of an entity that changes lanes is looked up."""

@@ -6,15 +6,18 @@ Arrays are (entity, scenario), so that one entity's row is contiguous over the s
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any, Protocol
 
 import numpy as np
 import numpy.typing as npt
+from lxml import etree
 
 from cornercase._common.errors import SimulationError
+from cornercase._common.ledger import Label
 from cornercase._common.typing import BoolArray, FloatArray, IntArray
 from cornercase.roads import RoadNetwork
+from cornercase.scenario import Scope
 from cornercase.simulators.builtin.tracks.lane import LaneTrack
 from cornercase.simulators.builtin.tracks.track import Track
 from cornercase.simulators.builtin.world.layout import (
@@ -58,6 +61,8 @@ class Entity:
     turning : str
         Where its heading turns along a polyline, if its properties say so: one of `ALONG_LEGS`, `AT_CORNERS` and
         `AT_VERTICES`; else empty, and the following mode decides.
+    body : tuple of (lxml element, Scope) or None
+        Where it stands in the file, and what its parameters are there.
     """
 
     name: str
@@ -70,11 +75,12 @@ class Entity:
     max_deceleration: float
     slides: bool = False
     turning: str = ""
+    body: tuple[etree._Element, Scope] | None = field(default=None, repr=False, compare=False)
 
 
 @dataclass(frozen=True)
 class Tow:
-    """A vehicle and what it pulls.
+    """A vehicle and what it pulls, or may come to pull.
 
     Attributes
     ----------
@@ -188,6 +194,8 @@ class World:
         The table behind `touching`.
     tracks : list of list of Track
         By entity, all that it has followed.
+    pulled_by : ndarray of int64, shape (E, N)
+        Row of the entity that pulls this one, or -1.
     track : ndarray of int64, shape (E, N)
         Which of them it follows, or `FREE`.
     routes : list of tuple
@@ -196,6 +204,8 @@ class World:
         Tracks along lanes, by where they begin, so that the same lane is the same object.
     errors : dict of int to SimulationError
         Why scenarios failed.
+    remarks : dict of str to None
+        Sentences on what is not as the file says, each once, without a full stop.
     """
 
     x: FloatArray
@@ -233,6 +243,7 @@ class World:
     route: IntArray
     last_road: IntArray
     driver: IntArray
+    pulled_by: IntArray
 
     def __init__(
         self,
@@ -273,6 +284,9 @@ class World:
         self.actor: int | None = None
         self.lane_tracks: dict[tuple[object, ...], LaneTrack | None] = {}
         self.errors: dict[int, SimulationError] = {}
+        self.remarks: dict[str, None] = {}
+        for tow in tows:
+            self.pulled_by[tow.trailer] = tow.vehicle
 
     def followed(self, entity: int, where: BoolArray) -> Iterator[tuple[int, Track, IntArray]]:
         """Tracks that an entity follows in scenarios of the mask: number, track, and in which of them."""
@@ -287,6 +301,24 @@ class World:
         for i in np.flatnonzero(where & self.running):
             self.errors[int(i)] = error
         self.running &= ~where
+
+    def remark(self, place: str, what: str, why: str, where: BoolArray) -> None:
+        """Note that something is read other than it stands in the file, in the scenarios of a mask.
+
+        Parameters
+        ----------
+        place : str
+            File and line.
+        what : str
+            The part of the file.
+        why : str
+            What happens instead.
+        where : ndarray of bool, shape (N,)
+        """
+        first = np.flatnonzero(where & self.running)
+        sentence = f"{Label.ADAPTED}: {what} ({place}): {why}"
+        if first.size and not any(one.startswith(f"{sentence}; ") for one in self.remarks):
+            self.remarks[f"{sentence}; first at {self.time[first[0]]:.6g} s"] = None
 
     def set_speed(self, entity: int, where: BoolArray, speed: FloatArray) -> None:
         """Give an entity a speed in the scenarios of the mask, or tell its driver to want it."""

@@ -2,10 +2,61 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from typing import Final
+
 import numpy as np
 
+from cornercase._common.errors import InputError
 from cornercase._common.typing import BoolArray
-from cornercase.simulators.builtin.world.state import World
+from cornercase.simulators.builtin.world.state import Entity, Tow, World
+
+# More trailers than that behind one vehicle are a catalog entry that pulls itself.
+MOST_TRAILERS: Final = 20
+
+
+def read_tow(vehicle: int, trailer: int, entities: Sequence[Entity]) -> Tow:
+    """Read where a trailer hangs on a vehicle.
+
+    Parameters
+    ----------
+    vehicle, trailer : int
+        Rows of the entities.
+    entities : sequence of Entity
+
+    Returns
+    -------
+    Tow
+
+    Raises
+    ------
+    InputError
+        The vehicle has no hitch, or the trailer no coupler.
+    """
+    bodies = entities[vehicle].body, entities[trailer].body
+    assert bodies[0] is not None
+    assert bodies[1] is not None
+    (front, front_scope), (back, back_scope) = bodies[0], bodies[1]
+    hitch, coupler = front.find("TrailerHitch"), back.find("TrailerCoupler")
+    if hitch is None or coupler is None:
+        raise InputError(
+            f"{front_scope.source}: '{entities[vehicle].name}' cannot pull '{entities[trailer].name}', as it has no"
+            f" {'<TrailerHitch>' if hitch is None else '<TrailerCoupler>'}."
+        )
+    return Tow(vehicle, trailer, front_scope.one_number(hitch, "dx"), back_scope.one_number(coupler, "dx"))
+
+
+def front_first(tows: Sequence[Tow]) -> tuple[Tow, ...]:
+    """Put those in front before those that they pull."""
+    behind = {tow.trailer: tow.vehicle for tow in tows}
+
+    def depth(one: int) -> int:
+        count = 0
+        while one in behind and count < MOST_TRAILERS:
+            one, count = behind[one], count + 1
+        return count
+
+    return tuple(sorted(tows, key=lambda tow: depth(tow.vehicle)))
 
 
 def align_trailers(world: World, entity: int, where: BoolArray) -> None:
@@ -21,14 +72,16 @@ def align_trailers(world: World, entity: int, where: BoolArray) -> None:
     """
     for tow in world.tows:
         if tow.vehicle == entity:
+            pulled = where & (world.pulled_by[tow.trailer] == entity)
             heading, back = world.heading[entity], tow.hitch - tow.coupler
             x, y = world.x[entity] + back * np.cos(heading), world.y[entity] + back * np.sin(heading)
             t = tow.trailer
-            world.x[t][where], world.y[t][where], world.heading[t][where] = x[where], y[where], heading[where]
-            world.from_x[t][where], world.from_y[t][where] = x[where], y[where]
-            world.speed[t][where] = world.speed[entity][where]
-            world.present[t] |= where
-            align_trailers(world, t, where)
+            world.x[t][pulled], world.y[t][pulled], world.heading[t][pulled] = x[pulled], y[pulled], heading[pulled]
+            world.from_x[t][pulled], world.from_y[t][pulled] = x[pulled], y[pulled]
+            world.speed[t][pulled] = world.speed[entity][pulled]
+            world.present[t] |= pulled
+            if pulled.any():
+                align_trailers(world, t, pulled)
 
 
 def place_trailers(world: World) -> None:

@@ -1,0 +1,90 @@
+"""Vehicles that take up trailers, and leave them."""
+
+from __future__ import annotations
+
+from lxml import etree
+
+from cornercase._common.errors import InputError
+from cornercase._common.recorded_xml import adapt
+from cornercase._common.typing import BoolArray
+from cornercase.scenario import Scope
+from cornercase.simulators.builtin.actions.action import Action
+from cornercase.simulators.builtin.paths.positions import entity_index
+from cornercase.simulators.builtin.tracks.track import FREE
+from cornercase.simulators.builtin.world.lanes import attach_to_lane
+from cornercase.simulators.builtin.world.state import World
+from cornercase.simulators.builtin.world.towing import front_first, read_tow
+
+
+class ConnectTrailerAction(Action):
+    """Makes a vehicle pull a trailer from now on, and leave another one that it pulls."""
+
+    def __init__(self, vehicle: int, trailer: int) -> None:
+        self._vehicle, self._trailer = vehicle, trailer
+
+    def start(self, world: World, where: BoolArray) -> None:
+        new = where & (world.pulled_by[self._trailer] != self._vehicle)
+        _leave(world, self._vehicle, new)
+        world.pulled_by[self._trailer][new] = self._vehicle
+
+
+class DisconnectTrailerAction(Action):
+    """Makes a vehicle leave the trailer that it pulls, which rolls on along its lane."""
+
+    def __init__(self, vehicle: int) -> None:
+        self._vehicle = vehicle
+
+    def start(self, world: World, where: BoolArray) -> None:
+        _leave(world, self._vehicle, where)
+
+
+def read_trailer_action(element: etree._Element, scope: Scope, world: World, entity: int) -> Action | None:
+    """Read a ``TrailerAction``.
+
+    Parameters
+    ----------
+    element : lxml element
+    scope : Scope
+        Values of the parameters there.
+    world : World
+    entity : int
+        Row of the vehicle.
+
+    Returns
+    -------
+    Action or None
+        None for one that has no effect: the vehicle has no hitch, or the trailer no coupler.
+
+    Raises
+    ------
+    InputError
+        It neither connects nor disconnects, or names no entity.
+    """
+    connects, leaves = element.find("ConnectTrailerAction"), element.find("DisconnectTrailerAction")
+    if leaves is not None:
+        return DisconnectTrailerAction(entity)
+    if connects is None:
+        adapt(element, "<TrailerAction> without an action", "is skipped", "it connects or disconnects a trailer")
+        return None
+    trailer = entity_index(connects, scope, world, "trailerRef")
+    if trailer == entity:
+        raise InputError(f"{scope.source}, line {connects.sourceline}: '{world.names[entity]}' is to pull itself.")
+    if not any((tow.vehicle, tow.trailer) == (entity, trailer) for tow in world.tows):
+        try:
+            world.tows = front_first([*world.tows, read_tow(entity, trailer, world.entities)])
+        except InputError as error:
+            why = f"is skipped, as in esmini: {str(error).removeprefix(f'{scope.source}: ').removesuffix('.')}"
+            adapt(connects, "<ConnectTrailerAction>", why, "the vehicle has a <TrailerHitch>, the trailer a coupler")
+            return None
+    return ConnectTrailerAction(entity, trailer)
+
+
+def _leave(world: World, vehicle: int, where: BoolArray) -> None:
+    """Let what a vehicle pulls go its own way."""
+    for tow in world.tows:
+        left = where & (world.pulled_by[tow.trailer] == vehicle)
+        if tow.vehicle == vehicle and left.any():
+            world.pulled_by[tow.trailer][left] = -1
+            attach_to_lane(world, tow.trailer, left)
+            # As in esmini, one that is on no road stays where it is.
+            world.speed[tow.trailer][left & (world.track[tow.trailer] == FREE)] = 0.0
