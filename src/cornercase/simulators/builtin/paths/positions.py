@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
+from pathlib import Path
 from typing import Final
 
 import numpy as np
@@ -174,6 +175,7 @@ def _relative_lane_position(element: etree._Element, scope: Scope, world: World)
         assert base.s is not None
         lane = shifted_lane(base.lane, lanes * forward)
         pose = _on_lane(world, base.road, lane, base.s, offset * forward, turn, relative)
+        pose = _at_the_end(pose, base, element, scope)
         if along_lane or not relative:
             return pose
         return replace(pose, heading=np.where(np.isnan(pose.heading), np.nan, road_heading(world, pose) + turn))
@@ -205,15 +207,28 @@ def _moved(world: World, base: Pose, ds: FloatArray) -> Pose:
     assert base.s is not None
     assert base.lane is not None
     road, lane, s = base.road.copy(), base.lane.copy(), base.s + ds
+    short = np.zeros(world.scenarios, dtype=np.bool_)
     beyond = np.flatnonzero((s < 0.0) | (s > world.network.lengths[road]))
     for i in beyond[world.running[beyond]]:
         route = 0 if world.actor is None else int(world.route[world.actor, i])
         track = lane_track(world, int(road[i]), int(lane[i]), float(base.s[i]), bool(ds[i] >= 0.0), route)
         if track is not None:
-            distance = track.path.ahead(track.distance_of(base.s[i : i + 1]), np.abs(ds[i : i + 1]))
-            k = int(track.path.sample_at(distance)[0])
-            road[i], lane[i], s[i] = track.path.road[k], track.path.lane[k], track.path.s_at(distance)[0]
-    return Pose(base.x, base.y, base.heading, road, lane, s, base.offset)
+            way, path = np.abs(ds[i : i + 1]), track.path
+            distance = path.ahead(track.distance_of(base.s[i : i + 1]), way)
+            gone = np.interp(distance, path.distance, path.reference)
+            begun = np.interp(track.distance_of(base.s[i : i + 1]), path.distance, path.reference)
+            short[i] = bool(gone - begun < way - _EDGE)
+            k = int(path.sample_at(distance)[0])
+            road[i], lane[i], s[i] = path.road[k], path.lane[k], path.s_at(distance)[0]
+    return Pose(base.x, base.y, base.heading, road, lane, s, base.offset, short)
+
+
+def _at_the_end(pose: Pose, moved: Pose, element: etree._Element, scope: Scope) -> Pose:
+    """Pose that counts as meant where the way to it ended with the road."""
+    assert pose.beyond is not None
+    assert moved.beyond is not None
+    place = f"{Path(scope.source).name}, line {element.sourceline}"
+    return replace(pose, beyond=pose.beyond | moved.beyond, relative=place)
 
 
 def _relative_road_position(element: etree._Element, scope: Scope, world: World) -> Position:
@@ -231,7 +246,7 @@ def _relative_road_position(element: etree._Element, scope: Scope, world: World)
         assert base.lane is not None
         # Beyond a junction the road may run in the opposite direction, which swaps left and right.
         t = _lateral(world, base) * np.sign(moved.lane * base.lane)
-        return _on_road(world, moved.road, moved.s, t + dt, turn, relative)
+        return _at_the_end(_on_road(world, moved.road, moved.s, t + dt, turn, relative), moved, element, scope)
 
     return resolve
 

@@ -31,6 +31,8 @@ class Pose:
         Along the road, and to the left of the lane's centre as seen along the road, in m.
     beyond : ndarray of bool, shape (N,), optional
         Where the file names a place beyond the end of its road, which is then that end.
+    relative : str
+        Where the file names it, if it does so relative to an entity, so that it is that end that is meant.
     """
 
     x: FloatArray
@@ -41,6 +43,7 @@ class Pose:
     s: FloatArray | None = None
     offset: FloatArray | None = None
     beyond: BoolArray | None = None
+    relative: str = ""
 
 
 def same_in_all(*arrays: FloatArray | None) -> bool:

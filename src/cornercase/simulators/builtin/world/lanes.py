@@ -35,7 +35,11 @@ def place_entity(world: World, entity: int, pose: Pose, where: BoolArray) -> Non
         Scenarios.
     """
     lost = ~np.isfinite(pose.x + pose.y + pose.heading)
-    lost = lost if pose.beyond is None else lost | pose.beyond
+    if pose.beyond is not None and pose.relative:
+        why = f"{world.names[entity]} is to be placed beyond the end of the road, and is placed at that end"
+        world.remark(pose.relative, "<Position>", why, where & ~lost & pose.beyond)
+    elif pose.beyond is not None:
+        lost = lost | pose.beyond
     world.fail(where & lost, f"{world.names[entity]} is placed off the map")
     where = where & world.running
     for state, value in ((world.x, pose.x), (world.y, pose.y), (world.heading, pose.heading)):
