@@ -20,6 +20,8 @@ from cornercase.simulators.builtin.world.state import LATERAL, LONGITUDINAL, Wor
 
 # Places and instants that differ by less, in m and s, are the same.
 _TINY: Final = 1e-6
+# Lanes are sampled: what lies further beside one than this, in m, does so in the road file.
+_SEAM: Final = 0.01
 
 
 class FollowTrajectoryAction(Action):
@@ -150,6 +152,13 @@ class FollowTrajectoryAction(Action):
         world.x[e][rows] += beyond[rows] * np.cos(heading)
         world.y[e][rows] += beyond[rows] * np.sin(heading)
         attach_to_lane(world, e, where)
+        for _, lane, at in world.followed(e, where):
+            # Where roads do not quite meet, the lane may be a little beside; the way onto it is no motion.
+            x, y, _ = lane.at(world.distance[e][at], world.offset[e][at], at)
+            dx, dy = x - world.x[e][at], y - world.y[e][at]
+            apart = np.hypot(dx, dy) > _SEAM
+            for state, shift in ((world.x, dx), (world.y, dy), (world.from_x, dx), (world.from_y, dy)):
+                state[e][at] += np.where(apart, shift, 0.0)
         world.stranded[e][where] = (world.track[e] == FREE)[where]
 
 

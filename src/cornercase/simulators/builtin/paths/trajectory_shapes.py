@@ -10,7 +10,7 @@ import numpy as np
 from lxml import etree
 
 from cornercase._common.errors import InputError
-from cornercase._common.recorded_xml import made_once
+from cornercase._common.recorded_xml import adapt, made_once
 from cornercase._common.typing import FloatArray
 from cornercase.scenario import Scope, VariesError
 from cornercase.simulators.builtin.tracks.clothoids import ClothoidSpline
@@ -61,8 +61,13 @@ class Clock:
     shift: FloatArray
 
     def times(self, given: FloatArray) -> FloatArray:
-        """Times of the trajectory of those in the file, each (N, V)."""
-        return np.asarray(given * self.scale[:, None] + self.shift[:, None])
+        """Times of the trajectory of those in the file, each (N, V).
+
+        Where they go back on the way to the latest, they stand still until the time is reached again.
+        """
+        times = given * self.scale[:, None] + self.shift[:, None]
+        latest = np.maximum.accumulate(times, axis=1)
+        return np.where(times[:, -1:] == latest[:, -1:], latest, times)
 
 
 class Shape(Protocol):
@@ -151,6 +156,12 @@ def takes_time(holder: etree._Element, scope: Scope) -> bool:
     if differ.any() != differ.all():
         raise VariesError(origins)
     inner.used |= origins
+    times = np.array(given)
+    if {name for _, name in timed} == {"time"} and (times[-1] == times.max(axis=0)).all():
+        back = next((k for k in range(1, len(timed)) if (times[k] < times[k - 1] - _SAME_TIME).any()), None)
+        if back is not None:
+            why = f"time goes back to {times[back].min():g} s; vertices are passed over until it is reached again"
+            adapt(timed[back][0], f"time of <{timed[back][0].tag}>", why, "times of a trajectory never go back")
     if differ.all() and inner.flag(element, "closed", False):
         raise InputError(
             f"{scope.source}, line {element.sourceline}: no time says when a closed <Trajectory> is back at its first"
