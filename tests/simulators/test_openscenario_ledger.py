@@ -161,10 +161,6 @@ REFUSED = {
     "FromCurrentEntity": ('<FromRoadCoordinates pathS="20" t="-2"/>', '<FromCurrentEntity entityRef="Lead"/>'),
     "TrafficAction": ("<Init><Actions>", "<Init><Actions><GlobalAction><TrafficAction/></GlobalAction>"),
     "RandomRouteAction": (f"<AcquirePositionAction><Position>{POSITION}</Position></AcquirePositionAction>", "<RandomRouteAction/>"),
-    "TrailerAction": (
-        '<ActivateControllerAction longitudinal="false"/></PrivateAction>',
-        "<TrailerAction><DisconnectTrailerAction/></TrailerAction></PrivateAction>",
-    ),
     "ExternalObjectReference": ('<MiscObject name="cone"', '<ExternalObjectReference name="cone"/><MiscObject name="cone"'),
 }  # fmt: skip
 

@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from conftest import car, ran, scenario_file, speed_action, teleport
+from conftest import car, event, private, ran, scenario_file, speed_action, story_of, teleport, time_trigger
 from cornercase._common.errors import InputError
 from cornercase.scenario import ConcreteScenario
-from cornercase.simulators import BuiltinSimulator
+from cornercase.simulators import BuiltinSimulator, check
 
 HITCH = '<TrailerHitch dx="-1"/>'
 COUPLER = '<TrailerCoupler dx="4"/>'
@@ -61,3 +61,82 @@ def test_what_cannot_be_pulled_is_refused(tmp_path):
         run(tmp_path, pulling(car("unnamed")))
     with pytest.raises(InputError, match="pulls 'Nobody', which does not exist"):
         run(tmp_path, with_parts(car("Ego"), f'{HITCH}<Trailer><TrailerRef entityRef="Nobody"/></Trailer>'))
+
+
+CONNECT = "<PrivateAction><TrailerAction><ConnectTrailerAction {}/></TrailerAction></PrivateAction>"
+DISCONNECT = "<PrivateAction><TrailerAction><DisconnectTrailerAction/></TrailerAction></PrivateAction>"
+
+
+def taking_up(folder, *events, hitch=HITCH):
+    """A car that comes to pull what stands 5 m behind it."""
+    entities = with_parts(car("Ego"), hitch) + with_parts(car("T"), COUPLER) + with_parts(car("U"), COUPLER)
+    init = (
+        private("Ego", teleport("60"), speed_action("0")) + private("T", teleport("55")) + private("U", teleport("20"))
+    )
+    path = scenario_file(folder, init=init, story=story_of("".join(events)), entities=entities)
+    (recording,) = ran(BuiltinSimulator(duration=8.0), [ConcreteScenario(path)])
+    return path, recording
+
+
+def at(second, what):
+    return event(f"at {second}", what, time_trigger(second))
+
+
+def test_43_9_a_trailer_is_taken_up_and_left(tmp_path):
+    _, found = taking_up(
+        tmp_path,
+        at("1", CONNECT.format('trailerRef="T"')),
+        at("2", speed_action("10")),
+        at("4", DISCONNECT),
+        at("5", speed_action("0")),
+    )
+    standing, pulled, left = (found.time <= 1.95), (found.time > 2.05) & (found.time < 3.95), found.time > 5.5
+    np.testing.assert_allclose(found.x[1][standing], 55.0)
+    np.testing.assert_allclose(found.x[1][pulled], found.x[0][pulled] - 5.0)
+    np.testing.assert_allclose(found.speed[1][pulled], 10.0)
+    # As in esmini, it rolls on along its lane.
+    assert found.speed[0][left].max() == pytest.approx(0.0)
+    np.testing.assert_allclose(found.speed[1][left], 10.0)
+    np.testing.assert_allclose(np.diff(found.x[1][left]), 0.5)
+    np.testing.assert_allclose(found.x[2], 20.0)
+
+
+def test_43_9_a_vehicle_pulls_one_trailer_at_a_time(tmp_path):
+    _, found = taking_up(
+        tmp_path,
+        at("1", CONNECT.format('trailerRef="T"')),
+        at("2", CONNECT.format('trailerRef="U"')),
+        at("3", speed_action("10")),
+    )
+    np.testing.assert_allclose(found.x[1], 55.0)
+    assert found.x[2][-1] == pytest.approx(found.x[0][-1] - 5.0)
+
+
+def test_43_9_scenarios_of_one_file_pull_each_for_itself(tmp_path):
+    entities = with_parts(car("Ego"), HITCH) + with_parts(car("T"), COUPLER)
+    init = private("Ego", teleport("60"), speed_action("0")) + private("T", teleport("55"))
+    connect = event("c", CONNECT.format('trailerRef="T"'), time_trigger("$when"))
+    story = story_of(connect + at("2", speed_action("10")))
+    when = '<ParameterDeclaration name="when" parameterType="double" value="1"/>'
+    path = scenario_file(tmp_path, init=init, story=story, entities=entities, parameters=when)
+    early, never = ran(BuiltinSimulator(duration=5.0), [ConcreteScenario(path, {"when": w}) for w in (1.0, 9.0)])
+    assert early.x[1][-1] == pytest.approx(early.x[0][-1] - 5.0)
+    np.testing.assert_allclose(never.x[1], 55.0)
+
+
+@pytest.mark.parametrize(
+    ("reference", "hitch", "said"),
+    [
+        ('trailer="T"', HITCH, "is read as trailerRef"),
+        ('trailerRef="T"', "", "cannot pull 'T', as it has no <TrailerHitch>"),
+        ('trailerRef="Ego"', HITCH, None),
+        ('trailerRef="V"', HITCH, None),
+    ],
+)
+def test_43_9_what_cannot_be_taken_up_is_said(tmp_path, reference, hitch, said):
+    if said is None:
+        with pytest.raises(InputError, match=r"line \d+: ('Ego' is to pull itself|.*'V', which does not exist)"):
+            taking_up(tmp_path, at("1", CONNECT.format(reference)), hitch=hitch)
+        return
+    path, _ = taking_up(tmp_path, at("1", CONNECT.format(reference)), hitch=hitch)
+    assert any(said in str(notice) for notice in check(path).notices)

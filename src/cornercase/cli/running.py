@@ -221,16 +221,20 @@ def check(
     scenarios: Annotated[list[Path], typer.Argument(metavar="SCENARIO.xosc…", help="OpenSCENARIO files.")],
     *,
     space: SpaceFile = None,
+    strict: Annotated[
+        bool, typer.Option("--strict", help="Refuse what breaks the standard, though it can be read, with its rule.")
+    ] = False,
 ) -> None:
     """Check scenario files: what they hold, what has no effect here, and whether they are valid and can run.
 
-    The exit code is 1 if one of them is not valid or cannot run.
+    What breaks the standard and can mean only one thing is read so, and named as "adapted". The exit code is 1 if one
+    of the files is not valid or cannot run, or with --strict if something was adapted.
 
     \b
     Example:
       cornercase check examples/x_intersection/x_intersection.xosc \\
           --space examples/x_intersection/x_intersection.space.xosc
-      cornercase check reduced/*.xosc
+      cornercase check reduced/*.xosc --strict
     """
     from cornercase import simulators
 
@@ -241,7 +245,7 @@ def check(
         if len(scenarios) > 1:
             out.print(f"{scenario}:")
         try:
-            found = simulators.check(scenario, space)
+            found = simulators.check(scenario, space, strict=strict)
         except InputError as error:
             if len(scenarios) == 1:
                 raise
@@ -252,7 +256,8 @@ def check(
         if not found.good:
             bad.append(scenario)
     if len(scenarios) > 1:
-        out.print(f"{len(scenarios) - len(bad)} of {len(scenarios)} are valid and can be run")
+        kept = ", break no rule" if strict else ""
+        out.print(f"{len(scenarios) - len(bad)} of {len(scenarios)} are valid{kept} and can be run")
     if bad:
         raise typer.Exit(1)
 
@@ -265,12 +270,15 @@ def _tell_check(found: Any) -> None:
     if found.variables:
         out.print(f"variables: {', '.join(found.variables)}")
     for notice in found.notices:
-        out.print(shorten(notice.sentence, LONGEST))
+        # With --strict, what was adapted is said below, with its rule.
+        if not (found.adapted and notice.label == "adapted"):
+            out.print(shorten(notice.sentence, LONGEST))
     if found.schema is None:
         out.print("schema: not looked at; it comes with pip install 'cornercase[validate]'")
     else:
-        out.print(f"schema {found.schema}: {'valid' if not found.invalid else 'not valid'}")
-    for line in (*found.invalid, *found.trouble):
+        but = ", but for what is adapted" if any(one.label == "adapted" for one in found.notices) else ""
+        out.print(f"schema {found.schema}: {f'valid{but}' if not found.invalid else 'not valid'}")
+    for line in (*found.invalid, *(f"refused: {one}" for one in found.adapted), *found.trouble):
         out.print(shorten(f"  {line}", LONGEST))
     if found.space is not None:
         for parameter in found.space.parameters:

@@ -151,7 +151,7 @@ def _adapt_spaces(element: etree._Element) -> None:
         if bare != value:
             element.set(key, bare)
             # Around numbers and booleans, XML allows for them.
-            if not _is_number(bare) and bare not in ("true", "false"):
+            if not (_is_number(bare) or bare in ("true", "false") or bare.startswith("$")):
                 why = f"'{bare}' is read without the spaces around it"
                 _note(element, f"{key} of <{element.tag}>", why, "spaces are part of a name")
 
@@ -218,7 +218,11 @@ def _adapt_missing(element: etree._Element) -> None:
     if tag.endswith("ActionDynamics") and element.attrib.get("dynamicsShape") == "step":
         needed = _AT_ONCE
     for key, value in needed.items():
-        if element.attrib.get(key, "") == "":
+        spelled = next((one for one, _ in _attributes(element) if one.lower() == key.lower() and one != key), None)
+        if spelled is not None and key not in element.attrib:
+            element.set(key, element.attrib.pop(spelled))
+            _note(element, f"{spelled} of <{tag}>", f"is read as {key}", f"<{tag}> has a {key}")
+        elif element.attrib.get(key, "") == "":
             element.set(key, value)
             _note(element, f"missing {key} of <{tag}>", f"is read as {value}", f"<{tag}> has a {key}")
 

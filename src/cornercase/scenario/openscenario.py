@@ -19,7 +19,7 @@ from cornercase.scenario.axes import left_handed_header
 from cornercase.scenario.catalogs import Catalogs
 from cornercase.scenario.expressions import names_in
 from cornercase.scenario.parameter import Value
-from cornercase.scenario.xml import XmlFiles
+from cornercase.scenario.xml import XmlFiles, parse_xml
 
 DRIVER_PROPERTY = "cornercase.driver"
 """Property of a controller that names the driver of an entity."""
@@ -114,6 +114,10 @@ class Scenario:
     def _document(self) -> etree._Element:
         return self._files.root(self.path)
 
+    def as_written(self) -> etree._Element:
+        """Return the root of the scenario file as it stands there, with all that breaks the standard."""
+        return parse_xml(self._files.content(self.path), self.path)
+
     def xml(self, path: Path) -> etree._Element:
         """Return the root of a file that belongs to the scenario, as `read_xml` does.
 
@@ -159,6 +163,12 @@ class Scenario:
         if root.tag != "OpenSCENARIO":
             raise InputError(
                 f"{self.path}: the root element is <{root.tag}>; an OpenSCENARIO file starts with <OpenSCENARIO>."
+            )
+        header = root.find("FileHeader")
+        if header is not None and header.get("revMajor", "1").strip() == "0":
+            raise InputError(
+                f"{self.path}: is of OpenSCENARIO 0.{header.get('revMinor', '9')}, whose files are built in another"
+                " way; bring it to 1.0 with ASAM's migration script, which comes with OpenSCENARIO 1.0."
             )
         if root.find("ParameterValueDistribution") is not None:
             raise InputError(f"{self.path}: is a parameter value distribution, not a scenario; give it as `space`.")

@@ -14,7 +14,7 @@ from cornercase._common.errors import InputError
 from cornercase._common.recorded_xml import named, unrecorded
 from cornercase.scenario.distributions import read_distribution
 from cornercase.scenario.parameter import Parameter
-from cornercase.scenario.xml import XmlFiles, read_xml
+from cornercase.scenario.xml import XmlFiles
 
 # Beyond these, ranges and steps have no digits left.
 _LARGEST = 1e15
@@ -191,7 +191,7 @@ def _require_names(names: Sequence[str], where: str) -> None:
 
 
 def _distribution_element(path: Path | str, files: XmlFiles | None) -> Any:
-    root = read_xml(path) if files is None else files.root(Path(path))
+    root = (files or XmlFiles()).root(Path(path))
     element = root.find("ParameterValueDistribution")
     if element is None:
         raise InputError(f"{path}: has no <ParameterValueDistribution>; `space` takes such a file.")

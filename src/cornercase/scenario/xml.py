@@ -15,8 +15,8 @@ from cornercase._common.recorded_xml import adapt, recording_parser
 from cornercase.scenario.adapting import adapt_openscenario
 
 _DEEPEST: Final = 200
-# White space and comments before the declaration of XML, which should stand first.
-_BEFORE_DECLARATION: Final = re.compile(rb"\A((?:\xef\xbb\xbf)?)((?>\s+|<!--(?:(?!-->).)*-->)+)(?=<\?xml\s)", re.DOTALL)
+# The declaration of XML, which should stand first, with the white space and comments before it.
+_DECLARATION: Final = re.compile(r"((?>\s+|<!--(?:(?!-->).)*-->)*)<\?xml\s[^>]*\?>", re.DOTALL)
 
 
 def read_xml(path: Path | str) -> etree._Element:
@@ -82,35 +82,42 @@ def _parsed(data: bytes) -> etree._Element:
 
 
 def _parsed_leniently(data: bytes) -> etree._Element | None:
-    """Root of a document whose comments or declaration alone break the rules of XML; None where other things do."""
+    """Root of a document whose declaration, encoding or comments alone break the rules; None where other things do."""
+    try:
+        text, encoding = data.decode("utf-8-sig"), "UTF-8"
+    except UnicodeDecodeError:
+        text, encoding = data.decode("cp1252", errors="replace"), "Windows-1252"
     faults = []
-    declared_late = _BEFORE_DECLARATION.match(data)
-    if declared_late:
-        # As many lines, so that messages name the right ones.
-        data = declared_late[1] + data[declared_late.end() :].replace(
-            b"?>", b"?>" + b"\n" * declared_late[2].count(b"\n"), 1
-        )
-        faults.append(("XML declaration", "it is read as if it stood at the beginning", "it stands at the beginning"))
-    mended = _with_mended_comments(data)
-    if mended != data:
+    declaration = _DECLARATION.match(text)
+    if declaration is not None:
+        # What stands before it stays, so that lines are what they were.
+        text = declaration[1] + text[declaration.end() :]
+        if declaration[1]:
+            faults.append(
+                ("XML declaration", "it is read as if it stood at the beginning", "it stands at the beginning")
+            )
+    mended = _with_mended_comments(text)
+    if mended != text:
         faults.append(("comments that hold '--'", "they are read as comments", "a comment holds no '--'"))
     try:
-        root = _parsed(mended)
+        root = _parsed(mended.encode("utf-8"))
     except etree.XMLSyntaxError:
         return None
+    if not faults or encoding != "UTF-8":
+        faults.append(("encoding", f"the file is read as {encoding}", "the declaration names the encoding"))
     for what, why, rule in faults:
         adapt(root, what, why, f"{rule} (XML 1.0)")
     return root
 
 
-def _with_mended_comments(data: bytes) -> bytes:
+def _with_mended_comments(text: str) -> str:
     """Document whose comments, each of which ends at its first "-->", hold no two hyphens in a row."""
     pieces, place = [], 0
-    while (begin := data.find(b"<!--", place)) >= 0 and (end := data.find(b"-->", begin + 4)) >= 0:
-        comment = data[begin + 4 : end].replace(b"--", b"__")
-        pieces += [data[place : begin + 4], comment[:-1] + b"_" if comment.endswith(b"-") else comment]
+    while (begin := text.find("<!--", place)) >= 0 and (end := text.find("-->", begin + 4)) >= 0:
+        comment = text[begin + 4 : end].replace("--", "__")
+        pieces += [text[place : begin + 4], comment[:-1] + "_" if comment.endswith("-") else comment]
         place = end
-    return b"".join((*pieces, data[place:]))
+    return "".join((*pieces, text[place:]))
 
 
 class XmlFiles:
@@ -134,9 +141,9 @@ class XmlFiles:
         """Root of a file, as in `read_xml`; the same object each time, which is not to be changed."""
         if path not in self._roots:
             self._roots[path] = root = parse_xml(self.content(path), path)
-            adapt_openscenario(root)
-            # Elements remember what was read of them as long as somebody holds them.
+            # Elements remember what was read of them, and how, as long as somebody holds them.
             self._elements[path] = list(root.iter())
+            adapt_openscenario(root)
         return self._roots[path]
 
     def update(self, other: XmlFiles) -> None:

@@ -11,7 +11,7 @@ from typing import Final
 from lxml import etree
 
 from cornercase._common.errors import InputError
-from cornercase._common.ledger import Notice
+from cornercase._common.ledger import Label, Notice
 from cornercase.scenario import ConcreteScenario, LogicalScenario, ParameterSpace, Scenario, read_xml
 from cornercase.simulators.builtin.effect import notices_after_reading
 from cornercase.simulators.builtin.simulator import BuiltinSimulator
@@ -39,11 +39,13 @@ class Check:
     schema : str or None
         Version of the schema that it was held against; None where the schema is not installed.
     invalid : tuple of str
-        Where the file, or that of the space, breaks the schema.
+        Where the file, or that of the space, breaks the schema; what is adapted counts only where that was asked for.
     space : ParameterSpace or None
         What is varied; None where no space was given, or it cannot be used.
     trouble : tuple of str
         Why the scenario cannot be run.
+    adapted : tuple of str
+        What breaks the standard and is read all the same, with its rule; empty unless `strict` asks for it.
     """
 
     path: Path
@@ -55,11 +57,12 @@ class Check:
     invalid: tuple[str, ...]
     space: ParameterSpace | None
     trouble: tuple[str, ...]
+    adapted: tuple[str, ...] = ()
 
     @property
     def good(self) -> bool:
-        """Whether the file can be run, and breaks no schema that is installed."""
-        return not self.invalid and not self.trouble
+        """Whether the file can be run, breaks no schema that is installed and, where that was asked for, no rule."""
+        return not self.invalid and not self.trouble and not self.adapted
 
     def __repr__(self) -> str:
         held = ", ".join(f"{count} {kind}" for kind, count in self.contents.items() if count)
@@ -68,10 +71,10 @@ class Check:
             validity += f"{len(self.invalid)} errors" if self.invalid else "valid"
         lines = [f"<Check of {self.path.name}: {'cannot' if self.trouble else 'can'} be run, {validity}; {held}"]
         lines += [notice.sentence for notice in self.notices]
-        return "\n  ".join([*lines, *self.invalid, *self.trouble]) + ">"
+        return "\n  ".join([*lines, *self.invalid, *self.adapted, *self.trouble]) + ">"
 
 
-def check(scenario: Path | str | Scenario, space: Path | str | None = None) -> Check:
+def check(scenario: Path | str | Scenario, space: Path | str | None = None, *, strict: bool = False) -> Check:
     """Tell what a scenario file holds, what of it has no effect here, and whether it is valid and can be run.
 
     It is held against ASAM's schema, where the extra ``cornercase[validate]`` is installed, and run for one time step:
@@ -83,6 +86,8 @@ def check(scenario: Path | str | Scenario, space: Path | str | None = None) -> C
         OpenSCENARIO file.
     space : path, optional
         ParameterValueDistribution file.
+    strict : bool, default False
+        Whether what breaks the standard is refused, though it can be read: all notices of the label ``adapted``.
 
     Returns
     -------
@@ -114,21 +119,28 @@ def check(scenario: Path | str | Scenario, space: Path | str | None = None) -> C
             trouble.append(f"{file.path}: {result}.")
     except InputError as error:
         trouble.append(str(error))
-    version, invalid = _validate(file.root)
+    version, invalid = _validate(file.as_written() if strict else file.root)
     if space is not None:
         _, more = _validate(read_xml(Path(space)))
         invalid += [f"{space}: {one}" for one in more]
+    notices = notices_after_reading(file, read=not trouble)
     return Check(
         path=file.path,
         contents={tag: tags[tag] for tag in _COUNTED},
         parameters=file.parameters,
         variables=tuple(e.get("name", "") for e in file.root.iterfind("VariableDeclarations/VariableDeclaration")),
-        notices=notices_after_reading(file, read=not trouble),
+        notices=notices,
         schema=version,
         invalid=tuple(invalid),
         space=varied,
         trouble=tuple(trouble),
+        adapted=tuple(_breach(notice) for notice in notices if strict and notice.label is Label.ADAPTED),
     )
+
+
+def _breach(notice: Notice) -> str:
+    """What breaks the standard, and the rule that it breaks."""
+    return f"{notice}. The standard: {notice.rule}" if notice.rule else str(notice)
 
 
 def schema_errors(root: etree._Element) -> list[str] | None:

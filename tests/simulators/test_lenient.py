@@ -1,0 +1,278 @@
+"""Scenario files as other people's tools write them: read where only one thing can be meant, and refused by name."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+from conftest import car, event, moving, private, ran, scenario_file, speed_action, story_of, teleport, time_trigger
+from cornercase import ConcreteScenario, InputError, LogicalScenario
+from cornercase._common.ledger import Label
+from cornercase.cli import app
+from cornercase.scenario import Scenario
+from cornercase.scenario.concrete_files import write_concrete
+from cornercase.simulators import BuiltinSimulator, check
+
+PARAMETERS = """<ParameterDeclaration name="speed" parameterType="double" value="10"/>
+<ParameterDeclaration name="owner" parameterType="string" value="Ego"/>
+<ParameterDeclaration name="grade" parameterType="string" value="10"/>
+<ParameterDeclaration name="on" parameterType="boolean" value="true"/>"""
+
+DISTANCE = """<ConditionGroup><Condition name="d" delay="0" conditionEdge="none"><ByEntityCondition>
+<TriggeringEntities triggeringEntitiesRule="any"><EntityRef entityRef="$owner"/></TriggeringEntities><EntityCondition>
+<RelativeDistanceCondition entityRef="B" relativeDistanceType="cartesianDistance" value="1000" freespace="true"
+rule="lessThan"/></EntityCondition></ByEntityCondition></Condition></ConditionGroup>"""
+
+VALUE = """<ConditionGroup><Condition name="v" delay="0" conditionEdge="none"><ByValueCondition>
+<ParameterCondition parameterRef="on" rule="equalTo" value="true"/></ByValueCondition></Condition></ConditionGroup>"""
+
+LANE_CHANGE = """<PrivateAction><LateralAction><LaneChangeAction>
+<LaneChangeActionDynamics dynamicsShape="linear" value="2" dynamicsDimension="time"/>
+<LaneChangeTarget><AbsoluteTargetLane value="-1"/></LaneChangeTarget></LaneChangeAction></LateralAction></PrivateAction>"""
+
+TEXTS = """<ConditionGroup><Condition name="t" delay="0" conditionEdge="none"><ByValueCondition>
+<ParameterCondition parameterRef="grade" rule="equalTo" value="10"/></ByValueCondition></Condition></ConditionGroup>"""
+
+
+def written(folder: Path, *changes: tuple[str, str], encoding: str = "utf-8") -> Path:
+    """A good scenario, each change of which has to find its place."""
+    story = story_of(
+        event("slow", speed_action("5"), DISTANCE)
+        + event("fast", speed_action("20"), VALUE)
+        + event("lane", LANE_CHANGE, TEXTS)
+    )
+    path = scenario_file(
+        folder,
+        init=moving(speed="$speed") + private("B", teleport("100"), speed_action("10")),
+        story=story,
+        stop=time_trigger("3"),
+        parameters=PARAMETERS,
+        entities=car("Ego") + car("B"),
+    )
+    text = path.read_text()
+    for old, new in changes:
+        assert old in text, old
+        text = text.replace(old, new)
+    path.write_bytes(text.encode(encoding))
+    return path
+
+
+def checked(path: Path, *options: str):
+    return CliRunner().invoke(app, ["check", str(path), *options])
+
+
+def test_the_scenario_that_is_broken_below_is_good(tmp_path):
+    found = check(written(tmp_path), strict=True)
+    assert found.good
+    assert [notice for notice in found.notices if notice.label is Label.ADAPTED] == []
+
+
+# What is changed, and what is said of it; each such file gives the recording of the good one.
+READ: dict[str, tuple[list[tuple[str, str]], str]] = {
+    "a dollar in a declared name": ([('name="owner"', 'name="$owner"')], "'$owner' is read as 'owner'"),
+    "bool": ([('"boolean"', '"bool"')], "'bool' is read as boolean"),
+    "Boolean": ([('"boolean"', '"Boolean"')], "'Boolean' is read as boolean"),
+    "float": ([('"double"', '"float"')], "'float' is read as double"),
+    "Double": ([('"double"', '"Double"')], "'Double' is read as double"),
+    "String": ([('"string"', '"String"')], "'String' is read as string"),
+    "no type of a number": ([(' parameterType="double"', "")], "that of 'speed' is read as double"),
+    "no type of a truth": ([(' parameterType="boolean"', "")], "that of 'on' is read as boolean"),
+    "True": ([('"boolean" value="true"', '"boolean" value="True"')], "'True' is read as true"),
+    "TRUE in a condition": ([('rule="equalTo" value="true"', 'rule="equalTo" value="TRUE"')], "'TRUE' is read as true"),
+    "FALSE of an attribute": ([('Entities="false"', 'Entities="FALSE"')], "'FALSE' is read as false"),
+    "an edge in capitals": ([('conditionEdge="none"', 'conditionEdge="None"')], "'None' is read as none"),
+    "a rule in capitals": ([('rule="lessThan"', 'rule="LessThan"')], "'LessThan' is read as lessThan"),
+    "a rule with a line": ([('rule="lessThan"', 'rule="less_than"')], "'less_than' is read as lessThan"),
+    "Euclid in English": ([("cartesianDistance", "euclideanDistance")], "is read as euclidianDistance"),
+    "a shape in capitals": ([('"linear"', '"Linear"')], "'Linear' is read as linear"),
+    "a priority in capitals": ([('"parallel"', '"Parallel"')], "'Parallel' is read as parallel"),
+    "a category in capitals": ([('Category="car"', 'Category="Car"')], "'Car' is read as car"),
+    "no edge": ([(' conditionEdge="none"', "")], "is read as none"),
+    "no delay": ([(' delay="0"', "")], "is read as 0"),
+    "an empty delay": ([(' delay="0"', ' delay=""')], "is read as 0"),
+    "no priority": ([(' priority="parallel"', "")], "is read as parallel"),
+    "no count of a group": ([('name="g" maximumExecutionCount="1"', 'name="g"')], "is read as 1"),
+    "a count without end": ([('name="g" maximumExecutionCount="1"', 'name="g" maximumExecutionCount="-1"')], "-1 is"),
+    "no rule of entities": ([(' triggeringEntitiesRule="any"', "")], "is read as any"),
+    "no dimension": ([(' dynamicsDimension="time"', "")], "is read as time"),
+    "no value of a step": ([(' dynamicsDimension="time" value="0"', "")], "missing value of <SpeedActionDynamics>"),
+    "no selectTriggeringEntities": ([(' selectTriggeringEntities="false"', "")], "is read as false"),
+    "another case of a name": ([("freespace=", "freeSpace=")], "is read as freespace"),
+    "spaces around a name": ([('entityRef="B"', 'entityRef="B "')], "'B' is read without the spaces around it"),
+    "spaces around a declared name": ([('name="on"', 'name=" on"')], "'on' is read without the spaces around it"),
+    "no header": ([('<FileHeader revMajor="1" revMinor="2" date="2026-01-01T00:00:00" author="a"\ndescription="d"/>', "")],
+                  "missing <FileHeader>"),
+    "a namespace": ([("<OpenSCENARIO>", '<OpenSCENARIO xmlns="http://openscenario.org/1.0">')], "is left out"),
+    "a prefix": ([("<OpenSCENARIO>", '<o:OpenSCENARIO xmlns:o="urn:o">'), ("</OpenSCENARIO>", "</o:OpenSCENARIO>")],
+                 "is left out"),
+    "another case of the root": ([("OpenSCENARIO>", "OpenScenario>")], "is read as <OpenSCENARIO>"),
+    "an action without one": ([("<Private entityRef=\"B\">", '<Private entityRef="B"><PrivateAction/>')], "is skipped"),
+    "a wrapper without an action": (
+        [('<Private entityRef="B">', '<Private entityRef="B"><PrivateAction><LongitudinalAction/></PrivateAction>')],
+        "is skipped",
+    ),
+    "an event without an action": (
+        [('<Maneuver name="m">', '<Maneuver name="m"><Event name="e" priority="parallel"><Action name="x"/></Event>')],
+        "<Action> without an action",
+    ),
+    "a variable that nobody declares": (
+        [("<Init><Actions>", '<Init><Actions><GlobalAction><VariableAction variableRef="x"><SetAction value="1"/>'
+          "</VariableAction></GlobalAction>")],
+        "is skipped, as there is no variable 'x'",
+    ),
+    "a controller that is not there": (
+        [("<Init><Actions>", "<Init><Actions><GlobalAction><InfrastructureAction><TrafficSignalAction>"
+          '<TrafficSignalControllerAction trafficSignalControllerRef="c" phase="p"/></TrafficSignalAction>'
+          "</InfrastructureAction></GlobalAction>")],
+        "is skipped, as there is no signal controller 'c'",
+    ),
+    "a controller without phases": (
+        [("</RoadNetwork>", '<TrafficSignals><TrafficSignalController name="c"/></TrafficSignals></RoadNetwork>')],
+        "'c' is left out",
+    ),
+    "lines before the declaration": ([("<OpenSCENARIO>", '\n\n<?xml version="1.0"?><OpenSCENARIO>')], "<?xml …?>"),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("fault", READ)
+def test_43_8_what_means_only_one_thing_is_read_so_and_said(tmp_path, fault):
+    changes, said = READ[fault]
+    (good,) = ran(BuiltinSimulator(duration=4.0), [ConcreteScenario(written(tmp_path))])
+    path = written(tmp_path, *changes)
+    found = check(path)
+    adapted = [notice for notice in found.notices if notice.label is Label.ADAPTED]
+    assert found.trouble == ()
+    assert any(said in str(notice) for notice in adapted), adapted
+    assert all(notice.rule and notice.lines for notice in adapted)
+    (recording,) = ran(BuiltinSimulator(duration=4.0), [ConcreteScenario(path)])
+    np.testing.assert_array_equal(recording.x, good.x)
+    np.testing.assert_array_equal(recording.y, good.y)
+    assert not check(path, strict=True).good
+
+
+# What runs as it stands, without a word.
+SILENT: dict[str, list[tuple[str, str]]] = {
+    "truths as digits": [('Entities="false"', 'Entities="0"'), ('freespace="true"', 'freespace="1"')],
+    "no stop trigger": [(f"<StopTrigger>{time_trigger('3')}</StopTrigger>", "")],
+    "an empty maneuver": [('<Maneuver name="m">', '<Maneuver name="z"/><Maneuver name="m">')],
+    "comments": [("<Init>", "<!-- a --><Init><!-- b -->"), ("<Condition ", "<!-- c --><Condition ")],
+    "a processing instruction": [("<Init>", "<?tool x?><Init>")],
+    "spaces around numbers": [('value="$speed"', 'value=" $speed "'), ('value="20"', 'value=" 20 "')],
+    "names with spaces": [('"Ego"', '"The ego, v1"')],
+}
+
+
+@pytest.mark.parametrize("what", SILENT)
+def test_43_8_what_breaks_no_rule_is_not_said_to_be_adapted(tmp_path, what):
+    found = check(written(tmp_path, *SILENT[what]), strict=True)
+    assert (found.trouble, found.adapted) == ((), ())
+
+
+# What is refused, and why: it may mean more than one thing, or nothing.
+REFUSED: dict[str, tuple[list[tuple[str, str]], str]] = {
+    "a decimal comma": ([('value="20"', 'value="20,5"')], r"line \d+: value of .* write it with a point, as 20\.5"),
+    "no rule": ([('\nrule="lessThan"', "")], r"line \d+: rule of <RelativeDistanceCondition>"),
+    "a rule of no kind": ([('rule="lessThan"', 'rule="near"')], r"line \d+: rule 'near'"),
+    "an edge of no kind": ([('conditionEdge="none"', 'conditionEdge="any"')], r"line \d+: conditionEdge 'any'"),
+    "a truth of no kind": ([('Entities="false"', 'Entities="maybe"')], r"line \d+: selectTriggeringEntities .*'maybe'"),
+    "a count of 0": ([('Count="1"', 'Count="0"')], "at least 1"),
+    "a parameter of no name": ([('entityRef="$owner"', 'entityRef="$nobody"')], r"line \d+: entityRef .*'nobody'"),
+    "an entity of no name": ([('entityRef="B"', 'entityRef="C"')], "'C'"),
+    "a road that is not there": ([("road.xodr", "road")], "road: cannot be read"),
+    "a drive of Windows": ([("road.xodr", "C:\\maps\\road.xodr")], r"maps.road\.xodr: cannot be read"),
+    "version 0.9": ([('revMajor="1" revMinor="2"', 'revMajor="0" revMinor="9"')], r"OpenSCENARIO 0\.9.*migration"),
+    "a box below 0": ([('width="2', 'width="-2')], "positive length and width"),
+    "a variable that a condition may ask for": (
+        [("<Init><Actions>", '<Init><Actions><GlobalAction><VariableAction variableRef="x"><SetAction value="1"/>'
+          "</VariableAction></GlobalAction>"),
+         ("ParameterCondition parameterRef=\"on\"", 'VariableCondition variableRef="x"')],
+        r"line \d+: there is no variable 'x'",
+    ),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("fault", REFUSED)
+def test_43_8_what_may_mean_something_else_is_refused_by_name(tmp_path, fault):
+    changes, why = REFUSED[fault]
+    path = written(tmp_path, *changes)
+    with pytest.raises(InputError, match=why) as refused:
+        ran(BuiltinSimulator(duration=1.0), [ConcreteScenario(Scenario.read(path).path)])
+    assert str(tmp_path) in str(refused.value)
+
+
+@pytest.mark.parametrize("encoding", ["utf-8-sig", "utf-16", "cp1252"])
+def test_43_8_files_in_other_encodings_are_read(tmp_path, encoding):
+    path = written(tmp_path, ('author="a"', 'author="Jürgen"'), ('"Ego"', '"Größe"'), encoding=encoding)
+    assert check(path).trouble == ()
+    assert Scenario.read(path).entities[0] == "Größe"
+
+
+@pytest.mark.parametrize(
+    ("rule", "value", "holds"),
+    [("greaterThan", "9", True), ("lessThan", "9", False), ("greaterOrEqual", "10.0", True), ("lessThan", "100", True)],
+)
+def test_43_8_numbers_in_texts_are_compared_as_numbers(tmp_path, rule, value, holds):
+    old = '"grade" rule="equalTo" value="10"'
+    lane = ('<AbsoluteTargetLane value="-1"/>', '<AbsoluteTargetLane value="1"/>')
+    path = written(tmp_path, (old, f'"grade" rule="{rule}" value="{value}"'), lane)
+    (recording,) = ran(BuiltinSimulator(duration=2.5), [ConcreteScenario(path)])
+    assert (abs(recording.y[0, -1] - recording.y[0, 0]) > 1.0) == holds
+    assert any("as the number that it is" in str(notice) for notice in check(path).notices)
+
+
+@pytest.mark.parametrize(("kind", "length", "width"), [("car", 5.04, 2.0), ("bicycle", 1.8, 0.5), ("bus", 12.0, 2.55)])
+def test_43_8_a_box_of_nothing_is_that_of_its_kind(tmp_path, kind, length, width):
+    text = written(tmp_path).read_text()
+    box = re.search("<Dimensions[^>]*>", text)
+    assert box is not None
+    path = written(
+        tmp_path, (box[0], '<Dimensions length="0" width="0.0" height="0"/>'), ('Category="car"', f'Category="{kind}"')
+    )
+    (recording,) = ran(BuiltinSimulator(duration=1.0), [ConcreteScenario(path)])
+    assert (recording.length[0], recording.width[0]) == (length, width)
+    assert any(f"the {kind} is taken as {length:g} m long" in str(notice) for notice in check(path).notices)
+
+
+def test_43_8_what_is_written_of_a_lenient_file_breaks_no_rule(tmp_path):
+    changes = [
+        ('name="owner"', 'name="$owner"'),
+        ('"boolean"', '"bool"'),
+        (' conditionEdge="none"', ""),
+        ('"B"', '"B "'),
+    ]
+    source = written(tmp_path, *changes)
+    folder = tmp_path / "out"
+    folder.mkdir()
+    target = folder / "one.xosc"
+    write_concrete(Scenario.read(source), {"owner": "B"}, target)
+    assert check(target, strict=True).good
+    assert 'name="owner" parameterType="string" value="B"' in target.read_text()
+
+
+def test_43_8_a_space_may_name_its_parameter_with_a_dollar(tmp_path):
+    written(tmp_path, ('name="speed"', 'name="$speed"'))
+    space = tmp_path / "space.xosc"
+    space.write_text("""<OpenSCENARIO><FileHeader revMajor="1" revMinor="2" date="2026-01-01T00:00:00" author="a"
+description="d"/><ParameterValueDistribution><ScenarioFile filepath="scenario.xosc"/><Deterministic>
+<DeterministicSingleParameterDistribution parameterName="$speed"><DistributionRange stepWidth="1">
+<Range lowerLimit="5" upperLimit="9"/></DistributionRange></DeterministicSingleParameterDistribution></Deterministic>
+</ParameterValueDistribution></OpenSCENARIO>""")
+    logical = LogicalScenario.read(None, space)
+    assert [one.name for one in logical.space.parameters] == ["speed"]
+    (values,) = logical.space.values(logical.space.middle())
+    ran(BuiltinSimulator(duration=1.0), [ConcreteScenario(logical.scenario.path, values)])
+
+
+def test_43_8_strict_refuses_with_the_rule_and_exit_code_1(tmp_path):
+    path = written(tmp_path, ('"boolean"', '"bool"'))
+    assert checked(path).exit_code == 0
+    ended = checked(path, "--strict")
+    assert ended.exit_code == 1
+    said = re.sub(r"\s+", " ", ended.stdout)
+    assert re.search(r"refused: parameterType of <ParameterDeclaration> \(scenario\.xosc, line \d+\): 'bool'", said)
+    assert "The standard: it is boolean, dateTime" in said
+    assert checked(written(tmp_path), "--strict").exit_code == 0
