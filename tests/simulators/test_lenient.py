@@ -3,16 +3,31 @@
 from __future__ import annotations
 
 import re
+import warnings
 from pathlib import Path
 
 import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from conftest import car, event, moving, private, ran, scenario_file, speed_action, story_of, teleport, time_trigger
+from conftest import (
+    car,
+    event,
+    moving,
+    private,
+    ran,
+    scenario_file,
+    speed_action,
+    story_of,
+    teleport,
+    time_trigger,
+    trajectory,
+)
 from cornercase import ConcreteScenario, InputError, LogicalScenario
+from cornercase._common.errors import NoticeWarning
 from cornercase._common.ledger import Label
 from cornercase.cli import app
+from cornercase.recordings import Recording
 from cornercase.scenario import Scenario
 from cornercase.scenario.concrete_files import write_concrete
 from cornercase.simulators import BuiltinSimulator, check
@@ -276,3 +291,96 @@ def test_43_8_strict_refuses_with_the_rule_and_exit_code_1(tmp_path):
     assert re.search(r"refused: parameterType of <ParameterDeclaration> \(scenario\.xosc, line \d+\): 'bool'", said)
     assert "The standard: it is boolean, dateTime" in said
     assert checked(written(tmp_path), "--strict").exit_code == 0
+
+
+def noticed(path: Path, duration: float = 6.0, **values: float) -> tuple[Recording, list[str]]:
+    """A recording, and the sentences that are said of its run."""
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        (recording,) = ran(BuiltinSimulator(duration=duration), [ConcreteScenario(path, values)])
+    return recording, [str(one.message) for one in caught]
+
+
+def changing(folder: Path, lane: str, offset: str = "0") -> Path:
+    change = LANE_CHANGE.replace('<AbsoluteTargetLane value="-1"/>', lane)
+    change = change.replace("<LaneChangeAction>", f'<LaneChangeAction targetLaneOffset="{offset}">')
+    return scenario_file(folder, init=moving(), story=story_of(event("e", change, time_trigger("$when"))),
+                         parameters='<ParameterDeclaration name="when" parameterType="double" value="1"/>')  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    "lane", ['<AbsoluteTargetLane value="-3"/>', '<RelativeTargetLane entityRef="Ego" value="2"/>']
+)
+def test_43_9_who_is_to_change_to_a_lane_that_is_not_there_stays_in_its_own(tmp_path, lane):
+    recording, said = noticed(changing(tmp_path, lane))
+    np.testing.assert_allclose(recording.y[0], -2.0)
+    assert recording.x[0, -1] == pytest.approx(110.0)
+    place = "adapted: <LaneChangeAction> (scenario.xosc, line "
+    (sentence,) = [one for one in said if place in one]
+    assert "Ego is to change to a lane that is not there, and stays in its own; first at 1" in sentence
+
+
+def test_43_9_it_goes_to_the_offset_that_it_is_to_have(tmp_path):
+    # As in esmini, that is where it ends.
+    recording, _ = noticed(changing(tmp_path, '<AbsoluteTargetLane value="-3"/>', "-1"))
+    assert recording.y[0, -1] == pytest.approx(-3.0)
+    assert np.abs(np.diff(recording.y[0])).max() < 0.05
+
+
+def test_43_9_each_scenario_of_a_batch_changes_when_it_is_told_to(tmp_path):
+    path = changing(tmp_path, '<AbsoluteTargetLane value="-3"/>', "-1")
+    with pytest.warns(NoticeWarning, match="lane that is not there"):
+        late, early = ran(BuiltinSimulator(duration=4.0), [ConcreteScenario(path, {"when": w}) for w in (9.0, 0.5)])
+    assert (late.y[0, -1], early.y[0, -1]) == (pytest.approx(-2.0), pytest.approx(-3.0))
+
+
+@pytest.mark.parametrize(
+    ("position", "x"),
+    [
+        ('<RelativeRoadPosition entityRef="Ego" ds="5000" dt="0"/>', 500.0),
+        ('<RelativeLanePosition entityRef="Ego" ds="-5000" dLane="0"/>', 0.0),
+        ('<RelativeLanePosition entityRef="Ego" dsLane="451" dLane="0"/>', 500.0),
+    ],
+)
+def test_43_9_what_lies_beyond_the_end_relative_to_another_is_at_the_end(tmp_path, position, x):
+    placed = f"<PrivateAction><TeleportAction><Position>{position}</Position></TeleportAction></PrivateAction>"
+    path = scenario_file(tmp_path, init=moving() + private("B", placed), entities=car("Ego") + car("B"))
+    recording, said = noticed(path, 1.0)
+    assert recording.x[1, 0] == pytest.approx(x)
+    assert any("B is to be placed beyond the end of the road, and is placed at that end" in one for one in said)
+
+
+def test_43_9_what_lies_on_the_road_is_not_said_to_be_beyond(tmp_path):
+    placed = teleport("50").replace(
+        '<LanePosition roadId="1" laneId="-1" s="50"/>', '<RelativeRoadPosition entityRef="Ego" ds="450" dt="0"/>'
+    )
+    path = scenario_file(tmp_path, init=moving() + private("B", placed), entities=car("Ego") + car("B"))
+    recording, said = noticed(path, 1.0)
+    assert recording.x[1, 0] == pytest.approx(500.0)
+    assert not any("beyond" in one for one in said)
+
+
+def drawn(folder: Path, *times: str) -> Path:
+    """Follows a line, on which it is each 10 m at one of these times."""
+    vertices = "".join(
+        f'<Vertex time="{time}"><Position><WorldPosition x="{50 + 10 * k}" y="-2" h="0"/></Position></Vertex>'
+        for k, time in enumerate(times)
+    )
+    timing = '<Timing domainAbsoluteRelative="absolute" scale="1" offset="0"/>'
+    follow = trajectory(f"<Polyline>{vertices}</Polyline>", timing)
+    return scenario_file(folder, init=moving(), story=story_of(event("f", follow, time_trigger("0"))))
+
+
+def test_43_8_vertices_are_passed_over_while_the_time_goes_back(tmp_path):
+    path = drawn(tmp_path, "0", "2", "4", "3", "4", "5")
+    recording, _ = noticed(path, 4.8)
+    when = np.searchsorted(recording.time, [1.0, 3.0, 4.5])
+    # At 4 s it is at two places; from there the last of them counts, as in esmini.
+    np.testing.assert_allclose(recording.x[0, when], [55.0, 65.0, 95.0], atol=1e-6)
+    adapted = [notice for notice in check(path).notices if notice.label is Label.ADAPTED]
+    assert ["time goes back to 3 s" in str(notice) for notice in adapted] == [True]
+
+
+def test_43_8_times_that_end_before_they_did_are_refused(tmp_path):
+    (result,) = BuiltinSimulator(duration=2.0).run([ConcreteScenario(drawn(tmp_path, "0", "4", "2"))])
+    assert "go back" in str(result)
