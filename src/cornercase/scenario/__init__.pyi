@@ -7,6 +7,10 @@ from .concrete_files import write_concrete as write_concrete
 from .constraints import Constraint as Constraint
 from .constraints import Declaration as Declaration
 from .constraints import read_declarations as read_declarations
+from .criteria import Criterion as Criterion
+from .criteria import criteria_in as criteria_in
+from .criteria import criterion_name as criterion_name
+from .criteria import is_never_true as is_never_true
 from .declared_types import INTEGERS as INTEGERS
 from .declared_types import typed_value as typed_value
 from .declared_types import unusable_values as unusable_values

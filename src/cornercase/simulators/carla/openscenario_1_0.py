@@ -19,7 +19,7 @@ from cornercase._common.pending_files import written_together
 from cornercase.scenario import DRIVER_PROPERTY, Scenario, Scope, Value, copy_beside, turn_axes
 from cornercase.simulators.builtin.checking import schema_errors
 from cornercase.simulators.carla.dialect import Agents, assign_controllers
-from cornercase.simulators.carla.foreign_code import refuse_code
+from cornercase.simulators.carla.foreign_code import put_in_criteria, refuse_code, take_out_criteria
 from cornercase.simulators.carla.lanes import heights, strays
 from cornercase.simulators.carla.plan import Plan, kept_ends, plan, refuse
 from cornercase.simulators.carla.storyboard import (
@@ -123,7 +123,7 @@ def convert(
         scenario = Scenario.read(scenario)
     output, given = path("output", output), numbers_or_texts("values", values)
     require_other_file(output, scenario.path)
-    return Conversion(output, write_1_0(scenario, given, output, ego=ego))
+    return Conversion(output, write_1_0(scenario, given, output, ego=ego, run=Run(judged=True)))
 
 
 @dataclass(frozen=True)
@@ -141,6 +141,8 @@ class Run:
     road_file, controllers : str
         Path of the copied road file, and folder of the controllers of ours that ScenarioRunner needs, relative to the
         new file; by default both are beside it, the road file named after it.
+    judged : bool
+        Whether ScenarioRunner judges the run by the criteria that the scenario asks for.
     """
 
     agents: Agents = field(default_factory=Agents)
@@ -149,6 +151,7 @@ class Run:
     open_loop: bool = True
     road_file: str = ""
     controllers: str = ""
+    judged: bool = False
 
 
 def write_1_0(
@@ -264,6 +267,7 @@ def _tree_1_0(
 ) -> tuple[etree._Element, list[str], set[Path]]:
     """Tree of a concrete scenario in the words of 1.0, what is not quite the same, and controllers that it needs."""
     root = concrete_tree(scenario, values)
+    criteria = take_out_criteria(root)
     refuse_code(root, scenario.path)
     _header(root, scenario.path)
     _name_members(root)
@@ -309,6 +313,8 @@ def _tree_1_0(
     end_acts(root)
     start_at_once(root)
     name_apart(root)
+    if run.judged:
+        notes += put_in_criteria(root, criteria)
     _conditions(root, scenario.path, notes)
     _synchronised(root, scenario, notes)
     _later_words(root)

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from dataclasses import dataclass
 from functools import partial
-from typing import TypeVar
+from typing import Final, TypeVar
 
 import numpy as np
 from lxml import etree
@@ -25,6 +26,11 @@ from cornercase.simulators.builtin.world.motion import velocity_ahead
 from cornercase.simulators.builtin.world.state import World
 
 E = TypeVar("E", bound="Element")
+
+# What acts as a scenario begins, in the order in which it does.
+_INIT: Final = ("GlobalAction", "UserDefinedAction", "Private")
+_PLACING: Final = ("TeleportAction", "AddEntityAction")
+_RELATIVE: Final = ("RelativeLanePosition", "RelativeRoadPosition", "RelativeObjectPosition", "RelativeWorldPosition")
 
 
 class Storyboard:
@@ -155,11 +161,13 @@ class Storyboard:
         actions = root.find("Init/Actions")
         if actions is None:
             return
-        for element in (*actions.iterfind("GlobalAction"), *actions.iterfind("UserDefinedAction")):
-            yield self._action("init", read_action(element, scope, self._world, None), scope, None)
-        for private in _in_order_of_reference(list(actions.iterfind("Private")), scope):
-            for entity in self._entities(private, scope):
-                for item in private.iterfind("PrivateAction"):
+        every = [one for tag in _INIT for one in actions.iterfind(tag)]
+        for element in _in_order_of_reference(every, scope):
+            if element.tag != "Private":
+                yield self._action("init", read_action(element, scope, self._world, None), scope, None)
+                continue
+            for entity in self._entities(element, scope):
+                for item in element.iterfind("PrivateAction"):
                     yield self._action("init", read_action(item, scope, self._world, entity), scope, entity)
 
     def _entities(self, element: etree._Element, scope: Scope) -> list[int]:
@@ -255,27 +263,36 @@ class Storyboard:
             self._parents.pop()
 
 
-def _in_order_of_reference(privates: list[etree._Element], scope: Scope) -> list[etree._Element]:
-    """Init blocks, those whose teleport is relative to an entity after the block of that entity."""
+def _in_order_of_reference(actions: list[etree._Element], scope: Scope) -> list[etree._Element]:
+    """Initial actions, those that place an entity relative to another after those that place the other."""
+    left = [_Initial.of(element, scope) for element in actions]
     ordered: list[etree._Element] = []
-    placed: set[str] = set()
-    names = {private.get("entityRef", "") for private in privates}
-    left = list(privates)
     while left:
-        ready = [one for one in left if _references(one, scope) & names <= placed | {one.get("entityRef", "")}]
+        adding = {one.entity for one in left if one.adds}
+        placing = {one.entity for one in left if one.places}
+        ready = [one for one in left if (one.adds or one.entity not in adding) and not one.references & placing]
         # Entities that refer to each other stay in the file's order.
-        for one in ready or left[:1]:
-            ordered.append(one)
-            placed.add(one.get("entityRef", ""))
-            left.remove(one)
+        ready = ready or left[:1]
+        ordered += [one.element for one in ready]
+        left = [one for one in left if one not in ready]
     return ordered
 
 
-def _references(private: etree._Element, scope: Scope) -> set[str]:
-    kinds = ("RelativeLanePosition", "RelativeRoadPosition", "RelativeObjectPosition", "RelativeWorldPosition")
-    return {
-        scope.text(position, "entityRef")
-        for teleport in private.iter("TeleportAction")
-        for kind in kinds
-        for position in teleport.iter(kind)
-    }
+@dataclass(frozen=True, eq=False)
+class _Initial:
+    """What an initial action does to which entity, and which others it places it relative to."""
+
+    element: etree._Element
+    entity: str
+    references: frozenset[str]
+    adds: bool
+    places: bool
+
+    @classmethod
+    def of(cls, element: etree._Element, scope: Scope) -> _Initial:
+        adding = element.find("EntityAction")
+        entity = (element if adding is None else adding).get("entityRef", "")
+        placing = list(element.iter(*_PLACING))
+        positions = (position for action in placing for position in action.iter(*_RELATIVE))
+        references = frozenset(scope.text(position, "entityRef") for position in positions)
+        return cls(element, entity, references - {entity}, adding is not None, bool(placing))

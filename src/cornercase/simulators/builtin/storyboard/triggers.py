@@ -12,7 +12,7 @@ from cornercase._common.errors import InputError, suggestion
 from cornercase._common.masks import anywhere
 from cornercase._common.recorded_xml import adapt
 from cornercase._common.typing import BoolArray, FloatArray
-from cornercase.scenario import Scope
+from cornercase.scenario import Scope, is_never_true
 from cornercase.simulators.builtin.frames import leaves
 from cornercase.simulators.builtin.frames.gaps import TOLERANCE
 from cornercase.simulators.builtin.frames.leaves import Asked, Leaf
@@ -359,6 +359,8 @@ def _held(element: etree._Element, scope: Scope, world: World, elements: Element
     values = world.variables if kind == "variableRef" else world.parameters
     name = scope.text(element, kind) if not element.get(kind, "").startswith("$") else element.get(kind, "")[1:]
     if name not in values:
+        if element.tag == "ParameterCondition" and is_never_true(element, name):
+            return _never(element, scope, world, elements)
         what = "variable" if kind == "variableRef" else "parameter"
         raise InputError(
             f"{scope.source}, line {element.sourceline}: there is no {what} '{name}'; {suggestion(name, values)}"
