@@ -10,7 +10,7 @@ import typer
 
 from cornercase._common.texts import json_text
 from cornercase.cli import parsing
-from cornercase.cli.options import app, err, out
+from cornercase.cli.options import Maps, app, err, out
 
 if TYPE_CHECKING:
     from cornercase.suite import Section
@@ -45,6 +45,7 @@ def compare(
         Path | None,
         typer.Option(metavar="FILE.xosc", help="Scenario that was explored, for the page; default: beside the study."),
     ] = None,
+    maps: Maps = None,
 ) -> None:
     """Say whether a new version of a system is better or worse, by a study of each version, and what changed.
 

@@ -15,6 +15,7 @@ from cornercase.cli.interrupting import exit_code
 from cornercase.cli.options import (
     Cluster,
     Drivers,
+    Maps,
     MaxFailures,
     Retries,
     Seed,
@@ -67,6 +68,7 @@ def estimate(
     max_failures: MaxFailures = 5,
     driver: Drivers = None,
     as_json: Annotated[bool, typer.Option("--json", help="Print JSON, for programs.")] = False,
+    maps: Maps = None,
 ) -> None:
     """Estimate how probable critical scenarios and collisions are.
 

@@ -15,8 +15,8 @@ LONGEST: Final = 1400
 _PARAMETERS: Final = (
     "against", "archetypes", "archetypes_by", "asynchronous", "audit", "batch", "beside", "budget", "by", "cluster",
     "continuous", "cover", "critical", "critical_if", "duration",
-    "ego", "encounter", "eps", "fps", "gamma", "host", "junit", "keep", "max_failures", "max_seconds",
-    "memory", "method", "min_samples", "most_repeats", "on_collision", "optimizer", "other", "pareto",
+    "ego", "encounter", "eps", "fps", "gamma", "host", "junit", "keep", "maps", "max_failures",
+    "max_seconds", "memory", "method", "min_samples", "most_repeats", "on_collision", "optimizer", "other", "pareto",
     "patience", "port", "profile", "repair", "repeats", "require", "requirements", "retries", "retry_failed",
     "scenario", "seed", "share", "simulator", "size",
     "space", "stop_when", "summary", "time_step", "timeout", "window", "within", "workers",

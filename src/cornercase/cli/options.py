@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import warnings
 from collections.abc import Mapping
 from contextvars import ContextVar
@@ -132,6 +133,27 @@ Cluster = Annotated[
     ),
 ]
 Memory = Annotated[str, typer.Option(metavar="SIZE", help="Memory that the command may use, such as 4GB or 500MB.")]
+
+
+def _look_for_maps(context: typer.Context, folders: list[Path] | None) -> None:
+    """Look for maps in folders as long as the command runs; in those of the environment variable in any case."""
+    from cornercase.scenario import MAPS_VARIABLE, looking_in
+
+    if folders or os.environ.get(MAPS_VARIABLE):
+        context.with_resource(looking_in(folders or ()))
+
+
+Maps = Annotated[
+    list[Path] | None,
+    typer.Option(
+        "--maps",
+        metavar="FOLDER",
+        help="Folder with road files of maps that scenarios name without saying where, as CARLA's Town01; repeat it for"
+        " several. Before those of CORNERCASE_MAPS.",
+        callback=_look_for_maps,
+        expose_value=False,
+    ),
+]
 Workers = Annotated[int, typer.Option(metavar="N", help="Number of simulators that run side by side.", min=1)]
 
 

@@ -21,6 +21,7 @@ from cornercase.cli.options import (
     Drivers,
     Duration,
     Ego,
+    Maps,
     MaxFailures,
     Metrics,
     OnCollision,
@@ -156,6 +157,7 @@ def explore(
     ] = False,
     config: Config = None,
     profile: Profile = None,
+    maps: Maps = None,
 ) -> None:
     """Search a logical scenario for its critical concrete scenarios.
 
@@ -224,6 +226,7 @@ def check(
     strict: Annotated[
         bool, typer.Option("--strict", help="Refuse what breaks the standard, though it can be read, with its rule.")
     ] = False,
+    maps: Maps = None,
 ) -> None:
     """Check scenario files: what they hold, what has no effect here, and whether they are valid and can run.
 
@@ -294,6 +297,7 @@ def convert_(
     ego: Ego,
     output: Annotated[Path, typer.Option("--output", "-o", metavar="FILE.xosc", help="File to write.")],
     values: Values = None,
+    maps: Maps = None,
 ) -> None:
     """Write a concrete scenario as OpenSCENARIO 1.0, as CARLA's ScenarioRunner reads it.
 

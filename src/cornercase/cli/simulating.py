@@ -14,6 +14,7 @@ from cornercase.cli.options import (
     Cluster,
     Drivers,
     Duration,
+    Maps,
     MaxFailures,
     OnCollision,
     Retries,
@@ -61,6 +62,7 @@ def simulate(
     timeout: Timeout = None,
     retries: Retries = 1,
     max_failures: MaxFailures = 5,
+    maps: Maps = None,
 ) -> None:
     """Run concrete scenarios and write their recordings.
 

@@ -22,6 +22,7 @@ from cornercase.cli.options import (
     Eps,
     Gamma,
     LocalWorkers,
+    Maps,
     Memory,
     MinSamples,
     Seed,
@@ -186,6 +187,7 @@ def reduce(
     critical: CriticalAnew = None,
     memory: Memory = DEFAULT_MEMORY,
     profile: Profile = None,
+    maps: Maps = None,
 ) -> None:
     """Keep the few concrete scenarios that matter, as files that run on their own.
 
@@ -266,6 +268,7 @@ def report(
     critical: CriticalAnew = None,
     memory: Memory = DEFAULT_MEMORY,
     profile: Profile = None,
+    maps: Maps = None,
 ) -> None:
     """Write the report: one page that holds everything.
 
@@ -303,6 +306,7 @@ def watch(
         ),
     ] = None,
     browser: Annotated[bool, typer.Option("--browser/--no-browser", help="Open the page in the browser.")] = True,
+    maps: Maps = None,
 ) -> None:
     """Serve the report of a study on this machine; it grows while explore runs.
 
@@ -338,6 +342,7 @@ def replay(
         ),
     ] = None,
     critical: CriticalAnew = None,
+    maps: Maps = None,
 ) -> None:
     """Replay a scenario, as a page or as a film.
 

@@ -21,7 +21,7 @@ KEYS: Final = (*_PATHS, *_TEXTS, *_LISTS, *_WHOLE, *_NUMBERS, *_FLAGS)
 """What a study file may hold: options of explore by their names, and the scenario."""
 
 # Where it goes and where it runs is for who types the command, as is what repeats or mends a search.
-_TYPED: Final = ("output", "cluster", "profile", "replay", "retry-failed", "config")
+_TYPED: Final = ("output", "cluster", "maps", "profile", "replay", "retry-failed", "config")
 # Those whose parameter has another name than the option.
 _PARAMETERS: Final = {"range": "ranges", "from": "from_study"}
 _LARGEST: Final = 1_000_000

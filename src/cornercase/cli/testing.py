@@ -14,6 +14,7 @@ from cornercase.cli import parsing
 from cornercase.cli.options import (
     Cluster,
     Drivers,
+    Maps,
     MaxFailures,
     Retries,
     Timeout,
@@ -107,6 +108,7 @@ def test_(
         typer.Option(metavar="N", help="Test how many of N mutants of the ego's driver the suite exposes.", min=1),
     ] = None,
     seed: Annotated[int, typer.Option(metavar="N", help="Seed of the mutants: same seed, same mutants.", min=0)] = 0,
+    maps: Maps = None,
 ) -> None:
     """Run a reduced set, or any concrete scenarios, and judge the runs.
 

@@ -11,7 +11,7 @@ import typer
 from cornercase._common.memory import DEFAULT_MEMORY
 from cornercase._common.texts import json_text
 from cornercase.cli import parsing
-from cornercase.cli.options import Drivers, Memory, StudyFile, Workers, app, out
+from cornercase.cli.options import Drivers, Maps, Memory, StudyFile, Workers, app, out
 
 
 @app.command()
@@ -37,6 +37,7 @@ def verify(
     workers: Workers = 1,
     memory: Memory = DEFAULT_MEMORY,
     as_json: Annotated[bool, typer.Option("--json", help="Print JSON, for programs.")] = False,
+    maps: Maps = None,
 ) -> None:
     """Test whether a study is undamaged; exit code 1 if it is not.
 

@@ -19,6 +19,10 @@ from .finding import find_scenario as find_scenario
 from .finding import scenario_of as scenario_of
 from .logical import ConcreteScenario as ConcreteScenario
 from .logical import LogicalScenario as LogicalScenario
+from .maps import MAPS_VARIABLE as MAPS_VARIABLE
+from .maps import looking_in as looking_in
+from .maps import map_folders as map_folders
+from .maps import way_to_map as way_to_map
 from .openscenario import DRIVER_PROPERTY as DRIVER_PROPERTY
 from .openscenario import Scenario as Scenario
 from .parameter import Parameter as Parameter

@@ -135,7 +135,7 @@ def _road_beside(scenario: Scenario, root: etree._Element) -> Iterator[tuple[Pat
     logic_file = root.find("RoadNetwork/LogicFile")
     if logic_file is not None and logic_file.get("filepath"):
         holder, attribute = _holder(root, logic_file, "filepath")
-        source = scenario.beside(holder.get(attribute, ""), "road file")
+        source = scenario.present_road(holder.get(attribute, ""))
         holder.set(attribute, source.name)
         yield source, source.name, "OpenDRIVE"
 

@@ -63,7 +63,18 @@ def criteria_in(root: etree._Element, scope: Scope) -> tuple[Criterion, ...]:
 
 
 def criterion_name(element: etree._Element) -> str:
-    """Name of the criterion that a ``ParameterCondition`` stands for; empty where it stands for none."""
+    """Tell which criterion a condition stands for.
+
+    Parameters
+    ----------
+    element : lxml element
+        ``ParameterCondition``.
+
+    Returns
+    -------
+    str
+        Name of the criterion; empty where it stands for none.
+    """
     name = _condition_name(element)
     return name.removeprefix(_PREFIX) if name.startswith(_PREFIX) else ""
 
@@ -83,6 +94,8 @@ def is_never_true(element: etree._Element, name: str) -> bool:
     bool
         Whether it is one of ScenarioRunner's criteria, or refers to no parameter at all.
     """
+    for read in ("value", "rule"):
+        element.get(read)
     if criterion_name(element):
         why = (
             "asks ScenarioRunner for a criterion to judge the run by, not for the value of a parameter; it is never"

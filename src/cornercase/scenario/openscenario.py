@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import hashlib
-import re
 from collections.abc import Mapping, Sequence
 from functools import cached_property
 from pathlib import Path
@@ -14,10 +13,11 @@ from lxml import etree
 from cornercase._common import arguments
 from cornercase._common.errors import InputError, suggestion
 from cornercase._common.ledger import Label, Notice
-from cornercase._common.recorded_xml import children, named, unrecorded, was_read
+from cornercase._common.recorded_xml import adapt, children, named, unrecorded, was_read
 from cornercase.scenario.axes import left_handed_header
 from cornercase.scenario.catalogs import Catalogs
 from cornercase.scenario.expressions import names_in
+from cornercase.scenario.maps import find_map, is_network_address, map_name, way_to_map
 from cornercase.scenario.parameter import Value
 from cornercase.scenario.xml import XmlFiles, parse_xml
 
@@ -56,6 +56,8 @@ class Scenario:
         self.kept: dict[type, Any] = {}
         self._files = XmlFiles()
         self._fingerprint = fingerprint
+        # Where road files were, by what the file calls them: they stay there, whatever becomes of the folders.
+        self._roads_at: dict[str, Path] = {}
 
     @classmethod
     def read(cls, path: Path | str) -> Scenario:
@@ -98,6 +100,7 @@ class Scenario:
         """
         other = Scenario(self.path, None, roads)
         other._files = self._files
+        other._roads_at = self._roads_at
         return other
 
     @cached_property
@@ -295,7 +298,7 @@ class Scenario:
         """
         if any(len(part.encode()) > _LONGEST_NAME for part in Path(reference).parts) or len(reference) > _LONGEST_PATH:
             raise InputError(f"{self.path}: the {what} '{reference[:60]}…' is not a valid file name.")
-        if re.match(r"[A-Za-z][A-Za-z0-9+.-]+:", reference) or reference.startswith(("//", "\\\\")):
+        if is_network_address(reference):
             raise InputError(f"{self.path}: the {what} '{reference}' is a network address; name a local file.")
         return self.path.parent / reference.replace("\\", "/")
 
@@ -364,8 +367,111 @@ class Scenario:
         Path or None
             None where there is none.
         """
-        reference = self._parameter_text(self.logic_file(), values or {})
-        return self.beside(reference, "road file") if reference else None
+        reference = self.road_reference(values)
+        return self.road_at(reference) if reference else None
+
+    def road_reference(self, values: Mapping[str, Value] | None = None) -> str:
+        """Return the road file as the scenario names it with values.
+
+        Parameters
+        ----------
+        values : mapping of str to float or str, optional
+            As for `road_file`.
+
+        Returns
+        -------
+        str
+            Empty where there is none.
+        """
+        return self._parameter_text(self.logic_file(), values or {})
+
+    def road_at(self, reference: str) -> Path:
+        """Return the path of a road file that the scenario names.
+
+        Parameters
+        ----------
+        reference : str
+            As it stands in the file.
+
+        Returns
+        -------
+        Path
+            Where nothing is at the place that it names, the map of that name beside the scenario or in a folder of
+            maps, if there is one.
+
+        Raises
+        ------
+        InputError
+            As in `beside`, or what is to be a folder of maps is none.
+        """
+        if reference in self._roads_at:
+            return self._roads_at[reference]
+        path = self.beside(reference, "road file")
+        found = path if path.is_file() else find_map(reference, self.path.parent)
+        if found is None:
+            return path
+        self._roads_at[reference] = found
+        if found == path:
+            return path
+        for element in self._document.iterfind("RoadNetwork/LogicFile"):
+            why = f"'{reference}' is not a file there; it was found by its name, as {found}"
+            adapt(element, "filepath of <LogicFile>", why, "filepath is the path of a file, from that of the scenario")
+        return found
+
+    def present_road(self, reference: str) -> Path:
+        """Return the path of a road file as `road_at` does, and refuse one that is not there.
+
+        Parameters
+        ----------
+        reference : str
+            As it stands in the file.
+
+        Returns
+        -------
+        Path
+
+        Raises
+        ------
+        InputError
+            As in `road_at`, or there is no such file.
+        """
+        path = self.road_at(reference)
+        if reference not in self._roads_at and not path.exists():
+            line = next((e.sourceline for e in self._document.iterfind("RoadNetwork/LogicFile")), 0)
+            raise InputError(f"{self.path}, line {line}: {self._without_road(reference)}.")
+        return path
+
+    def missing_road(self) -> str:
+        """Say which of its road files is not there.
+
+        Returns
+        -------
+        str
+            A part of a sentence, without a full stop; empty where all are.
+        """
+        references = (self.road_reference(), *self._roads)
+        return next((self._without_road(one) for one in references if one and not self.road_at(one).exists()), "")
+
+    def _without_road(self, reference: str) -> str:
+        named = self.beside(reference, "road file") if Path(reference).suffix else f"'{reference}'"
+        return f"there is no road file {named}; {way_to_map(reference)}"
+
+    def road_near(self, path: Path) -> Path:
+        """Return where a road file of the scenario would be found beside it, wherever it is.
+
+        Parameters
+        ----------
+        path : Path
+            As `road_at` returns it.
+
+        Returns
+        -------
+        Path
+        """
+        references = (self.road_reference(), *self._roads)
+        found = next((one for one in references if one and self.road_at(one) == path), "")
+        near = self.path.parent / f"{map_name(found)}.xodr"
+        return path if not found or self.beside(found, "road file") == path else near
 
     def road_files(self) -> tuple[Path, ...]:
         """Return the paths of all road files that belong to the scenario.
@@ -376,7 +482,7 @@ class Scenario:
             That which it names, and those of `naming`; its fingerprint counts them.
         """
         road = self.road_file()
-        named = [self.beside(one, "road file") for one in self._roads]
+        named = [self.road_at(one) for one in self._roads]
         return tuple(dict.fromkeys([*([] if road is None else [road]), *named]))
 
     def fingerprint(self) -> str:

@@ -52,7 +52,7 @@ class ScenarioParcel:
         InputError
             The scenario names a file by an absolute path, which other machines do not have, or different files by one.
         """
-        contents = scenario.contents()
+        contents = {scenario.road_near(file): content for file, content in scenario.contents().items()}
         for file in contents:
             if not _is_relative(file, scenario.path.parent):
                 raise InputError(

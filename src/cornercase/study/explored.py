@@ -53,6 +53,9 @@ def explored_scenario(
         )
     scenario = with_roads(found if isinstance(found, Scenario) else Scenario.read(found), meta.space)
     if scenario.fingerprint() != meta.fingerprint:
+        missing = scenario.missing_road()
+        if missing:
+            raise InputError(f"{scenario.path}: is not as {study.path} was explored with it: {missing}.")
         raise InputError(
             f"{scenario.path}: it, its road or its catalogs have changed since {study.path} was explored; restore"
             " them, name the file that was explored with `scenario`, or run `explore` again, into another study."

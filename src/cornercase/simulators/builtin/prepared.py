@@ -164,7 +164,7 @@ class PreparedScenario:
         InputError
             The file cannot be used.
         """
-        path = self.scenario.beside(reference, "road file")
+        path = self.scenario.present_road(reference)
         if path not in self.networks:
             self.networks[path] = RoadNetwork.of_xml(self.scenario.xml(path), path)
         return self.networks[path]

@@ -181,8 +181,9 @@ def write_1_0(
     scenario.require_parameters(list(values))
     scenario.require_entity(ego, "ego")
     target, road = Path(target), scenario.road_file(values)
-    town = carla_map(road)
-    root, notes, controllers = _tree_1_0(scenario, values, ego, run, town)
+    town = carla_map(scenario, values)
+    unknown = "" if road is None or road.exists() else town
+    root, notes, controllers = _tree_1_0(scenario, values, ego, run, unknown)
     # A scenario must not choose the name of a file that is written: ScenarioRunner would import 'carla.py'.
     road_file = run.road_file or f"{target.stem}.xodr"
     file = root.find("RoadNetwork/LogicFile")
@@ -210,19 +211,22 @@ def write_1_0(
     return tuple(dict.fromkeys(notes))
 
 
-def carla_map(road: Path | None) -> str:
-    """Return the name of CARLA's map that a road file stands for.
+def carla_map(scenario: Scenario, values: Mapping[str, Value]) -> str:
+    """Return the name of CARLA's map that a scenario names in the place of a road file.
 
     Parameters
     ----------
-    road : Path or None
+    scenario : Scenario
+    values : mapping of str to float or str
 
     Returns
     -------
     str
-        Empty where it is a file, or there is none.
+        Empty where it names a file, or none.
     """
-    if road is None or road.exists() or not re.fullmatch(r"\w+", road.name, re.ASCII):
+    reference = scenario.road_reference(values)
+    road = scenario.beside(reference, "road file")
+    if not reference or road.exists() or not re.fullmatch(r"\w+", road.name, re.ASCII):
         return ""
     return road.name
 

@@ -10,7 +10,7 @@ from typing import Final
 from lxml import etree
 
 from cornercase._common.errors import InputError
-from cornercase.scenario import DRIVER_PROPERTY
+from cornercase.scenario import DRIVER_PROPERTY, way_to_map
 from cornercase.simulators.carla.table import Finding, Row, Status, findings
 
 # Conditions that stay true once they are.
@@ -101,7 +101,7 @@ def plan(
         if map_of_carla and name in made.sampled:
             raise InputError(
                 f"{source}: ScenarioRunner cannot move '{name}' so ({made.sampled[name][0]}), and without a road file"
-                f" beside CARLA's map {map_of_carla} there is no trajectory instead."
+                f" beside CARLA's map {map_of_carla} there is no trajectory instead; {way_to_map(map_of_carla)}."
             )
         if near and name not in reacting and not map_of_carla:
             made.sampled.setdefault(name, []).extend(near)

@@ -296,7 +296,7 @@ class CarlaSimulator(Simulator):
         )  # fmt: skip
         drivers.mkdir(exist_ok=True)
         server, road = self._server, scenario.road_file(concrete.values)
-        town = carla_map(road)
+        town = carla_map(scenario, concrete.values)
         server.prepare(town or (None if road is None else folder / _ROAD))
         with Tracker(server.client(), scenario.entities, self._ego, self._time_step) as tracker:
             try:

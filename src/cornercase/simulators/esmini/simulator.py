@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ctypes
 from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
 from typing import Final
 
 import numpy as np
@@ -137,12 +138,19 @@ class EsminiSimulator(Simulator):
         Raises
         ------
         InputError
-            It names a driver of cornercase, or its axes are left-handed.
+            It names a driver of cornercase, its axes are left-handed, or its road was found by its name alone.
         """
         if scenario.is_left_handed:
             raise InputError(
                 f"{scenario.path}: its description begins with 'CARLA:', so that its axes are left-handed, which esmini"
                 " does not know; `cornercase convert` writes the scenario in other axes."
+            )
+        reference = scenario.road_reference()
+        road = scenario.road_at(reference) if reference else None
+        if road not in (None, scenario.beside(reference, "road file"), scenario.path.with_name(Path(reference).name)):
+            raise InputError(
+                f"{scenario.path}: names the road '{reference}', which was found as {road}, but esmini does not look"
+                " there; name that file in <LogicFile>."
             )
         if self._undriven or not scenario.drivers:
             return

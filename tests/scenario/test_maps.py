@@ -1,0 +1,187 @@
+"""Road files that scenarios name without saying where they are, as those for CARLA do."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from command_line import cornercase
+from conftest import ROAD, car, moving, scenario_file
+from cornercase import check, convert, explore
+from cornercase import test as run_suite
+from cornercase._common.errors import InputError
+from cornercase.scenario import LogicalScenario, Scenario, ScenarioParcel, write_concrete
+from cornercase.scenario.maps import MAPS_VARIABLE, looking_in
+from cornercase.simulators import simulate
+from cornercase.study import Study, explored_scenario
+
+pytestmark = pytest.mark.filterwarnings("ignore:adapted:UserWarning")
+
+
+@pytest.fixture
+def maps(tmp_path: Path) -> Path:
+    (folder := tmp_path / "maps").mkdir()
+    (folder / "Town01.xodr").write_text(ROAD)
+    return folder
+
+
+def town(folder: Path, name: str = "Town01") -> Path:
+    folder.mkdir(exist_ok=True)
+    speed = '<ParameterDeclaration name="speed" parameterType="double" value="8"/>'
+    both = moving(speed="$speed") + moving("80", "5", "B")
+    path = scenario_file(folder, init=both, entities=car("Ego") + car("B"), parameters=speed)
+    (folder / "road.xodr").unlink()
+    path.write_text(path.read_text().replace('filepath="road.xodr"', f'filepath="{name}"'))
+    return path
+
+
+@pytest.mark.parametrize(
+    "name", ["Town01", "Town01_Opt", "/Game/Carla/Maps/Town01", "Carla\\Maps\\Town01", "../maps of old/Town01.xodr"]
+)
+def test_43_7_a_map_is_found_by_its_name_and_a_notice_says_where(tmp_path, maps, monkeypatch, name):
+    path = town(tmp_path / "s", name)
+    monkeypatch.setenv(MAPS_VARIABLE, os.pathsep.join([str(tmp_path), str(maps)]))
+    found = check(path)
+    assert not found.trouble
+    (notice,) = [one for one in found.notices if one.rule]
+    assert str(maps / "Town01.xodr") in notice.why
+    assert notice.what == ("filepath of <LogicFile>",)
+    assert Scenario(path).road_file() == maps / "Town01.xodr"
+
+
+@pytest.mark.parametrize("place", ["OpenDrive/Town01.xodr", "Town01/OpenDrive/Town01.xodr"])
+def test_43_7_a_folder_of_carla_itself_serves(tmp_path, maps, place):
+    path = town(tmp_path / "s")
+    (inner := maps / place).parent.mkdir(parents=True)
+    (maps / "Town01.xodr").rename(inner)
+    with looking_in([maps]):
+        assert Scenario(path).road_file() == inner
+    assert MAPS_VARIABLE not in os.environ
+
+
+def test_43_7_a_file_that_is_named_and_there_goes_first(tmp_path, maps):
+    path = town(tmp_path / "s", "Town01.xodr")
+    (tmp_path / "s" / "Town01.xodr").write_text(ROAD)
+    with looking_in([maps]):
+        assert Scenario(path).road_file() == tmp_path / "s" / "Town01.xodr"
+        assert not [one for one in check(path).notices if one.rule]
+
+
+def test_43_7_the_map_counts_in_the_fingerprint(tmp_path, maps):
+    path = town(tmp_path / "s")
+    with looking_in([maps]):
+        before = Scenario(path).fingerprint()
+        (maps / "Town01.xodr").write_text(ROAD.replace('length="500"', 'length="500.0"') + "<!-- other -->")
+        assert Scenario(path).fingerprint() != before
+    assert Scenario(path).fingerprint() != before
+
+
+@pytest.mark.parametrize(
+    ("name", "file"),
+    [("Town03", "Town03"), ("/Game/Carla/Maps/Town10HD_Opt", "Town10HD"), ("maps/Town15.xodr", "Town15")],
+)
+def test_43_7_what_is_not_there_is_told_to_be_carlas_and_how_to_get_it(tmp_path, maps, name, file):
+    path = town(tmp_path / "s", name)
+    done = cornercase("simulate", path, "--maps", maps, "-o", tmp_path / "r.csv")
+    said = " ".join(done.stderr.split())
+    assert done.returncode == 2
+    assert "scenario.xosc, line 3: there is no road file" in said
+    assert f"{name}; it is a map of CARLA" in said.replace("'", "")
+    assert f"CarlaUE4/Content/Carla/Maps/OpenDrive/{file}.xodr" in said
+    assert "--maps FOLDER" in said
+    assert MAPS_VARIABLE in said
+
+
+def test_43_7_of_other_roads_the_way_is_told_too(tmp_path):
+    (why,) = check(town(tmp_path / "s", "../xodr/ring.xodr")).trouble
+    assert "s/../xodr/ring.xodr; put it there, or name its folder by --maps" in why
+    assert "CARLA" not in why
+
+
+@pytest.mark.parametrize(
+    ("given", "said"),
+    [("nowhere", "nowhere: there is no such folder"), ("//server/maps", "//server/maps: is a network address")],
+)
+def test_43_7_what_is_no_folder_here_is_refused(tmp_path, monkeypatch, given, said):
+    path = town(tmp_path / "s")
+    done = cornercase("check", path, "--maps", given)
+    assert done.returncode == 2
+    assert f"--maps {said}" in " ".join(done.stderr.split())
+    monkeypatch.setenv(MAPS_VARIABLE, given)
+    with pytest.raises(InputError, match=f"{MAPS_VARIABLE} {said}"):
+        Scenario(path).road_file()
+
+
+def test_43_7_every_command_that_reads_scenarios_takes_folders(tmp_path, maps):
+    path = town(tmp_path / "s")
+    asked = ("--ego", "Ego", "--other", "B", "--metric", "distance", "--optimizer", "grid", "--duration", "1")
+    found = {
+        "check": cornercase("check", path, "--maps", maps),
+        "simulate": cornercase("simulate", path, "--maps", maps, "-o", tmp_path / "r.csv"),
+        "explore": cornercase(
+            "explore", path, *asked, "--range", "speed=5:10:1", "--budget", "6", "--maps", maps, "-o", tmp_path / "s.db"
+        ),
+        "convert": cornercase("convert", path, "--ego", "Ego", "--maps", maps, "-o", tmp_path / "o" / "c.xosc"),
+    }
+    assert {name: one.returncode for name, one in found.items()} == dict.fromkeys(found, 0)
+    assert "it was found by its name, as" in " ".join(found["explore"].stderr.split())
+    for command in ("reduce", "report", "watch", "replay", "estimate", "compare", "verify", "test"):
+        assert "--maps" in cornercase(command, "--help").stdout
+
+
+def test_43_7_workers_find_what_the_command_finds(tmp_path, maps):
+    path = town(tmp_path / "s")
+    with looking_in([maps]):
+        one = simulate(path, {}, duration=1.0)
+        asked = "from cornercase.scenario import Scenario; import sys; print(Scenario(sys.argv[1]).road_file())"
+        told = subprocess.run([sys.executable, "-c", asked, str(path)], capture_output=True, text=True, check=True)
+    assert told.stdout.strip() == str(maps / "Town01.xodr")
+    assert one.names == ("Ego", "B")
+
+
+def test_43_7_other_machines_get_the_map_with_the_scenario(tmp_path, maps):
+    path = town(tmp_path / "s", "/Game/Carla/Maps/Town01")
+    with looking_in([maps]):
+        scenario = Scenario(path)
+        fingerprint, parcel = scenario.fingerprint(), ScenarioParcel.of(scenario)
+    (there := tmp_path / "there").mkdir()
+    shutil.rmtree(maps)
+    other = parcel.unpack(there)
+    assert other.fingerprint() == fingerprint
+    assert not check(other).trouble
+
+
+def test_43_7_what_is_written_holds_the_map_and_a_study_says_that_it_needs_it(tmp_path, maps):
+    path = town(tmp_path / "s")
+    study = tmp_path / "s" / "study.db"
+    with looking_in([maps]):
+        logical = LogicalScenario.read(path, None, ["speed=5:30"])
+        explore(
+            logical, study, ego="Ego", other="B", metrics=["distance"], optimizer="grid", budget=8, duration=3.0,
+            critical=-100.0,
+        )  # fmt: skip
+    with Study.open(study, readonly=True) as opened:
+        with pytest.raises(InputError, match=r"is not as .*study\.db was explored with it: there is no road file 'To"):
+            explored_scenario(opened)
+        with looking_in([maps]):
+            scenario = explored_scenario(opened)
+            assert scenario is not None
+            write_concrete(scenario, {"speed": 7.0}, tmp_path / "set" / "one.xosc")
+    shutil.rmtree(maps)
+    assert 'filepath="Town01.xodr"' in (tmp_path / "set" / "one.xosc").read_text()
+    result = run_suite(tmp_path / "set", tmp_path / "run.db", ego="Ego", other="B", duration=2.0)
+    assert result.has_passed()
+
+
+def test_43_7_convert_leaves_the_name_of_carlas_map(tmp_path, maps):
+    path = town(tmp_path / "s")
+    (out := tmp_path / "out").mkdir()
+    with looking_in([maps]):
+        made = convert(path, out / "c.xosc", ego="Ego")
+    assert 'filepath="Town01"' in made.path.read_text()
+    assert not list(out.glob("*.xodr"))
