@@ -21,6 +21,9 @@ from cornercase._common.recorded_xml import adaptations, asked_attributes, child
 _MOST_LINES: Final = 5
 _MOST_NAMES: Final = 8
 
+UNKNOWN: Final = "is not known here"
+"""Why something has no effect that no ledger knows."""
+
 # Attributes of XML itself, such as where a schema lies.
 _XML: Final = "{http://www.w3.org/"
 
@@ -304,7 +307,7 @@ class Ledger:
     def _silent(self, element: etree._Element, path: tuple[str, ...], read: bool) -> Iterator[tuple[str, str, int]]:
         entry, line = self.entry(path), _line(element)
         if entry is None:
-            yield _called(element, path), "is not known here", line
+            yield _called(element, path), UNKNOWN, line
             return
         if entry.status is Status.WITHOUT_EFFECT:
             if not entry.is_silent(""):
@@ -319,7 +322,7 @@ class Ledger:
         for name, value in _attributes(element):
             entry = self.entry(path, name)
             if entry is None:
-                yield f"{name} of <{path[-1]}>", "is not known here", line
+                yield f"{name} of <{path[-1]}>", UNKNOWN, line
             elif entry.status is Status.WITHOUT_EFFECT:
                 if not entry.is_silent(value):
                     yield f"{name} of <{path[-1]}>", entry.note, line

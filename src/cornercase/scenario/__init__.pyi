@@ -15,6 +15,8 @@ from .declared_types import INTEGERS as INTEGERS
 from .declared_types import typed_value as typed_value
 from .declared_types import unusable_values as unusable_values
 from .declared_types import value_text as value_text
+from .dialects import NEWEST as NEWEST
+from .dialects import later_version as later_version
 from .finding import find_scenario as find_scenario
 from .finding import scenario_of as scenario_of
 from .logical import ConcreteScenario as ConcreteScenario
@@ -23,6 +25,8 @@ from .maps import MAPS_VARIABLE as MAPS_VARIABLE
 from .maps import looking_in as looking_in
 from .maps import map_folders as map_folders
 from .maps import way_to_map as way_to_map
+from .openpass import profile_notices as profile_notices
+from .openpass import profiles_notice as profiles_notice
 from .openscenario import DRIVER_PROPERTY as DRIVER_PROPERTY
 from .openscenario import Scenario as Scenario
 from .parameter import Parameter as Parameter

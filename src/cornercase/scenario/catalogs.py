@@ -36,6 +36,16 @@ class Catalogs:
         """Return the catalogs of a name; none where there is none."""
         return [one for _, one in self._named.get(catalog, ())]
 
+    def entry_anywhere(self, entry: str) -> etree._Element | None:
+        """Return the element of a name of whichever catalog has it first; None where none has."""
+        for documents in self._named.values():
+            for _, one in documents:
+                for element in children(one):
+                    if element.attrib.get("name") == entry:
+                        element.get("name")
+                        return element
+        return None
+
     def entry(self, catalog: str, entry: str) -> etree._Element:
         """Return the element that a catalog holds under a name.
 

@@ -125,7 +125,8 @@ def fill_concrete(
             if element.get("name") == name:
                 _set_driver(element, driver, target)
     buffer = io.BytesIO()
-    beside = (*_road_beside(scenario, root), *_catalogs_beside(scenario, root))
+    profiles = ((file, file.name, "Profiles") for file in scenario.profiles_files)
+    beside = (*_road_beside(scenario, root), *_catalogs_beside(scenario, root), *profiles)
     tree.write(buffer, encoding="utf-8", xml_declaration=True, pretty_print=True)
     return ConcreteFile(buffer.getvalue(), beside)
 
@@ -147,11 +148,12 @@ def _catalogs_beside(scenario: Scenario, root: etree._Element) -> Iterator[tuple
         holder, attribute = _holder(root, directory, "path")
         folder = scenario.beside(holder.get(attribute, ""), "catalog location")
         # "..", too, is the name of a folder.
-        name = plain = portable_name(folder.name)
+        name = plain = portable_name(folder.stem if folder.is_file() else folder.name)
         # Two folders may have one name.
         while taken.setdefault(name, folder) != folder:
             name = f"{plain}-{len(taken) + 1}"
-        for file in sorted(folder.glob("*.xosc")):
+        # The location may be a file itself, as openPASS writes it.
+        for file in [folder] if folder.is_file() else sorted(folder.glob("*.xosc")):
             yield file, f"catalogs/{name}/{file.name}", "OpenSCENARIO"
         holder.set(attribute, f"catalogs/{name}")
 

@@ -16,8 +16,17 @@ from cornercase._common.ledger import Label, Notice
 from cornercase._common.recorded_xml import adapt, children, named, unrecorded, was_read
 from cornercase.scenario.axes import left_handed_header
 from cornercase.scenario.catalogs import Catalogs
+from cornercase.scenario.dialects import note_version, other_format
 from cornercase.scenario.expressions import names_in
 from cornercase.scenario.maps import find_map, is_network_address, map_name, way_to_map
+from cornercase.scenario.openpass import (
+    PROFILES_FILE,
+    has_profiles,
+    note_profile,
+    profile_names,
+    profiles_file,
+    vehicle_models,
+)
 from cornercase.scenario.parameter import Value
 from cornercase.scenario.xml import XmlFiles, parse_xml
 
@@ -163,6 +172,8 @@ class Scenario:
         return found
 
     def _require_scenario(self, root: etree._Element) -> None:
+        if other := other_format(root):
+            raise InputError(f"{self.path}: {other}.")
         if root.tag != "OpenSCENARIO":
             raise InputError(
                 f"{self.path}: the root element is <{root.tag}>; an OpenSCENARIO file starts with <OpenSCENARIO>."
@@ -175,6 +186,7 @@ class Scenario:
             )
         if root.find("ParameterValueDistribution") is not None:
             raise InputError(f"{self.path}: is a parameter value distribution, not a scenario; give it as `space`.")
+        note_version(root)
         for needed in ("Entities", "Storyboard"):
             if root.find(needed) is None:
                 raise InputError(f"{self.path}: has no <{needed}>, so there is nothing to run.")
@@ -318,7 +330,30 @@ class Scenario:
         InputError
             No catalog of that name lies in the catalog locations, it lacks the entry, or several have it and differ.
         """
-        return self._catalogs.entry(catalog, entry)
+        file = profiles_file(catalog)
+        return self._of_profile(self.path.parent / file, entry) if file else self._catalogs.entry(catalog, entry)
+
+    def _of_profile(self, file: Path, profile: str) -> etree._Element:
+        """Vehicle model of an agent profile of openPASS."""
+        what = f"'{profile}' of {file.name} is an agent profile of openPASS, a vehicle with a driver and sensors"
+        way = "name a vehicle of a catalog of OpenSCENARIO as the entity"
+        if not file.is_file():
+            raise InputError(
+                f"{self.path}: {what}, but the file does not lie beside the scenario; put it there, or {way}."
+            )
+        profiles = self._files.root(file)
+        models = vehicle_models(profiles, profile)
+        if models is None:
+            raise InputError(
+                f"{file}: has no agent profile '{profile}'; {suggestion(profile, profile_names(profiles))}"
+            )
+        if not models:
+            raise InputError(f"{self.path}: {what}, but has no vehicle model; {way}.")
+        entry = self._catalogs.entry_anywhere(models[0])
+        if entry is None:
+            raise InputError(f"{self.path}: {what}; its vehicle model '{models[0]}' is in no catalog; {way}.")
+        note_profile(self._document, profile, models)
+        return entry
 
     @cached_property
     def _catalogs(self) -> Catalogs:
@@ -342,6 +377,11 @@ class Scenario:
             found = sorted(folder.glob("*.xosc")) if folder.is_dir() else [folder]
             files += [file for file in found if file.is_file() and file not in files]
         return files
+
+    @cached_property
+    def profiles_files(self) -> tuple[Path, ...]:
+        """Files with agent profiles of openPASS that it names; it need not be there."""
+        return (self.path.with_name(PROFILES_FILE),) if has_profiles(self._document) else ()
 
     def logic_file(self) -> str:
         """Return the road file as the scenario names it.
@@ -505,7 +545,7 @@ class Scenario:
         tuple of Path
             The scenario file is the first; some may not be there.
         """
-        return (self.path, *self._catalog_files, *self.road_files())
+        return (self.path, *self._catalog_files, *self.profiles_files, *self.road_files())
 
     @property
     def varied_roads(self) -> tuple[str, ...]:

@@ -13,6 +13,7 @@ from cornercase._common.errors import InputError
 from cornercase._common.files import read_file
 from cornercase._common.recorded_xml import adapt, recording_parser
 from cornercase.scenario.adapting import adapt_openscenario
+from cornercase.scenario.dialects import other_language
 
 _DEEPEST: Final = 200
 # The declaration of XML, which should stand first, with the white space and comments before it.
@@ -60,6 +61,8 @@ def parse_xml(data: bytes, path: Path | str) -> etree._Element:
     try:
         root = _parsed(data)
     except etree.XMLSyntaxError as error:
+        if other := other_language(data):
+            raise InputError(f"{path}: {other}.") from error
         mended = _parsed_leniently(data)
         if mended is None:
             raise InputError(f"{path}: is not well-formed XML ({error.msg}).") from error

@@ -13,7 +13,7 @@ from lxml import etree
 from cornercase._common.errors import InputError, SimulationError
 from cornercase.drivers import Driver
 from cornercase.recordings import Collision, Recording
-from cornercase.scenario import Scope, Value
+from cornercase.scenario import Scope, Value, later_version
 from cornercase.simulators.builtin.actions.controller import DriverError, Driving, registered_driver
 from cornercase.simulators.builtin.entities import read_entities
 from cornercase.simulators.builtin.frames.recorded import motion_of
@@ -78,7 +78,10 @@ class Batch:
         try:
             self._read(prepared, scope, drivers)
         except InputError as error:
-            raise UnusableError(str(error), scope.used) from None
+            minor, words = later_version(prepared.scenario.root), str(error)
+            if minor is not None and "not supported" in words:
+                words = f"{words.removesuffix('.')}. OpenSCENARIO XML 1.{minor}, of which the file is, may have it."
+            raise UnusableError(words, scope.used) from None
         self._stepper = Stepper(self._world, self._storyboard, time_step, duration, stop_at_collision, coupling)
 
     def _read(self, prepared: PreparedScenario, scope: Scope, drivers: Mapping[str, Driver | str]) -> None:

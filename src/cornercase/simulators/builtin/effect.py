@@ -2,12 +2,21 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import replace
 
 from cornercase._common.errors import InputError
-from cornercase._common.ledger import Notice, adapted, local_name, merged
+from cornercase._common.ledger import UNKNOWN, Notice, adapted, local_name, merged
 from cornercase.roads import name_without_effect
-from cornercase.scenario import Scenario, Value, VariesError
+from cornercase.scenario import (
+    NEWEST,
+    Scenario,
+    Value,
+    VariesError,
+    later_version,
+    profile_notices,
+    profiles_notice,
+)
 from cornercase.simulators.builtin.batch import Batch
 from cornercase.simulators.builtin.openscenario import LEDGER
 from cornercase.simulators.builtin.prepared import PreparedScenario
@@ -47,13 +56,26 @@ def notices_after_reading(scenario: Scenario, read: bool = True) -> tuple[Notice
     -------
     tuple of Notice
     """
-    found: list[Notice] = [*scenario.axes_notices()]
+    found: list[Notice] = [*scenario.axes_notices(), *profile_notices(scenario.root, scenario.path)]
     scenario.catalog_files()  # They are looked for only where the scenario refers to one of them.
     networks = PreparedScenario.of(scenario).networks
     for file, element in scenario.read_parts():
         found += adapted(element, file)
-        if local_name(element) == "OpenDRIVE":
+        if local_name(element) == "Profiles":
+            found.append(profiles_notice(element, file))
+        elif local_name(element) == "OpenDRIVE":
             found += name_without_effect(element, file, networks.get(file), read)
         else:
-            found += LEDGER.notices(element, file, read)
+            found += _of_version(later_version(element), LEDGER.notices(element, file, read))
     return merged(found)
+
+
+def _of_version(minor: int | None, notices: Iterable[Notice]) -> Iterator[Notice]:
+    """Notices of a file, those of what is not known as of what a later version may have."""
+    for notice in notices:
+        if minor is None:
+            yield notice
+        elif notice.why == UNKNOWN:
+            yield replace(notice, why=f"{UNKNOWN}; OpenSCENARIO XML 1.{minor} may have it, 1.{NEWEST} has not")
+        elif notice.what != ("revMinor of <FileHeader>",):
+            yield notice

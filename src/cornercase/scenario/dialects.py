@@ -1,0 +1,99 @@
+"""Formats that are near to OpenSCENARIO XML 1.0 to 1.3, told from it so that a message can say what to do."""
+
+from __future__ import annotations
+
+import re
+from typing import Final
+
+from lxml import etree
+
+from cornercase._common.recorded_xml import adapt, unrecorded
+
+NEWEST: Final = 3
+"""Minor version of OpenSCENARIO XML 1 that is read."""
+
+# How lines of a file in ASAM's domain-specific language begin.
+_DSL: Final = re.compile(
+    rb"^(?:import\s+\S|(?:actor|action|scenario|struct|enum|modifier|extend|type|unit|global|namespace|use|export)\s+[\w.]+)",
+    re.MULTILINE,
+)
+_LOOKED_AT: Final = 20_000
+_OPENPASS: Final = {
+    "Profiles": "holds agent profiles of openPASS",
+    "simulationConfig": "configures a simulation of openPASS",
+    "slaveConfig": "configures a simulation of openPASS",
+    "systems": "holds systems of openPASS",
+}
+
+
+def other_language(data: bytes) -> str:
+    """Say what a file is that is no XML; empty where that is not known.
+
+    Parameters
+    ----------
+    data : bytes
+
+    Returns
+    -------
+    str
+        A part of a sentence, without a full stop.
+    """
+    begin = data[:_LOOKED_AT].removeprefix(b"\xef\xbb\xbf").lstrip()
+    if begin.startswith(b"<") or not _DSL.search(begin):
+        return ""
+    return (
+        "is written in the language of ASAM OpenSCENARIO DSL (2.x), which is not read; write the scenario as"
+        " OpenSCENARIO XML 1.0 to 1.3 (.xosc), or let a tool for the language export it so"
+    )
+
+
+def other_format(root: etree._Element) -> str:
+    """Say of what other format an XML file is; empty where that is not known.
+
+    Parameters
+    ----------
+    root : lxml element
+
+    Returns
+    -------
+    str
+        A part of a sentence, without a full stop.
+    """
+    tag = str(root.tag).rpartition("}")[2]
+    if tag in _OPENPASS:
+        return f"<{tag}> {_OPENPASS[tag]}; give the scenario, Scenario.xosc beside it"
+    if tag == "OpenSCENARIO" and any(
+        unrecorded(root, *path) for path in (("Catalogs",), ("Entities", "Object"), ("RoadNetwork", "Logics"))
+    ):
+        return (
+            "is written in a version of OpenSCENARIO before 1.0, whose elements have other names; convert it to 1.0, as"
+            " by the stylesheet that ASAM offers with the standard"
+        )
+    return ""
+
+
+def note_version(root: etree._Element) -> None:
+    """Note on the header of a scenario that it is of a later version than those that are read."""
+    minor = later_version(root)
+    for header in unrecorded(root, "FileHeader") if minor is not None else ():
+        why = f"is {minor}, a version that is not published yet; the file is read as OpenSCENARIO XML 1.{NEWEST}"
+        adapt(header, "revMinor of <FileHeader>", why, f"revMinor is 0 to {NEWEST}")
+
+
+def later_version(root: etree._Element) -> int | None:
+    """Tell whether a file is of a later minor version of OpenSCENARIO XML 1 than those that are read.
+
+    Parameters
+    ----------
+    root : lxml element
+
+    Returns
+    -------
+    int or None
+        The minor version; None of any other file.
+    """
+    for header in unrecorded(root, "FileHeader"):
+        major, minor = (str(header.attrib.get(name, "")).strip() for name in ("revMajor", "revMinor"))
+        if major == "1" and minor.isascii() and minor.isdigit() and len(minor) < 4 and int(minor) > NEWEST:
+            return int(minor)
+    return None
