@@ -17,8 +17,8 @@ _PARAMETERS: Final = (
     "continuous", "cover", "critical", "critical_if", "duration",
     "ego", "encounter", "eps", "fps", "gamma", "host", "junit", "keep", "maps", "max_failures",
     "max_seconds", "memory", "method", "min_samples", "most_repeats", "on_collision", "optimizer", "other", "pareto",
-    "patience", "port", "profile", "repair", "repeats", "require", "requirements", "retries", "retry_failed",
-    "scenario", "seed", "share", "simulator", "size",
+    "patience", "port", "profile", "repair", "repeats", "require", "require_from_file", "requirements", "retries",
+    "retry_failed", "scenario", "seed", "share", "simulator", "size",
     "space", "stop_when", "summary", "time_step", "timeout", "window", "within", "workers",
 )  # fmt: skip
 # Those whose option has another name.

@@ -38,7 +38,9 @@ _NAME: Final = 30
 def test_(
     suite: Annotated[
         Path,
-        typer.Argument(metavar="DIR|manifest.json", help="What reduce wrote, or a folder of concrete scenarios."),
+        typer.Argument(
+            metavar="DIR|manifest.json|FILE.xosc", help="What reduce wrote, a folder of concrete scenarios, or one."
+        ),
     ],
     *,
     output: Annotated[Path, typer.Option("--output", "-o", metavar="RUN.db", help="Study to write or continue.")],
@@ -48,8 +50,8 @@ def test_(
             "--require",
             metavar="EXPRESSION",
             help="Requirement on each scenario: 'no collision', 'no collision with NAME', 'no collision at fault',"
-            " 'no collision unless cc-human collides' with this driver at the wheel, 'reach X,Y[,R] within T', or a"
-            " formula such as 'ttc > 1.5' and 'ego.acceleration > -4'.",
+            " 'no collision unless cc-human collides' with this driver at the wheel, 'reach X,Y[,R] within T',"
+            " 'drive D', or a formula such as 'ttc > 1.5' and 'ego.acceleration > -4'.",
         ),
     ] = None,
     requirements: Annotated[
@@ -58,6 +60,14 @@ def test_(
             metavar="FILE.toml|yaml", help="File with more requirements: lists called require, and by file or kind."
         ),
     ] = None,
+    require_from_file: Annotated[
+        bool,
+        typer.Option(
+            "--require-from-file",
+            help="Take the criteria of ScenarioRunner that the scenarios ask for as requirements, where a recording can"
+            " tell.",
+        ),
+    ] = False,
     strict: Annotated[bool, typer.Option("--strict", help="Inconclusive scenarios have not passed.")] = False,
     junit: Annotated[
         Path | None, typer.Option(metavar="FILE.xml", help="JUnit file to write, for Jenkins, GitLab or GitHub.")
@@ -127,6 +137,7 @@ def test_(
         output,
         require=require or (),
         requirements=requirements,
+        require_from_file=require_from_file,
         ego=ego,
         other=other,
         metrics=metric or (),

@@ -104,7 +104,8 @@ def find_margin(requirement: Requirement, recording: Recording, ego: str, others
     Returns
     -------
     float or None
-        The smallest robustness of a formula, or how much nearer than asked the ego comes to a place, in m; negative if
+        The smallest robustness of a formula, how much nearer than asked the ego comes to a place, or how much farther
+        than asked it drives, in m; negative if
         the requirement is violated. None if it is not known, and for collisions, which there are or are not.
     """
     margin = np.nan
@@ -117,6 +118,8 @@ def find_margin(requirement: Requirement, recording: Recording, ego: str, others
         in_time = recording.time - recording.time[0] <= requirement.within + _CLOCK
         away = np.hypot(*(recording.center(ego)[in_time] - (x, y)).T)
         margin = radius - min(away[np.isfinite(away)], default=np.nan)
+    elif requirement.kind == "drive":
+        margin = _driven(recording, ego)[-1] - requirement.distance
     return None if np.isnan(margin) else float(margin)
 
 
@@ -185,6 +188,27 @@ def _judge_place(requirement: Requirement, recording: Recording, ego: str) -> Ve
         reason = f"{said}, but was observed for {since[-1]:.6g} s only"
         return Verdict("inconclusive", requirement.text, reason, at, value)
     return Verdict("failed", requirement.text, f"{said}, within {requirement.within:.6g} s", at, value)
+
+
+def _judge_distance(requirement: Requirement, recording: Recording, ego: str) -> Verdict:
+    if not np.isfinite(recording.x[recording.index(ego)]).any():
+        return Verdict("inconclusive", requirement.text, _never(ego))
+    driven, least = _driven(recording, ego), requirement.distance
+    enough = np.flatnonzero(driven >= least - _CLOCK)
+    if len(enough):
+        at = float(recording.time[enough[0]])
+        reason = f"{quoted_name(ego)} has driven {least:.6g} m at {at:.6g} s"
+        return Verdict("passed", requirement.text, reason, at, float(driven[enough[0]]))
+    at, most = float(recording.time[-1]), float(driven[-1])
+    reason = f"{quoted_name(ego)} drives {most:.4g} m until {at:.6g} s, less than {least:.6g} m"
+    return Verdict("failed", requirement.text, reason, at, most)
+
+
+def _driven(recording: Recording, ego: str) -> FloatArray:
+    """Distance in m that an entity has driven at each instant, shape (T,)."""
+    i = recording.index(ego)
+    steps = np.hypot(np.diff(recording.x[i], prepend=np.nan), np.diff(recording.y[i], prepend=np.nan))
+    return np.asarray(np.cumsum(np.where(np.isfinite(steps), steps, 0.0)))
 
 
 def _judge_each(
@@ -277,4 +301,5 @@ _JUDGES: Final[dict[Kind, Callable[[Requirement, Recording, str], Verdict]]] = {
     "no collision at fault": _judge_fault,
     "no collision unless": _judge_collision,
     "reach": _judge_place,
+    "drive": _judge_distance,
 }

@@ -33,7 +33,8 @@ def read_suite(place: Path | str) -> SuiteContents:
     ----------
     place : path
         A manifest that `cornercase.reduce` wrote, a folder with one, or any folder of concrete scenarios, whose
-        ``.xosc`` files are all run. Distributions of parameters and catalogs in such a folder are no scenarios.
+        ``.xosc`` files are all run, or one such file. Distributions of parameters and catalogs in such a folder are no
+        scenarios.
 
     Returns
     -------
@@ -52,18 +53,15 @@ def read_suite(place: Path | str) -> SuiteContents:
     path = path_argument("suite", place)
     if path.is_dir():
         manifest = path / MANIFEST
-        return read_manifest(manifest) if manifest.is_file() else _of_folder(path)
+        return read_manifest(manifest) if manifest.is_file() else _of_files(path, sorted(path.glob("*.xosc")))
     if not path.exists():
         raise InputError(
             f"{path}: does not exist; name a folder of scenarios, or the manifest.json that `reduce` wrote."
         )
-    if path.suffix.lower() == ".xosc":
-        raise InputError(f"{path}: is one scenario; name the folder that it lies in.")
-    return read_manifest(path)
+    return _of_files(path, [path]) if path.suffix.lower() == ".xosc" else read_manifest(path)
 
 
-def _of_folder(folder: Path) -> SuiteContents:
-    files = sorted(folder.glob("*.xosc"))
+def _of_files(folder: Path, files: Sequence[Path]) -> SuiteContents:
     for file in files:
         # Databases and other files hold names as text in UTF-8.
         if (odd := plain_text(file.name).replace("\n", "\\n").encode(errors="replace").decode()) != file.name:

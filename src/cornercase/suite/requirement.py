@@ -13,7 +13,9 @@ from cornercase._common.errors import InputError
 from cornercase._common.texts import loaded_json, require_whole
 from cornercase.metrics import Formula
 
-Kind = Literal["no collision", "no collision with", "no collision at fault", "no collision unless", "reach", "formula"]
+Kind = Literal[
+    "no collision", "no collision with", "no collision at fault", "no collision unless", "reach", "drive", "formula"
+]
 
 REACHED: Final = 2.0
 """How near in m the ego has to come to a place, unless the requirement says it."""
@@ -25,10 +27,11 @@ _PLAIN: Final = re.compile(r'[^\s"]+')
 _REACH: Final = re.compile(
     rf"reach\s+{_NUMBER}\s*,\s*{_NUMBER}(?:\s*,\s*{_NUMBER})?\s+within\s+{_NUMBER}\s*(\S*)", re.DOTALL
 )
+_DRIVE: Final = re.compile(rf"drive\s+{_NUMBER}\s*(\S*)", re.DOTALL)
 _UNLESS: Final = re.compile(r"no collision unless (?:reference:)?(\S+) collides", re.IGNORECASE)
 _FORMS: Final = (
     "'no collision', 'no collision with NAME', 'no collision at fault', 'no collision unless NAME collides', 'reach"
-    " X,Y[,R] within T', or a bound such as 'ttc > 1.5'"
+    " X,Y[,R] within T', 'drive D', or a bound such as 'ttc > 1.5'"
 )
 _LARGEST: Final = 1e6
 
@@ -41,7 +44,8 @@ class Requirement:
     ----------
     text : str
         As it stands in studies and messages.
-    kind : {"no collision", "no collision with", "no collision at fault", "no collision unless", "reach", "formula"}
+    kind : str
+        As in `Kind`.
     entity : str
         Whom the ego must not touch; empty where the requirement names nobody.
     reference : str
@@ -50,6 +54,8 @@ class Requirement:
         x and y in m of where the ego has to come, and how near in m.
     within : float
         s that the ego has for it.
+    distance : float
+        m that the ego has to drive.
     formula : Formula or None
     pattern : str
         Which files it is for, with ``*`` and ``?``; empty for all.
@@ -66,6 +72,7 @@ class Requirement:
     pattern: str = ""
     by_kind: bool = False
     reference: str = ""
+    distance: float = 0.0
 
     def __str__(self) -> str:
         return self.text
@@ -79,10 +86,10 @@ class Requirement:
         requirement : str
             ``"no collision"`` with anybody, ``"no collision with NAME"``, ``"no collision at fault"``, ``"no
             collision unless NAME collides"`` with the driver NAME at the wheel of the ego, ``"reach X,Y[,R] within T"``
-            in m and s, or a formula as `cornercase.metrics.Formula` reads it, such as ``"ttc > 1.5"``. After
-            ``"for PATTERN: "`` it is one of the files of that name only, after ``'for kind "PATTERN": '`` one of the
-            scenarios of that kind; ``*`` stands for any characters and ``?`` for one. A pattern with spaces stands
-            between quotation marks, as JSON has them.
+            in m and s, ``"drive D"`` in m, or a formula as `cornercase.metrics.Formula` reads it, such as ``"ttc >
+            1.5"``. After ``"for PATTERN: "`` it is one of the files of that name only, after ``'for kind "PATTERN": '``
+            one of the scenarios of that kind; ``*`` stands for any characters and ``?`` for one. A pattern with spaces
+            stands between quotation marks, as JSON has them.
 
         Returns
         -------
@@ -111,7 +118,7 @@ class Requirement:
             raise InputError(
                 f"`require` {given}: names no pattern; write 'for PATTERN: REQUIREMENT', with a space after the colon."
             )
-        one = _collision(body) or _place(body) or _formula(body, given)
+        one = _collision(body) or _place(body) or _distance(body) or _formula(body, given)
         shown = f"{prefix_for(pattern, by_kind=by_kind)}{one.text}" if pattern else one.text
         return replace(one, text=shown, pattern=pattern, by_kind=by_kind)
 
@@ -195,6 +202,15 @@ def _place(body: str) -> Requirement | None:
     return Requirement(
         f"reach {x:.15g},{y:.15g},{radius:.15g} within {within:.15g}", "reach", place=(x, y, radius), within=within
     )
+
+
+def _distance(body: str) -> Requirement | None:
+    if body.split(" ", 1)[0] != "drive":
+        return None
+    found = _DRIVE.fullmatch(body)
+    if found is None or found[2] not in ("", "m") or not 0.0 < float(found[1]) <= _LARGEST:
+        raise InputError(f"`require` {body}: is not a distance; write 'drive D', above 0 and at most 1000 km, in m.")
+    return Requirement(f"drive {float(found[1]):.15g}", "drive", distance=float(found[1]))
 
 
 def _formula(body: str, given: str) -> Requirement:

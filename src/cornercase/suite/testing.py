@@ -21,6 +21,7 @@ from cornercase.simulators import MOST_FAILURES, MOST_WORKERS, Simulator, start_
 from cornercase.study import Study, StudyMeta, stored_path
 from cornercase.suite.asking import ask_references
 from cornercase.suite.contents import SuiteContents
+from cornercase.suite.criteria import required_by_files
 from cornercase.suite.exposing import draw_mutants, expose_suite, require_builtin
 from cornercase.suite.junit import JUNIT, write_junit
 from cornercase.suite.origin import find_differences, find_origin
@@ -48,6 +49,7 @@ def test(
     *,
     require: Sequence[str] = (),
     requirements: Path | str | None = None,
+    require_from_file: bool = False,
     ego: str | None = None,
     other: str | Sequence[str] | None = None,
     metrics: Sequence[str] = (),
@@ -83,6 +85,9 @@ def test(
         What each scenario has to fulfil, as `cornercase.suite.Requirement.parse` reads it.
     requirements : path, optional
         TOML or YAML file with more of them.
+    require_from_file : bool, default False
+        Take the criteria of ScenarioRunner that the scenarios ask for as requirements, where a recording can tell; a
+        notice names the others.
     ego : str, optional
         Name of the entity under test; by default that of the manifest.
     other : str or sequence of str, optional
@@ -145,6 +150,8 @@ def test(
     path = path_argument("study", study)
     known = _required(require, requirements)
     contents = read_suite(suite)
+    if flag("require_from_file", require_from_file):
+        known = _distinct([*known, *required_by_files(contents)])
     found, why_not = find_origin(contents, None if against is None else path_argument("against", against))
     given_file = None if requirements is None else path_argument("requirements", requirements)
     read = [*contents.files, *(one for one in (found, given_file) if one is not None)]
@@ -229,8 +236,12 @@ def _required(require: Sequence[str], requirements: Path | str | None) -> list[R
     known = [Requirement.parse(one) for one in texts("require", require)]
     if requirements is not None:
         known += read_requirements(path_argument("requirements", requirements))
-    # What stands twice counts once.
-    return list({one.text: one for one in known}.values())
+    return _distinct(known)
+
+
+def _distinct(requirements: Sequence[Requirement]) -> list[Requirement]:
+    """Requirements, of which what stands twice counts once."""
+    return list({one.text: one for one in requirements}.values())
 
 
 def _entities(

@@ -1,0 +1,115 @@
+"""Requirements from the criteria that scenarios ask ScenarioRunner for."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from command_line import cornercase
+from conftest import car, moving, scenario_file
+from cornercase import InputError
+from cornercase import test as run_suite
+from cornercase.scenario import Scenario, write_concrete
+from cornercase.suite import Requirement, judge
+from cornercase.suite.judging import find_margin
+from two_cars import met
+
+pytestmark = pytest.mark.filterwarnings("ignore:adapted:UserWarning", "ignore:not taken:UserWarning")
+
+
+def asks(name: str, parameter: str = "", value: str = "") -> str:
+    return f"""<Condition name="criteria_{name}" delay="0" conditionEdge="rising"><ByValueCondition>
+<ParameterCondition parameterRef="{parameter}" value="{value}" rule="lessThan"/></ByValueCondition></Condition>"""
+
+
+def with_criteria(folder: Path, *criteria: str, speed: str = "10", name: str = "scenario.xosc") -> Path:
+    """An ego that drives towards B, which stands 100 m ahead of it."""
+    folder.mkdir(exist_ok=True)
+    both = moving("50", "$speed") + moving("150", "0", "B")
+    return scenario_file(
+        folder,
+        init=both,
+        entities=car("Ego") + car("B"),
+        stop=f"<ConditionGroup>{''.join(criteria)}</ConditionGroup>",
+        parameters=f'<ParameterDeclaration name="speed" parameterType="double" value="{speed}"/>',
+        name=name,
+    )
+
+
+ALL = (asks("CollisionTest"), asks("KeepLaneTest"), asks("DrivenDistanceTest", "distance_success", "60"))
+
+
+def test_43_6_criteria_of_files_become_requirements_and_the_others_are_named(tmp_path):
+    for name, speed, criteria in (
+        ("far", "10", (*ALL, asks("MaxVelocityTest", "max_velocity", "9"))), ("slow", "3", ALL), ("fast", "20", ALL)
+    ):  # fmt: skip
+        with_criteria(tmp_path / "set", *criteria, speed=speed, name=f"{name}.xosc")
+    options = ("--ego", "Ego", "--other", "B", "--duration", "8", "--require-from-file", "--json")
+    done = cornercase("test", tmp_path / "set", *options, "-o", tmp_path / "run.db")
+    assert done.returncode == 1, done.stderr
+    said = " ".join(done.stderr.split())
+    assert "Not taken as requirements from set: KeepLaneTest; what they ask is not in a recording" in said
+    told = {one["file"]: one for one in json.loads(done.stdout)["scenarios"]}
+    states = {file: {one["requirement"]: one["state"] for one in each["verdicts"]} for file, each in told.items()}
+    assert states == {
+        "far.xosc": {
+            "no collision": "passed", "drive 60": "passed", "for far.xosc: ego.speed <= 9 m/s": "failed",
+        },
+        "slow.xosc": {"no collision": "passed", "drive 60": "failed"},
+        "fast.xosc": {"no collision": "failed", "drive 60": "passed"},
+    }  # fmt: skip
+
+
+def test_43_6_one_file_is_a_suite_and_what_is_asked_twice_counts_once(tmp_path):
+    path = with_criteria(tmp_path / "s", *ALL)
+    result = run_suite(
+        path, tmp_path / "run.db", ego="Ego", other="B", duration=5.0, require=["no collision"], require_from_file=True
+    )
+    assert result.requirements == ("no collision", "drive 60")
+    assert [one.state for one in result.scenarios[0].verdicts] == ["passed", "failed"]
+    assert "drives 50 m until 5 s, less than 60 m" in result.scenarios[0].verdicts[1].reason
+
+
+def test_43_6_a_concrete_file_keeps_what_its_scenario_asks_for(tmp_path):
+    path = with_criteria(tmp_path / "s", asks("DrivenDistanceTest", "distance", "$speed"))
+    write_concrete(Scenario(path), {"speed": 12.0}, tmp_path / "set" / "one.xosc")
+    result = run_suite(
+        tmp_path / "set", tmp_path / "run.db", ego="Ego", other="B", duration=3.0, require_from_file=True
+    )
+    assert result.requirements == ("drive 12",)
+    assert result.has_passed()
+
+
+@pytest.mark.parametrize(
+    ("criteria", "words"),
+    [
+        ((), "holds none of ScenarioRunner's criteria that can be taken"),
+        (
+            (asks("RunningRedLightTest"), asks("DrivenDistanceTest")),
+            "not taken: RunningRedLightTest, DrivenDistanceTest;",
+        ),
+        ((asks("DrivenDistanceTest", "d", "far"),), "value of <ParameterCondition>"),
+        ((asks("DrivenDistanceTest", "d", "-5"),), "write 'drive D', above 0"),
+    ],
+)
+def test_43_6_files_that_hold_nothing_to_take_are_refused(tmp_path, criteria, words):
+    with_criteria(tmp_path / "set", *criteria)
+    with pytest.raises(InputError) as caught:
+        run_suite(tmp_path / "set", tmp_path / "run.db", ego="Ego", other="B", require_from_file=True)
+    assert words in str(caught.value)
+    assert not (tmp_path / "run.db").exists()
+
+
+def test_43_6_how_far_the_ego_drives_is_judged():
+    recording = met((np.array([0.0, 1.0, 3.0, 6.0, 4.0, 4.0]), 0.0, 0.0, 1.0), (np.full(6, 90.0), 0.0, 0.0, 0.0))
+    passed = judge(Requirement.parse("drive  6 m"), recording, "Ego", "Other")
+    assert (passed.state, passed.reason) == ("passed", "Ego has driven 6 m at 0.3 s")
+    failed = judge(Requirement.parse("drive 8.5"), recording, "Ego", "Other")
+    assert failed.state == "failed"
+    assert failed.value == pytest.approx(8.0)
+    assert find_margin(Requirement.parse("drive 8.5"), recording, "Ego", ["Other"]) == pytest.approx(-0.5)
+    with pytest.raises(InputError, match="is not a distance"):
+        Requirement.parse("drive far")
