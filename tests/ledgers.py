@@ -45,7 +45,7 @@ def page(ledger: Ledger, head: str) -> str:
         if status is Status.USED:
             lines += [f"{_sentence(entries)}", "", *_noted([one for one in entries if one.note])]
         else:
-            lines += _noted(entries)
+            lines += _noted(entries, judged=status is Status.WITHOUT_EFFECT)
     return "\n".join(lines).rstrip() + "\n"
 
 
@@ -58,19 +58,22 @@ _TITLES = {
 }
 
 
-def _noted(entries: list[Entry]) -> list[str]:
+def _noted(entries: list[Entry], judged: bool = False) -> list[str]:
     """Table of entries; those with one note are one row."""
-    rows: dict[tuple[str, tuple[str, ...]], dict[str, list[str]]] = {}
+    rows: dict[tuple[str, tuple[str, ...], bool], dict[str, list[str]]] = {}
     for entry in entries:
-        rows.setdefault((entry.note, entry.unless), {}).setdefault(entry.element, []).append(entry.attribute)
-    lines = ["| what | why, and what to do instead | no notice if it is |", "| --- | --- | --- |"]
-    for (note, unless), names in rows.items():
+        key = (entry.note, entry.unless, entry.matters and judged)
+        rows.setdefault(key, {}).setdefault(entry.element, []).append(entry.attribute)
+    head, under = "| what | why, and what to do instead | no notice if it is |", "| --- | --- | --- |"
+    lines = [head + (" could change the result |" if judged else ""), under + (" --- |" if judged else "")]
+    for (note, unless, matters), names in rows.items():
         never = "anything" if unless == ("*",) else ", ".join(f"`{one}`" for one in unless)
         whats = (
             ", ".join(f"`{one}`" for one in attributes if one) + (" of " if any(attributes) else "") + f"`{element}`"
             for element, attributes in names.items()
         )
-        lines.append(f"| {', '.join(whats)} | {_ELEMENT.sub(_CODE, note)} | {never} |")
+        judgement = f" {'yes' if matters else 'no'} |" if judged else ""
+        lines.append(f"| {', '.join(whats)} | {_ELEMENT.sub(_CODE, note)} | {never} |{judgement}")
     return [*lines, ""]
 
 

@@ -8,7 +8,8 @@ import pytest
 from lxml import etree
 
 from cornercase._common.errors import InputError, NoticeWarning
-from cornercase._common.ledger import Entry, Ledger, Status, warn_of
+from cornercase._common.ledger import Entry, Label, Ledger, Notice, Status, ranked, warn_of
+from cornercase._common.progress import loudness
 from cornercase.scenario.xml import XmlFiles
 
 LEDGER = Ledger(
@@ -125,3 +126,28 @@ def test_what_nobody_read_is_not_named_where_reading_did_not_end(read):
     _, root, path = read("<House><Room/><Garden/><Shed/></House>")
     whats = [one.what for one in LEDGER.notices(root, path, read=False)]
     assert whats == [("<Garden>",), ("<Shed> in <House>",)]
+
+
+def test_43_5_each_notice_that_matters_is_given_and_the_others_are_counted(read):
+    *_, path = read("<House/>")
+    minor = [Notice((f"<{name}>", f"<{name}s>"), "is paint", path, (), matters=False) for name in "ab"]
+    major = Notice(("<Roof>",), "is missing", path, ())
+    read_otherwise = Notice(("<Door>",), "is read as a window", path, (), Label.ADAPTED)
+    assert ranked([*minor, major, read_otherwise]) == (read_otherwise, major, *minor)
+    with pytest.warns(NoticeWarning) as caught:
+        warn_of([*minor, major, read_otherwise])
+    assert [str(one.message).partition(" (")[0] for one in caught] == [
+        "adapted: <Door>",
+        "without effect: <Roof>",
+        "without effect: 4 more parts, which change no position or speed; `check` and -v list them",
+    ]
+    token = loudness.set("verbose")
+    try:
+        with pytest.warns(NoticeWarning) as caught:
+            warn_of(minor)
+    finally:
+        loudness.reset(token)
+    assert [str(one.message).partition(" (")[0] for one in caught] == [
+        "without effect: <a>, <as>",
+        "without effect: <b>, <bs>",
+    ]

@@ -33,8 +33,8 @@ HEAD = """
 cornercase reads road files of OpenDRIVE 1.4 to 1.9. It uses each element and attribute of the standard, ignores it with a
 notice, or refuses it.
 
-- **Without effect**: `cornercase check` lists what a file contains and cornercase ignores; `simulate` and `explore` print it as
-  notices. They also list what the standard does not know.
+- **Without effect**: `cornercase check` lists what a file contains and cornercase ignores; `simulate` and `explore` print as
+  notices what could change the result if a simulator used it. They also list what the standard does not know.
 - **Refused**: the command ends with exit code 2 and one sentence that names the element and its line.
 
 If an element is refused or without effect, the same holds for everything inside it.

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import csv
+import re
 from pathlib import Path
 from shutil import copytree
 
@@ -30,8 +32,9 @@ This page lists what the builtin simulator does with each element and attribute 
 versions 1.0 to 1.2 in the same way.
 
 - **Without effect**: `cornercase check SCENARIO.xosc` lists what a file contains and the simulator ignores, with lines and reasons.
-  `simulate` and `explore` print the same as notices (in Python a `NoticeWarning`). They also list elements that this page does not
-  know, such as those of later versions or other programs, and elements in places where nothing reads them.
+  `simulate`, `explore` and `test` print as notices (in Python a `NoticeWarning`) what could change the result if a simulator used
+  it; the rest is a count, and `cornercase -v` lists all. Elements that this page does not know, such as those of later versions or
+  other programs, and elements in places where nothing reads them, could change the result.
 - **Refused**: the command ends with exit code 2 and one sentence.
 
 If an element is refused or without effect, the same holds for everything inside it. This page is generated from the table
@@ -255,19 +258,47 @@ def test_a_controller_of_a_catalog_names_a_driver(tmp_path):
 
 def test_simulate_and_explore_warn_and_the_command_line_prints(tmp_path):
     path = EXAMPLES / "t_intersection" / "t_intersection.xosc"
-    with pytest.warns(NoticeWarning, match="<Axles>") as caught:
+    rest = "without effect: 3 parts, which change no position or speed; `check` and -v list them"
+    with pytest.warns(NoticeWarning, match=rest) as caught:
         cc.simulate(path, duration=0.1)
     assert all(one.filename == __file__ for one in caught)
-    with pytest.warns(NoticeWarning, match="<Axles>"):
+    with pytest.warns(NoticeWarning, match=rest):
         cc.explore(
             path, tmp_path / "study.db", ego="Ego", other="C", metrics=["distance"], ranges=["c_start_time=1:2"],
             optimizer="sobol", budget=1, duration=0.1,
         )  # fmt: skip
     printed = cornercase("simulate", path, "--duration", 0.1, "-o", tmp_path / "r.csv")
     assert printed.returncode == 0
+    rest = "Without effect: 3 parts, which change no position or speed; 'cornercase check' and -v list them.\n"
+    assert rest in printed.stderr
+    assert "<Axles>" not in printed.stderr
+    printed = cornercase("-v", "simulate", path, "--duration", 0.1, "-o", tmp_path / "r.csv")
     assert "Without effect: " in printed.stderr
     assert "<Axles>" in printed.stderr
     assert "<Axles>" in cornercase("check", path).stdout
+
+
+def test_43_5_what_can_change_the_result_comes_first_and_the_rest_is_a_count(tmp_path):
+    text = (EXAMPLES / "t_intersection" / "t_intersection.xosc").read_text(encoding="utf-8")
+    path = tmp_path / "t.xosc"
+    road = EXAMPLES / "t_intersection" / "t_intersection.xodr"
+    text = re.sub(r'filepath="[^"]*\.xodr"', f'filepath="{road}"', text)
+    path.write_text(text.replace("<Private ", "<GlobalAction><EnvironmentAction/></GlobalAction><Private ", 1))
+    listed = [line for line in cornercase("check", path).stdout.splitlines() if line.startswith("without effect: ")]
+    assert "<EnvironmentAction>" in listed[0]
+    assert "<Axles>" in listed[-1]
+    (first, rest) = cornercase("simulate", path, "--duration", 0.1, "-o", tmp_path / "r.csv").stderr.splitlines()[:2]
+    assert "<EnvironmentAction>" in first
+    assert rest.startswith("Without effect: 3 more parts, ")
+
+
+@pytest.mark.parametrize("each", ["builtin/openscenario.csv", "../roads/opendrive.csv", "carla/scenario_runner.csv"])
+def test_43_5_each_line_without_effect_says_whether_it_could_change_the_result(each):
+    folder = Path(cc.__file__).parent / "simulators"
+    with (folder / each).open(encoding="utf-8", newline="") as file:
+        rows = [row for row in csv.DictReader(file) if row["status"] == "without effect"]
+    assert rows
+    assert {row["matters"] for row in rows} == {"yes", "no"}
 
 
 @pytest.mark.skipif(not REFERENCE.is_dir(), reason="needs the reference scenarios")

@@ -55,6 +55,9 @@ class Entry:
         Those that the attribute may have, where they are a few words; any other is refused.
     note : str
         What happens instead, or what to do instead: without a capital at its beginning or a full stop at its end.
+    matters : bool
+        Whether a simulator that used it could give other positions, speeds or verdicts; of what is used, whether that
+        holds where nobody reads it.
     """
 
     element: str
@@ -63,6 +66,7 @@ class Entry:
     unless: tuple[str, ...]
     note: str
     values: tuple[str, ...] = ()
+    matters: bool = True
 
     def is_silent(self, value: str) -> bool:
         """Whether a value of the attribute changes nothing."""
@@ -92,6 +96,8 @@ class Notice:
     label : Label
     rule : str
         What the standard says of parts that are adapted; empty for others.
+    matters : bool
+        Whether a simulator that used the parts could give other positions, speeds or verdicts.
     """
 
     what: tuple[str, ...]
@@ -100,6 +106,7 @@ class Notice:
     lines: tuple[int, ...]
     label: Label = Label.WITHOUT_EFFECT
     rule: str = ""
+    matters: bool = True
 
     @property
     def sentence(self) -> str:
@@ -119,14 +126,15 @@ class Notice:
 
 def merged(notices: Iterable[Notice]) -> tuple[Notice, ...]:
     """Notices of which those of one file and for one reason are one."""
-    found: dict[tuple[Path, str, Label, str], tuple[dict[str, None], set[int]]] = {}
+    found: dict[tuple[Path, str, Label, str, bool], tuple[dict[str, None], set[int]]] = {}
     for notice in notices:
-        names, lines = found.setdefault((notice.file, notice.why, notice.label, notice.rule), ({}, set()))
+        key = (notice.file, notice.why, notice.label, notice.rule, notice.matters)
+        names, lines = found.setdefault(key, ({}, set()))
         names.update(dict.fromkeys(notice.what))
         lines.update(notice.lines)
     return tuple(
-        Notice(tuple(names), why, file, tuple(sorted(lines)), label, rule)
-        for (file, why, label, rule), (names, lines) in found.items()
+        Notice(tuple(names), why, file, tuple(sorted(lines)), label, rule, matters)
+        for (file, why, label, rule, matters), (names, lines) in found.items()
     )
 
 
@@ -136,6 +144,11 @@ def distinct(notices: Iterable[Notice]) -> tuple[Notice, ...]:
     for notice in notices:
         found.setdefault((notice.what, notice.why), notice)
     return tuple(found.values())
+
+
+def ranked(notices: Iterable[Notice]) -> tuple[Notice, ...]:
+    """Notices of what is read otherwise first, then of what can change the result, then the rest; else in order."""
+    return tuple(sorted(notices, key=lambda one: (one.label is not Label.ADAPTED, not one.matters)))
 
 
 def adapted(element: etree._Element, file: Path | str) -> tuple[Notice, ...]:
@@ -159,9 +172,21 @@ def adapted(element: etree._Element, file: Path | str) -> tuple[Notice, ...]:
 
 
 def warn_of(notices: Iterable[Notice]) -> None:
-    """Give each notice as a `NoticeWarning` of whoever called cornercase."""
-    for notice in notices:
+    """Give the notices that matter as a `NoticeWarning` each of whoever called cornercase, and count the others.
+
+    With ``--verbose`` each is given.
+    """
+    # It loads rich, which takes a while.
+    from cornercase._common.progress import loudness
+
+    every = ranked(notices)
+    told = every if loudness.get() == "verbose" else [one for one in every if one.matters]
+    for notice in told:
         warn(notice.sentence)
+    if count := sum(len(one.what) for one in every) - sum(len(one.what) for one in told):
+        more, parts = " more" if told else "", "parts" if count > 1 else "part"
+        what = f"{count}{more} {parts}, which change{'' if count > 1 else 's'} no position or speed"
+        warn(f"{Label.WITHOUT_EFFECT}: {what}; `check` and -v list {'them' if count > 1 else 'it'}")
 
 
 def warn(sentence: str) -> None:
@@ -206,8 +231,9 @@ class Ledger:
     def read(cls, package: str, file: str) -> Ledger:
         """Read a ledger that ships with a package.
 
-        It is a CSV with the columns element, attribute, status, unless, values and note. What stands in unless and in
-        values is parted by bars: ``0|false``; the column values may be left out.
+        It is a CSV with the columns element, attribute, status, unless, values, note and matters. What stands in unless
+        and in values is parted by bars: ``0|false``. All that is without effect says in matters whether a simulator
+        that used it could give another result: yes or no; what is used may leave it out, which is yes.
         """
         text = (resources.files(package) / file).read_text(encoding="utf-8")
         return cls(
@@ -218,6 +244,7 @@ class Ledger:
                 tuple(row["unless"].split("|")) if row["unless"] else (),
                 row["note"],
                 tuple(row["values"].split("|")) if row.get("values") else (),
+                (row.get("matters") or "yes") == "yes",
             )
             for row in csv.DictReader(text.splitlines())
         )
@@ -302,32 +329,34 @@ class Ledger:
             that nobody read; one for each reason.
         """
         silent = self._silent(element, _path(element), read)
-        return merged(Notice((what,), why, Path(file), (line,)) for what, why, line in silent)
+        return merged(Notice((what,), why, Path(file), (line,), matters=matters) for what, why, line, matters in silent)
 
-    def _silent(self, element: etree._Element, path: tuple[str, ...], read: bool) -> Iterator[tuple[str, str, int]]:
+    def _silent(
+        self, element: etree._Element, path: tuple[str, ...], read: bool
+    ) -> Iterator[tuple[str, str, int, bool]]:
         entry, line = self.entry(path), _line(element)
         if entry is None:
-            yield _called(element, path), UNKNOWN, line
+            yield _called(element, path), UNKNOWN, line, True
             return
         if entry.status is Status.WITHOUT_EFFECT:
             if not entry.is_silent(""):
-                yield f"<{path[-1]}>", entry.note, line
+                yield f"<{path[-1]}>", entry.note, line, entry.matters
             return
         if entry.status is Status.REFUSED:
             return
         if read and len(path) > 1 and not _anything_read(element) and not entry.is_silent(""):
-            yield _called(element, path), _unread(entry), line
+            yield _called(element, path), _unread(entry), line, entry.matters
             return
         asked = asked_attributes(element) if read else None
         for name, value in _attributes(element):
             entry = self.entry(path, name)
             if entry is None:
-                yield f"{name} of <{path[-1]}>", UNKNOWN, line
+                yield f"{name} of <{path[-1]}>", UNKNOWN, line, True
             elif entry.status is Status.WITHOUT_EFFECT:
                 if not entry.is_silent(value):
-                    yield f"{name} of <{path[-1]}>", entry.note, line
+                    yield f"{name} of <{path[-1]}>", entry.note, line, entry.matters
             elif entry.status is Status.USED and asked is not None and name not in asked and not entry.is_silent(value):
-                yield f"{name} of <{path[-1]}>", _unread(entry), line
+                yield f"{name} of <{path[-1]}>", _unread(entry), line, entry.matters
         for child in children(element):
             yield from self._silent(child, (*path, local_name(child)), read)
 

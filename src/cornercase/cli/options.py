@@ -168,7 +168,10 @@ def _main(
         bool, typer.Option("--quiet", "-q", help="Show no bars and no notices: cornercase -q explore …")
     ] = False,
     verbose: Annotated[
-        bool, typer.Option("--verbose", "-v", help="Also show bars for short steps: cornercase -v analyze …")
+        bool,
+        typer.Option(
+            "--verbose", "-v", help="Also show minor notices and bars for short steps: cornercase -v explore …"
+        ),
     ] = False,
 ) -> None:
     debugging.set(debug)

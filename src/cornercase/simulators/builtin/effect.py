@@ -6,7 +6,7 @@ from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import replace
 
 from cornercase._common.errors import InputError
-from cornercase._common.ledger import UNKNOWN, Notice, adapted, local_name, merged
+from cornercase._common.ledger import UNKNOWN, Notice, adapted, local_name, merged, ranked
 from cornercase.roads import name_without_effect
 from cornercase.scenario import (
     NEWEST,
@@ -67,7 +67,7 @@ def notices_after_reading(scenario: Scenario, read: bool = True) -> tuple[Notice
             found += name_without_effect(element, file, networks.get(file), read)
         else:
             found += _of_version(later_version(element), LEDGER.notices(element, file, read))
-    return merged(found)
+    return ranked(merged(found))
 
 
 def _of_version(minor: int | None, notices: Iterable[Notice]) -> Iterator[Notice]:

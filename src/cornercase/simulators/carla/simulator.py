@@ -177,7 +177,7 @@ class CarlaSimulator(Simulator):
         """
         root = concrete_tree(scenario, values or {})
         found = (
-            Notice((one.what,), one.row.note + _INSTEAD[one.row.status], scenario.path, ())
+            Notice((one.what,), one.row.note + _INSTEAD[one.row.status], scenario.path, (), matters=one.row.matters)
             for one in findings(root)
             if one.row.status in _INSTEAD
         )

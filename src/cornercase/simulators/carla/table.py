@@ -47,6 +47,8 @@ class Row:
     status : Status
     note : str
         Why, or what instead.
+    matters : bool
+        Whether what is left out could change positions, speeds or verdicts.
     """
 
     element: str
@@ -54,6 +56,7 @@ class Row:
     values: tuple[str, ...]
     status: Status
     note: str
+    matters: bool = True
 
 
 @dataclass(frozen=True)
@@ -86,7 +89,8 @@ def table() -> dict[tuple[str, str], tuple[Row, ...]]:
     text = (resources.files(__package__) / _FILE).read_text(encoding="utf-8")
     for line in csv.DictReader(text.splitlines()):
         values = tuple(line["values"].split("|")) if line["values"] else ()
-        row = Row(line["element"], line["attribute"], values, Status(line["status"]), line["note"])
+        matters = (line["matters"] or "yes") == "yes"
+        row = Row(line["element"], line["attribute"], values, Status(line["status"]), line["note"], matters)
         found.setdefault((row.element.rpartition("/")[2], row.attribute), []).append(row)
     return {key: tuple(sorted(rows, key=lambda row: -row.element.count("/"))) for key, rows in found.items()}
 
