@@ -180,11 +180,11 @@ def warn_of(notices: Iterable[Notice]) -> None:
     from cornercase._common.progress import loudness
 
     every = ranked(notices)
-    told = every if loudness.get() == "verbose" else [one for one in every if one.matters]
-    for notice in told:
+    given = every if loudness.get() == "verbose" else [one for one in every if one.matters]
+    for notice in given:
         warn(notice.sentence)
-    if count := sum(len(one.what) for one in every) - sum(len(one.what) for one in told):
-        more, parts = " more" if told else "", "parts" if count > 1 else "part"
+    if count := sum(len(one.what) for one in every) - sum(len(one.what) for one in given):
+        more, parts = " more" if given else "", "parts" if count > 1 else "part"
         what = f"{count}{more} {parts}, which change{'' if count > 1 else 's'} no position or speed"
         warn(f"{Label.WITHOUT_EFFECT}: {what}; `check` and -v list {'them' if count > 1 else 'it'}")
 

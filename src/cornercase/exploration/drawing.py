@@ -112,6 +112,7 @@ class ProbabilityEstimator:
             if bar is not None:
                 bar.stop()
             self._clock.note()
+            self._runner.notices.warn()
         found = self._found(interrupted)
         self._save(found)
         return found

@@ -182,6 +182,7 @@ class ScenarioExplorer:
             if bar is not None:
                 bar.stop()
             self._clock.note()
+            self._runner.notices.warn()
         return ExplorationResult.of(self._study, reason, before=before)
 
     def _run(self, bar: ProgressBar | None, check_interrupt: Callable[[], None]) -> str:

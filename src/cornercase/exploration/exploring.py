@@ -23,7 +23,14 @@ from cornercase.exploration.objective import Objective
 from cornercase.exploration.replaying import replay_proposals
 from cornercase.optimizers import Optimizer, create_optimizer, optimizer_needs
 from cornercase.scenario import LogicalScenario
-from cornercase.simulators import MOST_FAILURES, Simulator, notices_of, require_usable, start_simulator
+from cornercase.simulators import (
+    MOST_FAILURES,
+    Simulator,
+    notices_of,
+    require_usable,
+    start_simulator,
+    warn_if_nobody_drives,
+)
 from cornercase.study import Study, begun_study
 
 if TYPE_CHECKING:
@@ -294,6 +301,7 @@ def _explore(one: Configuration, path: Path, progress: bool, retry_failed: bool)
         some = one.logical.space.values(one.logical.space.samples())
         require_usable(simulator, [one.logical.scenario], [one.logical.concrete(values) for values in some])
         warn_of(_notices(one))
+        warn_if_nobody_drives(simulator, [one.logical.scenario], one.ego)
         meta = one.meta(objective, simulator.settings, None if known is None else known.about, study=path)
         with begun_study(path, meta) as study:
             if known is None:

@@ -19,7 +19,7 @@ from cornercase.exploration.repeatability import try_repeatability
 from cornercase.exploration.repeated import RepeatedScenario, Repetition
 from cornercase.recordings import Recording
 from cornercase.scenario import ConcreteScenario
-from cornercase.simulators import Simulator, outcomes_of
+from cornercase.simulators import RunNotices, Simulator, outcomes_of
 from cornercase.study import Row, Study
 
 
@@ -83,6 +83,7 @@ class ScenarioRunner:
         self._configuration, self._simulator, self._objective = configuration, simulator, objective
         self._study, self._clock = study, clock
         self._repetition = Repetition(configuration, objective)
+        self.notices = RunNotices(simulator)
         # Scenarios in which a driver, the simulator or a metric raised an exception.
         self._raised, self._last = 0, SimulationError()
         condition = configuration.condition()
@@ -221,6 +222,7 @@ class ScenarioRunner:
         scores = self._repetition.scores(one)
         middle = _middle(scores)
         recording, courses = one.runs[middle]
+        self.notices.look(recording, lambda: self._configuration.logical.scenario)
         repeats = None
         if self._configuration.repeats > 1:
             repeats = {name: [run[name].score for _, run in one.runs] for name in courses}

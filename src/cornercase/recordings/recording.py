@@ -74,6 +74,9 @@ class Recording:
         How far the centre of the bounding box lies ahead of the reference point, in m.
     collisions : tuple of Collision
         In order of time.
+    cut_off : bool or None
+        Whether the longest duration ended the run before the end that its storyboard has. Files do not keep it: None
+        for what is read, and for a simulator that does not say.
 
     Examples
     --------
@@ -100,6 +103,7 @@ class Recording:
     width: FloatArray
     center_x: FloatArray
     collisions: tuple[Collision, ...] = ()
+    cut_off: bool | None = None
 
     def __repr__(self) -> str:
         who = ", ".join(f"{name} ({kind})" for name, kind in zip(self.names, self.kinds, strict=True))

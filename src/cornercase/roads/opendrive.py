@@ -13,6 +13,7 @@ from lxml import etree
 
 from cornercase._common.errors import InputError, suggestion
 from cornercase._common.typing import BoolArray, FloatArray, IntArray
+from cornercase.roads.distance import LaneDistance
 from cornercase.roads.lane import is_permanent, lane_number
 from cornercase.roads.lane_graph import LaneGraph, Stretch
 from cornercase.roads.lane_path import LanePath, join
@@ -381,6 +382,25 @@ class RoadNetwork:
         from cornercase.roads.direction import road_tables
 
         return road_tables(self.roads)
+
+    def distance_from_lanes(self, x: FloatArray, y: FloatArray) -> FloatArray:
+        """Find how far points are from the nearest of all lanes.
+
+        Parameters
+        ----------
+        x, y : ndarray of float64, shape (N,)
+            m.
+
+        Returns
+        -------
+        ndarray of float64, shape (N,)
+            m; 0 where that is at most 10 m.
+        """
+        return self._distance.of(x, y)
+
+    @cached_property
+    def _distance(self) -> LaneDistance:
+        return LaneDistance(self.roads)
 
     @cached_property
     def _locator(self) -> Locator:

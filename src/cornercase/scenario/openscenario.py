@@ -241,6 +241,24 @@ class Scenario:
         asked = {e.get("name", ""): self._driver_of(e) for e in self.root.iterfind("Entities/ScenarioObject")}
         return {name: driver for name, driver in asked.items() if driver is not None}
 
+    def may_drive(self, entity: str) -> bool:
+        """Tell whether the file names a driver of cornercase for an entity, or for anybody while its storyboard runs.
+
+        Parameters
+        ----------
+        entity : str
+
+        Returns
+        -------
+        bool
+            True also where an action assigns a controller of a catalog, which may have a driver.
+        """
+        # A loop without names does not count as reading.
+        actions = (one for one in self.root.iter() if one.tag == "AssignControllerAction")
+        below = (one for action in actions for one in action.iter())
+        named_there = any(one.tag == "CatalogReference" or one.attrib.get("name") == DRIVER_PROPERTY for one in below)
+        return entity in self.drivers or named_there
+
     def _driver_of(self, scenario_object: etree._Element) -> str | None:
         driver = driver_property(scenario_object)
         if driver is not None:

@@ -10,6 +10,8 @@ from .carla.simulator import CarlaSimulator as CarlaSimulator
 from .carmaker.simulator import CarMakerSimulator as CarMakerSimulator
 from .cluster import ClusterSimulator as ClusterSimulator
 from .esmini.simulator import EsminiSimulator as EsminiSimulator
+from .notices import RunNotices as RunNotices
+from .notices import warn_if_nobody_drives as warn_if_nobody_drives
 from .outcomes import notices_of as notices_of
 from .outcomes import outcomes_of as outcomes_of
 from .outcomes import require_usable as require_usable

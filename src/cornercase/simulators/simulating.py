@@ -12,6 +12,7 @@ from cornercase._common.ledger import warn_of
 from cornercase.drivers import Driver, told_driver
 from cornercase.recordings import Recording
 from cornercase.scenario import ConcreteScenario, Scenario, Value
+from cornercase.simulators.notices import RunNotices
 from cornercase.simulators.outcomes import notices_of, outcomes_of, require_usable
 from cornercase.simulators.starting import start_simulator
 
@@ -91,4 +92,7 @@ def simulate(
     if isinstance(result, Exception):
         raise InputError(f"{file.path}: {result}.")
     warn_of(notices_of(simulator, file, given))
+    said = RunNotices(started)
+    said.look(result, lambda: file)
+    said.warn()
     return result

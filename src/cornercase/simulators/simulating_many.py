@@ -17,6 +17,7 @@ from cornercase._common.progress import ProgressBar
 from cornercase.drivers import Driver, told_driver
 from cornercase.scenario import FILE_COLUMN, ConcreteScenario, Scenario, Value, read_value_table
 from cornercase.simulators.base import Simulator
+from cornercase.simulators.notices import RunNotices
 from cornercase.simulators.outcomes import notices_of, outcomes_of, require_usable
 from cornercase.simulators.recordings_folder import NOTES, TABLE, Planned, RecordingsFolder
 from cornercase.simulators.starting import start_simulator
@@ -233,7 +234,7 @@ def _run(
 ) -> dict[str, str]:
     """Run what is missing, and tell why which recordings could not be made."""
     failures: dict[str, str] = {}
-    noted = False
+    noted, said = False, RunNotices(simulator)
     done = total - len(missing)
     bar = ProgressBar(total, "simulating", "scenarios") if progress else None
     try:
@@ -251,10 +252,12 @@ def _run(
                             folder.note()
                             noted = True
                         outcome.to_csv(folder.place(one.file))
+                        said.look(outcome, one.concrete.scenario)
                     done += 1
                     if bar is not None:
                         bar.update(done, "")
     finally:
         if bar is not None:
             bar.stop()
+        said.warn()
     return failures

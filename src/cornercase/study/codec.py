@@ -241,7 +241,7 @@ def unpack_recording(data: bytes) -> Recording:
     if len(set(names)) < entities or len(kinds) != entities:
         raise InputError("The study holds a recording whose entities have no names and kinds of their own.")
     return Recording(
-        **{name: arrays[name] for name in _ARRAYS},
+        **{name: arrays[name] for name in _ARRAYS},  # type: ignore[arg-type]
         names=names,
         kinds=kinds,
         collisions=_collisions(arrays, names),

@@ -15,7 +15,15 @@ from cornercase._common.progress import ProgressBar
 from cornercase.exploration import try_repeatability
 from cornercase.metrics import METRICS, Metric, measured
 from cornercase.recordings import Recording
-from cornercase.simulators import SIMULATORS, Simulator, notices_of, outcomes_of, require_usable
+from cornercase.simulators import (
+    SIMULATORS,
+    RunNotices,
+    Simulator,
+    notices_of,
+    outcomes_of,
+    require_usable,
+    warn_if_nobody_drives,
+)
 from cornercase.study import Row, Study, StudyMeta, begun_study
 from cornercase.suite.contents import SuiteContents, SuiteScenario
 
@@ -62,10 +70,11 @@ def run_suite(
         values = [dict(one.values) for one in suite.scenarios]
         rows = study.rows() or study.propose(1, meta.space.points(values), values)
         before = sum(row.state != "pending" for row in rows)
+        said = RunNotices(simulator)
         bar = ProgressBar(len(rows), "testing", "scenarios") if progress else None
         try:
             with noted_interrupts() as check:
-                for done in _run(study, rows, suite.scenarios, simulator, metrics, workers):
+                for done in _run(study, rows, suite.scenarios, simulator, metrics, workers, said):
                     check()
                     if bar is not None:
                         bar.update(done, "")
@@ -73,6 +82,7 @@ def run_suite(
         finally:
             if bar is not None:
                 bar.stop()
+            said.warn()
         failed = study.failed()
         if not study.done():
             # What nothing could be run with must not keep out the corrected command.
@@ -90,6 +100,7 @@ def _once_more(suite: SuiteContents, simulator: Simulator, row: Row) -> Recordin
 def _warn(suite: SuiteContents, simulator: Simulator) -> None:
     """Tell what of the files has no effect; what is the same in several once."""
     warn_of(distinct(notice for one in suite.scenarios for notice in notices_of(simulator.name, one.scenario)))
+    warn_if_nobody_drives(simulator, (one.scenario for one in suite.scenarios), suite.ego)
 
 
 def _run(
@@ -99,6 +110,7 @@ def _run(
     simulator: Simulator,
     metrics: Sequence[Metric],
     workers: int | None,
+    said: RunNotices,
 ) -> Iterator[int]:
     """Run the pending scenarios, and count those that have ended."""
     pending = [row for row in rows if row.state == "pending"]
@@ -122,6 +134,7 @@ def _run(
                 study.fail(row.id, error)
             else:
                 study.finish(row.id, outcome, courses)
+                said.look(outcome, partial(getattr, scenarios[row.id - 1], "scenario"))
             study.add_all_elapsed({"simulate": ended - begun, "store": time.monotonic() - ended})
             done += 1
             yield done

@@ -11,6 +11,7 @@ import numpy as np
 from lxml import etree
 
 from cornercase._common.errors import InputError, SimulationError
+from cornercase._common.typing import BoolArray
 from cornercase.drivers import Driver
 from cornercase.recordings import Collision, Recording
 from cornercase.scenario import Scope, Value, later_version
@@ -209,6 +210,7 @@ class Batch:
                     width=width,
                     center_x=center_x,
                     collisions=self._collisions.get(i, ()),
+                    cut_off=bool(self._cut_off[i]),
                 )
             )
         return result
@@ -222,6 +224,12 @@ class Batch:
         scene = self._stepper.scene
         sizes: list[int] = (scene.frames * scene.pages[0, :, :, 0].nbytes).tolist()
         return sizes
+
+    @cached_property
+    def _cut_off(self) -> BoolArray:
+        """Where the longest duration ended a run before its storyboard did, shape (N,)."""
+        with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
+            return np.asarray((self._stepper.scene.frames == self._stepper.most) & self._storyboard.unfinished())
 
     @cached_property
     def _collisions(self) -> dict[int, tuple[Collision, ...]]:

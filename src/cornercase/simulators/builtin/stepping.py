@@ -83,6 +83,8 @@ class Stepper:
     ----------
     scene : Scene
         With what is recorded.
+    most : int
+        Frames of a scenario that lasts the longest duration.
     halted : bool
         Whether nobody waits for the rest any more.
     """
@@ -102,6 +104,7 @@ class Stepper:
             most += 1
         while most > 1 and (most - 1) * time_step >= duration + 1e-9:
             most -= 1
+        self.most = most
         self.scene: Scene = scene_of(world, most)
         self.halted = False
         self._drivings = [one for one in world.drivers if isinstance(one, Driving)]

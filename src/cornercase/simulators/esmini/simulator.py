@@ -186,15 +186,17 @@ class EsminiSimulator(Simulator):
             self._fits = True
         log = _Log(lib)
         steps = round(self._duration / self._time_step)
+        cut_off = False
         for step in range(steps + 1):
             begun = log.note(step * self._time_step)
             if step == steps or (begun and self._stops):
+                cut_off = step == steps and scenario.root.find("Storyboard/StopTrigger//Condition") is not None
                 break
             lib.SE_StepDT(self._time_step)
             # The step in which the storyboard stops gives no row.
             if lib.SE_GetQuitFlag() != 0:
                 break
-        return log.recording(self._time_step)
+        return log.recording(self._time_step, cut_off)
 
 
 class _Log:
@@ -229,7 +231,7 @@ class _Log:
             self._collisions.setdefault(pair, time)
         return bool(begun)
 
-    def recording(self, time_step: float) -> Recording | SimulationError:
+    def recording(self, time_step: float, cut_off: bool) -> Recording | SimulationError:
         """All instants as a recording."""
         if not self._about:
             return SimulationError("no entity is ever placed on the map")
@@ -256,6 +258,7 @@ class _Log:
             width=np.array(widths),
             center_x=np.array(centers),
             collisions=tuple(Collision(time, pair) for pair, time in touched),
+            cut_off=cut_off,
         )
 
 

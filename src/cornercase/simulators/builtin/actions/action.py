@@ -19,10 +19,13 @@ class Action:
         all actions of the same entity end that decide some of the same.
     remembered : tuple of str
         Names of arrays (N,) that it shares with compiled code.
+    keeps_time : bool
+        Whether it ends at a time of its own.
     """
 
     domains: tuple[str, ...] = ()
     remembered: tuple[str, ...] = ()
+    keeps_time: bool = False
 
     def options(self) -> tuple[int, ...]:
         """What compiled code is told of it: its kind, its entity, and so on; it has to know no action."""

@@ -46,6 +46,7 @@ class FollowTrajectoryAction(Action):
             self._absolute = scope.text(timing, "domainAbsoluteRelative", "relative") == "absolute"
             self._clock = Clock(scope.number(timing, "scale", 1.0), scope.number(timing, "offset", 0.0))
             self.domains = (LATERAL, LONGITUDINAL)
+            self.keeps_time = True
         self._skip = scope.number(element, "initialDistanceOffset", 0.0)
         # What the trajectory's clock shows when the simulation time is 0.
         self._ahead = np.zeros(scope.scenarios)

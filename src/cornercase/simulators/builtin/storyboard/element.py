@@ -82,6 +82,10 @@ class Starter(Protocol):
         """Begin anew in the scenarios of the mask."""
         ...
 
+    def may_fire(self, world: World) -> BoolArray:
+        """Scenarios in which it is not certain that it never fires, shape (N,)."""
+        ...
+
     @property
     def groups(self) -> list[list[Any]]:
         """All its conditions, by group."""

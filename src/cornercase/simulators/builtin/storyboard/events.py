@@ -220,6 +220,13 @@ class Group(Element):
             for part in self._parts:
                 part.step(dt, where)
 
+    def has_end(self, world: World) -> BoolArray:
+        """Where it runs and its stop trigger may fire, but does not now, shape (N,)."""
+        if self._stop is None:
+            return np.zeros(world.scenarios, dtype=np.bool_)
+        running = self.state == RUNNING
+        return np.asarray(running & self._stop.may_fire(world) & ~self._stop.fires(world, running))
+
     def _run(self, where: BoolArray) -> None:
         if anywhere(where):
             self.move(where, RUNNING, START)

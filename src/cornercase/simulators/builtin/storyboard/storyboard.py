@@ -18,7 +18,7 @@ from cornercase.scenario import Scenario, Scope
 from cornercase.simulators.builtin.actions.action import Action
 from cornercase.simulators.builtin.actions.basic import read_action
 from cornercase.simulators.builtin.paths.positions import entities_in, entity_index
-from cornercase.simulators.builtin.storyboard.element import STANDBY, Element, Starter, Watch
+from cornercase.simulators.builtin.storyboard.element import RUNNING, STANDBY, Element, Starter, Watch
 from cornercase.simulators.builtin.storyboard.events import Event, Group, RunningAction
 from cornercase.simulators.builtin.storyboard.triggers import Trigger, read_trigger
 from cornercase.simulators.builtin.world.contacts import find_contacts
@@ -132,6 +132,22 @@ class Storyboard:
         self._going = ~stopped
         for story in self.stories:
             story.evaluate(world, world.running & self._going)
+
+    def unfinished(self) -> BoolArray:
+        """Scenarios that would have gone on to an end, where all has run, shape (N,).
+
+        The storyboard, or an act that runs, has a stop trigger that may fire, or an entity follows a trajectory by its
+        times.
+        """
+        every = np.ones(self._world.scenarios, dtype=np.bool_)
+        result = self._stop.may_fire(self._world)
+        for act in (act for story in self.stories for act in story.children if isinstance(act, Group)):
+            result |= act.has_end(self._world)
+        for one in self.actions:
+            if one.action is not None and one.action.keeps_time:
+                result |= one.state == RUNNING
+        # It may fire in the last frame, at which the storyboard does not look.
+        return result & ~self._stopped & ~self._stop.fires(self._world, every)
 
     def look_up(self, where: BoolArray) -> None:
         """Look up what compiled code cannot before the actions act, in the scenarios of a mask."""

@@ -234,6 +234,14 @@ class Trigger:
                     condition.rearm(fired)
         return fired
 
+    def may_fire(self, world: World) -> BoolArray:
+        """Scenarios in which no group has a condition that is false as long as nothing changes it, shape (N,)."""
+        result = np.zeros(world.scenarios, dtype=np.bool_)
+        for group in self._groups:
+            constants = [condition.constant(world) for condition in group]
+            result |= np.all([one for one in constants if one is not None], axis=0)
+        return result
+
     def reset(self, where: BoolArray) -> None:
         """Forget what was before in the scenarios of the mask."""
         for group in self._groups:

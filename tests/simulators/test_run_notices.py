@@ -1,0 +1,178 @@
+"""What is said of runs: entities far from every road, runs that were cut off, and egos that nobody drives."""
+
+from __future__ import annotations
+
+import warnings
+from pathlib import Path
+
+import pytest
+
+import cornercase as cc
+from command_line import X, cornercase
+from conftest import EXAMPLES, car, event, scenario_file, speed_action, story_of, teleport, time_trigger
+from cornercase._common.errors import NoticeWarning
+
+ROAD = EXAMPLES / "t_intersection" / "t_intersection.xodr"
+
+
+def told(path: Path, **options) -> list[str]:
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        cc.simulate(path, **options)
+    said = [str(one.message) for one in caught if one.category is NoticeWarning]
+    return [one for one in said if not one.startswith("without effect")]
+
+
+def at(x: float, y: float) -> str:
+    position = f'<WorldPosition x="{x}" y="{y}" h="0"/>'
+    return f"<PrivateAction><TeleportAction><Position>{position}</Position></TeleportAction></PrivateAction>"
+
+
+def body(name: str, kind: str) -> str:
+    box = '<BoundingBox><Center x="0" y="0" z="0"/><Dimensions length="1" width="1" height="1"/></BoundingBox>'
+    opened = {"Pedestrian": "", "MiscObject": "", "Vehicle": ' vehicleCategory="car"'}[kind]
+    return f'<ScenarioObject name="{name}"><{kind} name="b"{opened}>{box}</{kind}></ScenarioObject>'
+
+
+def placed(folder: Path, x: float, y: float, kind: str = "Vehicle", story: str = "") -> Path:
+    init = f'<Private entityRef="Ego">{at(x, y)}</Private>'
+    return scenario_file(folder, init=init, story=story, stop=time_trigger("3"), entities=body("Ego", kind))
+
+
+def trajectory(*vertices: tuple[float, float, float], times: bool = False) -> str:
+    corners = "".join(
+        f'<Vertex time="{t}"><Position><WorldPosition x="{x}" y="{y}"/></Position></Vertex>' for t, x, y in vertices
+    )
+    timing = '<Timing domainAbsoluteRelative="relative" scale="1" offset="0"/>' if times else "<None/>"
+    return (
+        '<PrivateAction><RoutingAction><FollowTrajectoryAction><TrajectoryRef><Trajectory name="t" closed="false">'
+        f"<ParameterDeclarations/><Shape><Polyline>{corners}</Polyline></Shape></Trajectory></TrajectoryRef>"
+        f"<TimeReference>{timing}</TimeReference>"
+        '<TrajectoryFollowingMode followingMode="position"/></FollowTrajectoryAction></RoutingAction></PrivateAction>'
+    )
+
+
+def test_43_5_a_vehicle_that_begins_far_from_every_road_is_named(tmp_path):
+    (said,) = told(placed(tmp_path, 1000.0, 2000.0))
+    assert said.startswith("far from every road: Ego is ")
+    away = float(said.split(" is ")[1].split(" m ")[0])
+    assert 1900.0 < away < 2300.0
+    assert "from the nearest lane at 0.00 s; look whether the road file" in said
+
+
+def test_43_5_a_vehicle_that_gets_far_from_every_road_is_named_with_the_instant(tmp_path):
+    away = trajectory((0.0, 0.0, 300.0), (1.0, 0.0, 330.0), times=True)
+    path = placed(tmp_path, 0.0, 0.0, story=story_of(event("e", away, time_trigger("1.9"))))
+    (said,) = told(path)
+    assert " m from the nearest lane at 2.00 s" in said
+
+
+@pytest.mark.parametrize(
+    ("kind", "far", "named"),
+    [("Vehicle", 40.0, True), ("Vehicle", 5.0, False)]
+    + [(kind, 40.0, False) for kind in ("Pedestrian", "MiscObject")]
+    + [(kind, 90.0, True) for kind in ("Pedestrian", "MiscObject")],
+)
+def test_43_5_who_may_be_beside_a_road_is_far_at_50_m(tmp_path, kind, far, named):
+    # The lanes of the road reach from -4 to 4.
+    assert bool(told(placed(tmp_path, 250.0, 4.0 + far, kind))) == named
+
+
+def test_43_5_without_roads_nobody_is_far_from_them(tmp_path):
+    path = placed(tmp_path, 1000.0, 2000.0)
+    text = path.read_text(encoding="utf-8")
+    begin, end = text.index("<RoadNetwork>"), text.index("</RoadNetwork>")
+    path.write_text(text[:begin] + "<RoadNetwork>" + text[end:], encoding="utf-8")
+    assert told(path) == []
+
+
+def cut(folder: Path, stop: str, story: str = "", init: str = "") -> list[str]:
+    init = f'<Private entityRef="Ego">{teleport("10")}{speed_action("1")}{init}</Private>'
+    return told(scenario_file(folder, init=init, story=story, stop=stop, entities=car("Ego")), duration=2.0)
+
+
+CUT = (
+    "cut off: the run was ended by the longest duration, 2 s, before the scenario came to its end; where it would go"
+    " on, give a longer `duration`"
+)
+
+
+def test_43_5_a_run_whose_stop_trigger_has_not_come_is_cut_off(tmp_path):
+    assert cut(tmp_path, time_trigger("2.1")) == [CUT]
+    # It ends at the last instant, or before.
+    assert cut(tmp_path, time_trigger("2")) == []
+    assert cut(tmp_path, time_trigger("1")) == []
+
+
+def test_43_5_a_scenario_without_an_end_is_not_cut_off(tmp_path):
+    assert cut(tmp_path, "") == []
+    never = (
+        "<ByValueCondition><TimeOfDayCondition dateTime='2020-01-01T00:00:00' rule='greaterThan'/></ByValueCondition>"
+    )
+    condition = (
+        f"<ConditionGroup><Condition name='c' delay='0' conditionEdge='none'>{never}</Condition></ConditionGroup>"
+    )
+    assert cut(tmp_path, condition) == []
+
+
+def test_43_5_an_act_that_has_not_stopped_is_cut_off(tmp_path):
+    act = story_of(event("e", speed_action("2"), time_trigger("5")))
+    for value, said in (("9", [CUT]), ("1.5", [])):
+        stopped = act.replace("</Act>", f"<StopTrigger>{time_trigger(value)}</StopTrigger></Act>")
+        assert stopped != act
+        assert cut(tmp_path, "", stopped) == said
+
+
+def test_43_5_a_trajectory_with_times_that_goes_on_is_cut_off(tmp_path):
+    for seconds, said in ((5.0, [CUT]), (1.5, [])):
+        follow = trajectory((0.0, 10.0, 0.0), (seconds, 30.0, 0.0), times=True)
+        assert cut(tmp_path, "", story_of(event("e", follow, time_trigger("0")))) == said
+
+
+def test_43_5_each_command_counts_the_runs_that_are_cut_off_once(tmp_path):
+    ranges = ["--range", "c_start_time=1:2", "--optimizer", "sobol", "--budget", 4, "--duration", 1]
+    t = EXAMPLES / "t_intersection" / "t_intersection.xosc"
+    done = cornercase(
+        "explore", t, "--ego", "Ego", "--other", "C", "--metric", "distance", *ranges, "-o", tmp_path / "s.db"
+    )
+    said = [line for line in done.stderr.splitlines() if line.startswith("Cut off: ")]
+    assert said == [
+        "Cut off: 4 of 4 runs were ended by the longest duration, 1 s, before the scenario came to its end; where it"
+        " would go on, give a longer --duration."
+    ]
+    many = cornercase("simulate", X, t, "--duration", 1, "-o", tmp_path / "recordings")
+    assert "Cut off: 2 of 2 runs were ended by" in many.stderr
+
+
+def test_43_5_a_recording_says_whether_it_was_cut_off_and_its_file_keeps_its_bytes(tmp_path):
+    init = f'<Private entityRef="Ego">{teleport("10")}{speed_action("1")}</Private>'
+    path = scenario_file(tmp_path, init=init, story="", stop=time_trigger("2.1"), entities=car("Ego"))
+    run = cc.simulate(path, duration=2.0)
+    assert run.cut_off is True
+    assert cc.simulate(path, duration=3.0).cut_off is False
+    run.to_csv(tmp_path / "r.csv")
+    assert "cut" not in (tmp_path / "r.csv").read_text(encoding="utf-8")
+    assert cc.recordings.read_recording(tmp_path / "r.csv").cut_off is None
+
+
+def test_43_5_a_study_in_which_nobody_drives_the_ego_says_so(tmp_path):
+    undriven = tmp_path / "t.xosc"
+    text = (EXAMPLES / "t_intersection" / "t_intersection.xosc").read_text(encoding="utf-8")
+    text = text.replace('filepath="', f'filepath="{ROAD.parent}/').replace("cornercase.driver", "another.driver")
+    undriven.write_text(text, encoding="utf-8")
+
+    def said(scenario: Path, *options: object) -> str:
+        return cornercase(
+            "explore", scenario, "--ego", "Ego", "--other", "C", "--metric", "distance", "--range", "c_start_time=1:2",
+            "--optimizer", "sobol", "--budget", 1, "--duration", 0.1, *options, "-o", tmp_path / f"{len(options)}.db",
+        ).stderr  # fmt: skip
+
+    nobody = (
+        "Nobody drives Ego: it follows the scenario and reacts to nobody; give it a driver by --driver Ego=normal.\n"
+    )
+    assert nobody in said(undriven)
+    assert "Nobody drives" not in said(undriven, "--driver", "Ego=simple")
+    assert nobody in said(undriven, "--driver", "C=simple", "--seed", 1)
+    assert "Nobody drives" not in said(EXAMPLES / "t_intersection" / "t_intersection.xosc", "--seed", 2, "--seed", 3)
+    # A single run is no study.
+    assert "Nobody drives" not in cornercase("simulate", undriven, "-o", tmp_path / "r.csv").stderr
