@@ -62,9 +62,7 @@ def other_format(root: etree._Element) -> str:
     tag = str(root.tag).rpartition("}")[2]
     if tag in _OPENPASS:
         return f"<{tag}> {_OPENPASS[tag]}; give the scenario, Scenario.xosc beside it"
-    if tag == "OpenSCENARIO" and any(
-        unrecorded(root, *path) for path in (("Catalogs",), ("Entities", "Object"), ("RoadNetwork", "Logics"))
-    ):
+    if tag == "OpenSCENARIO" and unrecorded(root, "Entities", "Object"):
         return (
             "is written in a version of OpenSCENARIO before 1.0, whose elements have other names; convert it to 1.0, as"
             " by the stylesheet that ASAM offers with the standard"
