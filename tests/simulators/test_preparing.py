@@ -36,9 +36,9 @@ def reads(monkeypatch) -> Counter[str]:
         counted[f"read {Path(path).name}"] += 1
         return read(path)
 
-    def fromstring(data, *arguments):
+    def fromstring(data, *arguments, **options):
         counted[f"parse {hash(data)}"] += 1
-        return parse(data, *arguments)
+        return parse(data, *arguments, **options)
 
     def make(network, *arguments):
         counted["network"] += 1

@@ -10,6 +10,7 @@ import numpy as np
 from lxml import etree
 
 from cornercase._common.errors import InputError
+from cornercase._common.places import at_line
 from cornercase._common.typing import FloatArray
 from cornercase.roads.reference_line import read_number
 
@@ -147,8 +148,10 @@ def _read_lanes(section: etree._Element, side: str, where: str) -> dict[int, Lan
         widths = read_polynomials(element.iterfind("width"), "sOffset", where)
         number = lane_number(element, where)
         if number in found:
+            where = at_line(where, element)
             raise InputError(f"{where}: a <laneSection> has two lanes {number}; keep one of them.")
         if number == 0 or (number > 0) != (side == "left"):
+            where = at_line(where, element)
             raise InputError(f"{where}: the lane {number} stands in <{side}>; lanes on the left have numbers above 0.")
         found[number] = Lane(
             element.get("type", "none"),
@@ -182,11 +185,12 @@ def lane_number(element: etree._Element, where: str, name: str = "id") -> int:
     """
     number = read_number(element, name, where)
     if number != int(number):
+        where = at_line(where, element)
         raise InputError(f"{where}: {name} of <{element.tag}> is '{element.get(name)}', not a whole number.")
     if abs(number) > _MOST_LANES:
         raise InputError(
-            f"{where}: {name} of <{element.tag}> is '{element.get(name)}'; at most {_MOST_LANES} lanes are read on"
-            " each side of a road."
+            f"{at_line(where, element)}: {name} of <{element.tag}> is '{element.get(name)}'; at most {_MOST_LANES}"
+            " lanes are read on each side of a road."
         )
     return int(number)
 

@@ -12,6 +12,7 @@ import numpy as np
 from lxml import etree
 
 from cornercase._common.errors import InputError, suggestion
+from cornercase._common.places import place_of
 from cornercase._common.typing import BoolArray, FloatArray, IntArray
 from cornercase.roads.distance import LaneDistance
 from cornercase.roads.lane import is_permanent, lane_number
@@ -91,15 +92,17 @@ class RoadNetwork:
             if isinstance(element.tag, str) and "}" in element.tag:
                 element.tag = element.tag.split("}", 1)[1]
         if root.tag != "OpenDRIVE":
-            raise InputError(f"{path}: the root element is <{root.tag}>; a road file starts with <OpenDRIVE>.")
+            place = place_of(root, str(path))
+            raise InputError(f"{place}: the root element is <{root.tag}>; a road file starts with <OpenDRIVE>.")
         LEDGER.refuse(root, path)
         cuts = _places_of_links(root, path)
         roads = tuple(_sound_road(e, path, cuts) for e in root.iterfind("road"))
         if not roads:
-            raise InputError(f"{path}: has no <road>.")
+            raise InputError(f"{place_of(root, str(path))}: <OpenDRIVE> has no <road>.")
         names = [road.name for road in roads]
         if len(set(names)) < len(names):
-            raise InputError(f"{path}: two roads have the same id.")
+            again = [e for k, e in enumerate(root.iterfind("road")) if e.get("id", "") in names[:k]]
+            raise InputError(f"{place_of(again[0], str(path))}: <road>: two roads have the same id.")
         for road in roads:
             for link in (road.predecessor, road.successor):
                 if link is not None and link.kind == "road" and link.element not in names:
@@ -110,7 +113,7 @@ class RoadNetwork:
             path,
             roads,
             {
-                e.get("id", ""): tuple(_connections(e, f"{path}, junction {e.get('id')}"))
+                e.get("id", ""): tuple(_connections(e, f"{place_of(e, str(path))}, junction {e.get('id')}"))
                 for e in root.iterfind("junction")
             },
         )
@@ -468,7 +471,7 @@ class RoadNetwork:
 
 def _sound_road(element: etree._Element, path: Path, cuts: Mapping[str, Sequence[float]]) -> Road:
     name = element.get("id", "")
-    where = f"{path}, road {name}"
+    where = f"{place_of(element, str(path))}, road {name}"
     if not name:
         raise InputError(f"{path}, line {element.sourceline}: a <road> has no id; give it one.")
     road = read_road(element, where, cuts.get(name, ()))
@@ -482,7 +485,7 @@ def _places_of_links(root: etree._Element, path: Path) -> dict[str, list[float]]
     for road in root.iterfind("road"):
         for link in (*road.iterfind("link/predecessor"), *road.iterfind("link/successor")):
             if link.get("elementS") is not None:
-                s = read_number(link, "elementS", f"{path}, road {road.get('id')}")
+                s = read_number(link, "elementS", f"{place_of(link, str(path))}, road {road.get('id')}")
                 found.setdefault(link.get("elementId", ""), []).append(s)
     return found
 

@@ -12,6 +12,7 @@ from lxml import etree
 from cornercase._common.errors import InputError
 from cornercase._common.geometry import within_half_turn
 from cornercase._common.ledger import local_name
+from cornercase._common.places import at_line
 from cornercase._common.typing import FloatArray
 
 # Below this bend, in rad, a spiral is not told from an arc; Fresnel's integrals lose digits there.
@@ -156,9 +157,11 @@ def read_geometry(element: etree._Element, where: str) -> Geometry:
     """
     s, x, y, heading, length = (read_number(element, name, where) for name in ("s", "x", "y", "hdg", "length"))
     if length < 0:
+        where = at_line(where, element)
         raise InputError(f"{where}: a <geometry> has the length {length:g} m; it must be above 0.")
     shape = next(iter(element.iterchildren("line", "arc", "spiral", "poly3", "paramPoly3")), None)
     if shape is None:
+        where = at_line(where, element)
         raise InputError(f"{where}: a <geometry> is not a line, arc, spiral, poly3 or paramPoly3.")
     kind = str(shape.tag)
     names = {
@@ -239,11 +242,12 @@ def read_number(element: etree._Element, name: str, where: str) -> float:
     """
     text = element.get(name)
     if text is None:
-        raise InputError(f"{where}: <{local_name(element)}> has no {name}; give it one.")
+        raise InputError(f"{at_line(where, element)}: <{local_name(element)}> has no {name}; give it one.")
     try:
         number = float(text)
     except ValueError:
         number = float("nan")
     if not np.isfinite(number):
+        where = at_line(where, element)
         raise InputError(f"{where}: {name} of <{local_name(element)}> is '{text}', not a finite number.")
     return number

@@ -11,6 +11,7 @@ import numpy as np
 from lxml import etree
 
 from cornercase._common.errors import InputError
+from cornercase._common.places import at_line
 from cornercase._common.recorded_xml import unrecorded
 from cornercase._common.typing import BoolArray, FloatArray, IntArray
 from cornercase.roads.lane import (
@@ -214,9 +215,9 @@ def read_road(element: etree._Element, where: str, cuts: Iterable[float] = ()) -
     """
     length = read_number(element, "length", where)
     if length < _SHORTEST_ROAD:
-        raise InputError(f"{where}: has the length {length:g} m; it must be at least {_SHORTEST_ROAD:g} m.")
+        raise InputError(f"{where}: <road> has the length {length:g} m; it must be at least {_SHORTEST_ROAD:g} m.")
     if length > _LONGEST_ROAD:
-        raise InputError(f"{where}: is {length:g} m long; at most {_LONGEST_ROAD:g} m are read.")
+        raise InputError(f"{where}: <road> is {length:g} m long; at most {_LONGEST_ROAD:g} m are read.")
     geometries = tuple(
         sorted((read_geometry(e, where) for e in element.iterfind("planView/geometry")), key=lambda g: g.s)
     )
@@ -253,13 +254,13 @@ def _permanent_lanes(road: etree._Element, where: str) -> etree._Element | None:
     found = [one for one in layers if one.attrib.get("layer", PERMANENT) == PERMANENT]
     if len(found) > 1:
         raise InputError(
-            f"{where}, line {found[1].sourceline}: has a second <lanes> of the layer '{PERMANENT}'; keep one of them,"
+            f"{at_line(where, found[1])}: has a second <lanes> of the layer '{PERMANENT}'; keep one of them,"
             " or name the layer of the other."
         )
     if layers and not found:
         layer = layers[0].attrib.get("layer")
         raise InputError(
-            f"{where}, line {layers[0].sourceline}: has only <lanes> of the layer '{layer}'; give it those of the layer"
+            f"{at_line(where, layers[0])}: has only <lanes> of the layer '{layer}'; give it those of the layer"
             f" '{PERMANENT}', which are driven on."
         )
     return next((one for one in found if is_permanent(one)), None)

@@ -52,7 +52,8 @@ def require_sound(road: Road, where: str) -> None:
     _require_near(road.offsets, road.length, f"{where}: its <laneOffset>")
     for (start, lanes), end in zip(road.sections, road.seams[1:].tolist(), strict=True):
         for number, lane in lanes.items():
-            _require_near(lane.borders or lane.widths, end - start, f"{where}: the lane {number} at s = {start:g} m")
+            tag, curve = ("border", lane.borders) if lane.borders else ("width", lane.widths)
+            _require_near(curve, end - start, f"{where}: <{tag}> of the lane {number} at s = {start:g} m")
 
 
 def _require_shape(geometry: Geometry, end: float, where: str) -> None:

@@ -13,6 +13,7 @@ from lxml import etree
 from cornercase._common import arguments
 from cornercase._common.errors import InputError, suggestion
 from cornercase._common.ledger import Label, Notice
+from cornercase._common.places import place_of, placed
 from cornercase._common.recorded_xml import adapt, children, named, unrecorded, was_read
 from cornercase.scenario.axes import left_handed_header
 from cornercase.scenario.catalogs import Catalogs
@@ -173,23 +174,27 @@ class Scenario:
 
     def _require_scenario(self, root: etree._Element) -> None:
         if other := other_format(root):
-            raise InputError(f"{self.path}: {other}.")
+            raise InputError(f"{place_of(root, str(self.path))}: {other}.")
         if root.tag != "OpenSCENARIO":
             raise InputError(
-                f"{self.path}: the root element is <{root.tag}>; an OpenSCENARIO file starts with <OpenSCENARIO>."
+                f"{place_of(root, str(self.path))}: the root element is <{root.tag}>; an OpenSCENARIO file starts with"
+                " <OpenSCENARIO>."
             )
         header = root.find("FileHeader")
         if header is not None and header.get("revMajor", "1").strip() == "0":
             raise InputError(
-                f"{self.path}: is of OpenSCENARIO 0.{header.get('revMinor', '9')}, whose files are built in another"
-                " way; bring it to 1.0 with ASAM's migration script, which comes with OpenSCENARIO 1.0."
+                f"{place_of(header, str(self.path))}: <FileHeader>: the file is of OpenSCENARIO"
+                f" 0.{header.get('revMinor', '9')}, whose files are built in another way; bring it to 1.0 with ASAM's"
+                " migration script, which comes with OpenSCENARIO 1.0."
             )
         if root.find("ParameterValueDistribution") is not None:
             raise InputError(f"{self.path}: is a parameter value distribution, not a scenario; give it as `space`.")
         note_version(root)
         for needed in ("Entities", "Storyboard"):
             if root.find(needed) is None:
-                raise InputError(f"{self.path}: has no <{needed}>, so there is nothing to run.")
+                raise InputError(
+                    f"{place_of(root, str(self.path))}: <{root.tag}> has no <{needed}>, so there is nothing to run."
+                )
 
     @property
     def is_left_handed(self) -> bool:
@@ -218,9 +223,13 @@ class Scenario:
     @cached_property
     def entities(self) -> tuple[str, ...]:
         """Names of all entities, in the file's order."""
-        names = tuple(e.get("name", "") for e in self.root.iterfind("Entities/ScenarioObject"))
-        if len(set(names)) < len(names) or "" in names:
-            raise InputError(f"{self.path}: every <ScenarioObject> needs a name of its own.")
+        objects = list(self.root.iterfind("Entities/ScenarioObject"))
+        names = tuple(e.get("name", "") for e in objects)
+        for k, name in enumerate(names):
+            if not name or name in names[:k]:
+                raise InputError(
+                    f"{place_of(objects[k], str(self.path))}: every <ScenarioObject> needs a name of its own."
+                )
         return names
 
     @cached_property
@@ -391,7 +400,8 @@ class Scenario:
     def _catalog_files(self) -> list[Path]:
         files: list[Path] = []
         for directory in self._document.iterfind("CatalogLocations//Directory"):
-            folder = self.beside(self._parameter_text(directory.get("path", ""), {}), "catalog location")
+            with placed(directory, str(self.path)):
+                folder = self.beside(self._parameter_text(directory.get("path", ""), {}), "catalog location")
             found = sorted(folder.glob("*.xosc")) if folder.is_dir() else [folder]
             files += [file for file in found if file.is_file() and file not in files]
         return files

@@ -9,6 +9,7 @@ import numpy as np
 from lxml import etree
 
 from cornercase._common.errors import InputError, suggestion
+from cornercase._common.places import file_of, placed
 from cornercase._common.typing import BoolArray, FloatArray
 from cornercase.scenario.attributes import Attributes
 from cornercase.scenario.axes import TURNED, left_handed_header
@@ -183,9 +184,10 @@ class Scope(Attributes):
         InputError
             A value cannot be evaluated.
         """
-        inner = Scope(self.source, self.scenarios, self.values, self._origins, self._catalogs, self._left_handed)
+        source = file_of(element, self.source)
+        inner = Scope(source, self.scenarios, self.values, self._origins, self._catalogs, self._left_handed)
         inner._depth, inner.used, inner._refused = self._depth, self.used, self._refused
-        for declaration in read_declarations(element, self.source):
+        for declaration in read_declarations(element, source):
             inner._declare(declaration)
         if assignments is not None:
             for assignment in assignments.iterfind("ParameterAssignment"):
@@ -263,7 +265,11 @@ class Scope(Attributes):
         InputError
             A bound cannot be evaluated.
         """
-        return violations(declarations, self.scenarios, self.values.__getitem__, self._bound)
+        found: dict[str, BoolArray] = {}
+        for declaration in declarations:
+            with placed(declaration, self.source):
+                found |= violations([declaration], self.scenarios, self.values.__getitem__, self._bound)
+        return found
 
     def _bound(self, text: str) -> Any:
         text = text.strip()
@@ -327,7 +333,9 @@ class Scope(Attributes):
                 f"{self.source}, line {reference.sourceline}: catalog entries refer to each other more than {_DEEPEST}"
                 " deep, or in a circle."
             )
-        element = self._catalogs(self.text(reference, "catalogName"), self.text(reference, "entryName"))
+        names = self.text(reference, "catalogName"), self.text(reference, "entryName")
+        with placed(reference, self.source):
+            element = self._catalogs(*names)
         if tags and element.tag not in tags:
             raise InputError(
                 f"{self.source}, line {reference.sourceline}: the catalog entry '{self.text(reference, 'entryName')}'"

@@ -11,6 +11,7 @@ from lxml import etree
 
 from cornercase._common.errors import InputError
 from cornercase._common.files import read_file
+from cornercase._common.places import place_of
 from cornercase._common.recorded_xml import adapt, recording_parser
 from cornercase.scenario.adapting import adapt_openscenario
 from cornercase.scenario.dialects import other_language
@@ -59,32 +60,33 @@ def parse_xml(data: bytes, path: Path | str) -> etree._Element:
         It is no XML, has a document type declaration, or is nested more than 200 deep.
     """
     try:
-        root = _parsed(data)
+        root = _parsed(data, path)
     except etree.XMLSyntaxError as error:
         if other := other_language(data):
             raise InputError(f"{path}: {other}.") from error
-        mended = _parsed_leniently(data)
+        mended = _parsed_leniently(data, path)
         if mended is None:
-            raise InputError(f"{path}: is not well-formed XML ({error.msg}).") from error
+            raise InputError(f"{path}, line {error.lineno or 1}: is not well-formed XML ({error.msg}).") from error
         root = mended
     if root.getroottree().docinfo.internalDTD is not None:
         raise InputError(f"{path}: has a document type declaration, which is not read; remove <!DOCTYPE …>.")
     depth = 0
-    for event, _ in etree.iterwalk(root, events=("start", "end")):
+    for event, element in etree.iterwalk(root, events=("start", "end")):
         depth += 1 if event == "start" else -1
         if depth > _DEEPEST:
-            raise InputError(f"{path}: elements are nested more than {_DEEPEST} deep.")
+            raise InputError(f"{place_of(element, str(path))}: elements are nested more than {_DEEPEST} deep.")
     return root
 
 
-def _parsed(data: bytes) -> etree._Element:
+def _parsed(data: bytes, path: Path | str) -> etree._Element:
     parser = recording_parser(
         resolve_entities=False, no_network=True, load_dtd=False, huge_tree=False, remove_comments=False
     )
-    return etree.fromstring(data, parser)
+    # Elements know their file by it; nothing is fetched from there.
+    return etree.fromstring(data, parser, base_url=str(path))
 
 
-def _parsed_leniently(data: bytes) -> etree._Element | None:
+def _parsed_leniently(data: bytes, path: Path | str) -> etree._Element | None:
     """Root of a document whose declaration, encoding or comments alone break the rules; None where other things do."""
     try:
         text, encoding = data.decode("utf-8-sig"), "UTF-8"
@@ -103,7 +105,7 @@ def _parsed_leniently(data: bytes) -> etree._Element | None:
     if mended != text:
         faults.append(("comments that hold '--'", "they are read as comments", "a comment holds no '--'"))
     try:
-        root = _parsed(mended.encode("utf-8"))
+        root = _parsed(mended.encode("utf-8"), path)
     except etree.XMLSyntaxError:
         return None
     if not faults or encoding != "UTF-8":

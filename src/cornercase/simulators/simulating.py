@@ -9,6 +9,7 @@ from cornercase._common.arguments import numbers_or_texts
 from cornercase._common.errors import InputError
 from cornercase._common.interrupts import noted_interrupts
 from cornercase._common.ledger import warn_of
+from cornercase._common.places import of_file
 from cornercase.drivers import Driver, told_driver
 from cornercase.recordings import Recording
 from cornercase.scenario import ConcreteScenario, Scenario, Value
@@ -90,7 +91,7 @@ def simulate(
         require_usable(started, [file])
         (result,) = outcomes_of(started, [ConcreteScenario(file.path, given, file)])
     if isinstance(result, Exception):
-        raise InputError(f"{file.path}: {result}.")
+        raise InputError(of_file(file.path, f"{result}."))
     warn_of(notices_of(simulator, file, given))
     said = RunNotices(started)
     said.look(result, lambda: file)

@@ -13,6 +13,7 @@ from cornercase._common.files import portable_name, require_folder, require_othe
 from cornercase._common.interrupts import noted_interrupts
 from cornercase._common.ledger import distinct, warn_of
 from cornercase._common.parts import group_reasons
+from cornercase._common.places import of_file
 from cornercase._common.progress import ProgressBar
 from cornercase.drivers import Driver, told_driver
 from cornercase.scenario import FILE_COLUMN, ConcreteScenario, Scenario, Value, read_value_table
@@ -246,7 +247,7 @@ def _run(
                 for one, outcome in zip(chosen, outcomes, strict=True):
                     check()
                     if isinstance(outcome, SimulationError):
-                        failures[one.file] = str(outcome)
+                        failures[one.file] = of_file(one.concrete.path, str(outcome))
                     else:
                         if not noted:
                             folder.note()

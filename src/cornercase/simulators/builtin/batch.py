@@ -11,6 +11,8 @@ import numpy as np
 from lxml import etree
 
 from cornercase._common.errors import InputError, SimulationError
+from cornercase._common.parts import format_instant
+from cornercase._common.places import placed
 from cornercase._common.typing import BoolArray
 from cornercase.drivers import Driver
 from cornercase.recordings import Collision, Recording
@@ -88,16 +90,20 @@ class Batch:
     def _read(self, prepared: PreparedScenario, scope: Scope, drivers: Mapping[str, Driver | str]) -> None:
         scenario = prepared.scenario
         refuse_unusable(prepared)
+        board = scenario.root.find("Storyboard")
+        init = None if board is None else board.find("Init")
+        first = board if init is None else init
+        self._init = "" if first is None else f"line {first.sourceline}: <{first.tag}>"
         file = scenario.root.find("RoadNetwork/LogicFile")
         road_file = "" if file is None else scope.text(file, "filepath", "")
-        network = prepared.network(road_file) if road_file else None
+        with placed(file, scope.source):
+            network = prepared.network(road_file) if road_file else None
         objects = list(scenario.root.iterfind("Entities/ScenarioObject"))
-        if not objects:
-            raise InputError(f"{scenario.path}: has no entities, so there is nothing to simulate.")
-        if len(objects) > _MOST_ENTITIES:
-            raise InputError(
-                f"{scenario.path}: has {len(objects)} entities; the builtin simulator moves {_MOST_ENTITIES}."
-            )
+        with placed(scenario.root.find("Entities"), scope.source):
+            if not objects:
+                raise InputError("has no entities, so there is nothing to simulate.")
+            if len(objects) > _MOST_ENTITIES:
+                raise InputError(f"has {len(objects)} entities; the builtin simulator moves {_MOST_ENTITIES}.")
         entities, tows = read_entities(objects, scope)
         self._world = World(entities, scope.scenarios, network, tows)
         self._world.signal_controllers = read_signal_controllers(scenario.root, scope)
@@ -106,14 +112,17 @@ class Batch:
         self._world.variables = scope.declared(
             scenario.root, "VariableDeclarations/VariableDeclaration", "variableType"
         )
+        lines = {one.name: one.sourceline for one in prepared.declarations}
         for name, broken in scope.violations(scenario.root).items():
-            self._world.fail(broken, f"the value of {name} breaks a constraint of its declaration")
+            why = f"line {lines.get(name)}: the value of {name} breaks a constraint of its <ParameterDeclaration>"
+            self._world.fail(broken, why)
         chosen = {**scenario.drivers, **drivers}
         for e, name in enumerate(self._world.names):
             driver = chosen.get(name)
             if driver is None:
                 continue
-            built = registered_driver(driver, str(scenario.path)) if isinstance(driver, str) else driver
+            with placed(None if name in drivers else objects[e], scope.source):
+                built = registered_driver(driver, scope.source) if isinstance(driver, str) else driver
             number = Driving(self._world, e, built).number
             self._world.kept[e] = name in drivers
             self._world.control(e, np.ones(scope.scenarios, dtype=np.bool_), number, True)
@@ -192,7 +201,8 @@ class Batch:
                 result.append(world.errors[i])
                 continue
             if not there:
-                result.append(SimulationError("no entity is ever placed on the map"))
+                ended = format_instant(time[moved.shape[2] - 1])
+                result.append(SimulationError(f"{self._init}: no action places an entity on the map up to{ended[3:]}"))
                 continue
             length, width, center_x = boxes.copy()
             result.append(

@@ -12,6 +12,7 @@ from lxml import etree
 
 from cornercase._common.errors import InputError
 from cornercase._common.ledger import Label, Notice
+from cornercase._common.places import of_file
 from cornercase.scenario import ConcreteScenario, LogicalScenario, ParameterSpace, Scenario, read_xml
 from cornercase.simulators.builtin.effect import notices_after_reading
 from cornercase.simulators.builtin.simulator import BuiltinSimulator
@@ -116,7 +117,7 @@ def check(scenario: Path | str | Scenario, space: Path | str | None = None, *, s
             concrete = ConcreteScenario(file.path, values, file)
         (result,) = BuiltinSimulator(duration=0.05).run([concrete])
         if isinstance(result, Exception):
-            trouble.append(f"{file.path}: {result}.")
+            trouble.append(of_file(file.path, f"{result}."))
     except InputError as error:
         trouble.append(str(error))
     version, invalid = _validate(file.as_written() if strict else file.root)

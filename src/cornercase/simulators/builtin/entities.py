@@ -9,6 +9,7 @@ import numpy as np
 from lxml import etree
 
 from cornercase._common.errors import InputError, suggestion
+from cornercase._common.places import place_of
 from cornercase._common.recorded_xml import adapt, named, unrecorded
 from cornercase.scenario import Scope
 from cornercase.simulators.builtin.tracks.track import ALONG_LEGS, AT_CORNERS, AT_VERTICES
@@ -71,8 +72,8 @@ def read_entities(objects: Sequence[etree._Element], scope: Scope) -> tuple[tupl
             if isinstance(trailer, str):
                 if trailer not in names:
                     raise InputError(
-                        f"{scope.source}: the entity '{names[k]}' pulls '{trailer}', which does not exist;"
-                        f" {suggestion(trailer, names)}"
+                        f"{place_of(body, inner.source)}: <Trailer>: the entity '{names[k]}' pulls '{trailer}', which"
+                        f" does not exist; {suggestion(trailer, names)}"
                     )
                 pairs.append((front, names.index(trailer)))
                 break
@@ -84,6 +85,7 @@ def read_entities(objects: Sequence[etree._Element], scope: Scope) -> tuple[tupl
 
 
 def _body(element: etree._Element, name: str, scope: Scope) -> tuple[etree._Element, Scope]:
+    holder = scope
     body = next((e for e in element.iterchildren("Vehicle", "Pedestrian", "MiscObject", "CatalogReference")), None)
     if body is not None and body.tag == "CatalogReference":
         body, scope = scope.from_catalog(body)
@@ -91,8 +93,8 @@ def _body(element: etree._Element, name: str, scope: Scope) -> tuple[etree._Elem
         scope = scope.within(body)
     if body is None or body.tag not in ("Vehicle", "Pedestrian", "MiscObject"):
         raise InputError(
-            f"{scope.source}: the entity '{name}' is not a vehicle, pedestrian or misc object, the only ones that"
-            " the builtin simulator can move."
+            f"{place_of(element, holder.source)}: the <{element.tag}> '{name}' is not a vehicle, pedestrian or misc"
+            " object, the only ones that the builtin simulator can move."
         )
     return body, scope
 
@@ -108,12 +110,21 @@ def _entity(body: etree._Element, name: str, scope: Scope) -> Entity:
         limits = [scope.one_number(performance, a, np.inf) for a in _LIMITS]
         for attribute, limit in zip(_LIMITS, limits, strict=True):
             if limit < 0.0:
-                raise InputError(f"{scope.source}: {attribute} of '{name}' is {limit:g}; it must not be below 0.")
+                where = place_of(performance, scope.source)
+                raise InputError(
+                    f"{where}: <Performance>: {attribute} of '{name}' is {limit:g}; it must not be below 0."
+                )
     length, width, reach = _box(body, kind, scope)
     if not (length > 0 and width > 0):
-        raise InputError(f"{scope.source}: the bounding box of '{name}' needs a positive length and width.")
+        raise InputError(
+            f"{place_of(body, scope.source)}: <Dimensions>: the bounding box of '{name}' needs a positive"
+            " length and width."
+        )
     if max(length, width, abs(reach)) > _LARGEST:
-        raise InputError(f"{scope.source}: the bounding box of '{name}' is larger than {_LARGEST:g} m; give it in m.")
+        raise InputError(
+            f"{place_of(body, scope.source)}: <BoundingBox>: the bounding box of '{name}' is larger than"
+            f" {_LARGEST:g} m; give it in m."
+        )
     # Two of esmini's own properties.
     items = unrecorded(body, "Properties", "Property")
     found = {key: named(items, key) for key in ("ignoreHeadingForTrajMotion", "plineInterpolation")}
@@ -152,4 +163,5 @@ def _pulled(body: etree._Element, scope: Scope, name: str) -> Iterator[tuple[etr
             if reference is not None and (other := scope.text(reference, "entityRef", "")):
                 yield other
             return
-    raise InputError(f"{scope.source}: the entity '{name}' pulls more than {MOST_TRAILERS} trailers.")
+    where = place_of(body, scope.source)
+    raise InputError(f"{where}: the <Trailer> of the entity '{name}' pulls more than {MOST_TRAILERS} trailers.")

@@ -80,7 +80,7 @@ class PreparedScenario:
 
     def unusable(self, values: Sequence[Mapping[str, Value]]) -> dict[int, str]:
         """By place of the scenarios in which one cannot be that of its parameter, why, without a full stop."""
-        return unusable_values(self._declarations, values)
+        return unusable_values(self.declarations, values)
 
     def what_is_wrong(self, error: InputError, values: Mapping[str, Value], build: Callable[[], object]) -> str:
         """Say what is wrong with one scenario, as a part of a sentence that names the file itself.
@@ -153,7 +153,8 @@ class PreparedScenario:
         return tags["ScenarioObject"], followed, sum(each * tags[tag] for tag, each in _ELEMENTS.items())
 
     @cached_property
-    def _declarations(self) -> tuple[Declaration, ...]:
+    def declarations(self) -> tuple[Declaration, ...]:
+        """Those of its parameters."""
         return read_declarations(self.scenario.root, str(self.scenario.path))
 
     def network(self, reference: str) -> RoadNetwork:

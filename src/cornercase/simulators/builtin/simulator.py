@@ -13,6 +13,7 @@ from weakref import WeakSet
 
 from cornercase._common.errors import InputError, SimulationError
 from cornercase._common.ledger import Notice
+from cornercase._common.places import of_file
 from cornercase._common.platform import available_cpus
 from cornercase._common.version import __version__
 from cornercase.drivers import Driver, decides_compiled
@@ -130,7 +131,7 @@ class BuiltinSimulator(Simulator):
             unusable = prepared.unusable([concrete.values])
             try:
                 if unusable:
-                    raise InputError(f"{concrete.path}: {unusable[0]}.")
+                    raise InputError(of_file(concrete.path, f"{unusable[0]}."))
                 self._batch(prepared, [concrete])
             except InputError as error:
                 wrong = wrong or error

@@ -9,6 +9,7 @@ import numpy as np
 from lxml import etree
 
 from cornercase._common.errors import InputError, SimulationError
+from cornercase._common.places import of_file
 from cornercase._common.typing import FloatArray
 from cornercase.recordings import Recording
 from cornercase.scenario import ConcreteScenario, Scenario, Value
@@ -47,7 +48,7 @@ def sample(scenario: Scenario, values: Mapping[str, Value], time_step: float, du
     simulator = BuiltinSimulator(time_step=time_step, duration=duration)
     (found,) = simulator.run([ConcreteScenario(scenario.path, dict(values), scenario)])
     if isinstance(found, SimulationError):
-        raise InputError(f"{scenario.path}: {found}.")
+        raise InputError(of_file(scenario.path, f"{found}."))
     for k, name in enumerate(found.names):
         if not np.isfinite(found.x[k, 0]):
             raise InputError(

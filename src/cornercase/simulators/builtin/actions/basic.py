@@ -69,12 +69,10 @@ def read_action(element: etree._Element, scope: Scope, world: World, entity: int
     InputError
         The action is not supported, or is malformed.
     """
-    inner = next(iter(element.iterchildren("*")), None)
-    while inner is not None and inner.tag in _HOLDERS:
-        inner = next(iter(inner.iterchildren("*")), None)
+    inner = inner_action(element)
     if element.tag in WITHOUT_EFFECT:
         return None
-    if inner is None:
+    if inner is element:
         adapt(element, f"<{element.tag}> without an action", "is skipped", f"<{element.tag}> holds an action")
         return None
     if inner.tag in WITHOUT_EFFECT:
@@ -89,6 +87,14 @@ def read_action(element: etree._Element, scope: Scope, world: World, entity: int
     if entity is None:
         raise InputError(f"{scope.source}, line {inner.sourceline}: <{inner.tag}> needs an entity that acts.")
     return _READERS[inner.tag](inner, scope, world, entity)
+
+
+def inner_action(element: etree._Element) -> etree._Element:
+    """What a ``PrivateAction`` or ``GlobalAction`` holds, below the elements that group actions; itself where none."""
+    inner = next(iter(element.iterchildren("*")), None)
+    while inner is not None and inner.tag in _HOLDERS:
+        inner = next(iter(inner.iterchildren("*")), None)
+    return element if inner is None else inner
 
 
 class TeleportAction(Action):
@@ -166,7 +172,7 @@ class ValueAction(Action):
 
     def __init__(self, element: etree._Element, scope: Scope, values: dict[str, Any], name: str) -> None:
         self._name, self._values = name, values
-        where = f"{scope.source}, line {element.sourceline}"
+        where = f"{scope.source}, line {element.sourceline}: <{element.tag}>"
         self._operation: Callable[[Any, Any], Any] = np.add
         change, given = element.find("SetAction"), None
         if change is not None:
@@ -177,7 +183,7 @@ class ValueAction(Action):
             rule = element.find("ModifyAction/Rule")
             inner = None if rule is None else next(iter(rule.iterchildren("*")), None)
             if inner is None or inner.tag not in ("AddValue", "MultiplyByValue"):
-                raise InputError(f"{where}: <{element.tag}> neither sets, adds nor multiplies.")
+                raise InputError(f"{where} neither sets, adds nor multiplies.")
             given = inner
             self._operation = np.multiply if inner.tag == "MultiplyByValue" else np.add
         numeric = values[self._name].dtype.kind == "f"
@@ -203,7 +209,7 @@ def _read_value(element: etree._Element, scope: Scope, world: World, entity: int
         why = f"is skipped, as there is no {what} '{name}', and no condition asks for one"
         adapt(element, f"<{element.tag}>", why, f"{kind} names a {what} that is declared")
         return None
-    where = f"{scope.source}, line {element.sourceline}"
+    where = f"{scope.source}, line {element.sourceline}: <{element.tag}>"
     raise InputError(f"{where}: there is no {what} '{name}'; {suggestion(name, values)}")
 
 
@@ -219,7 +225,8 @@ class SignalControllerAction(Action):
 
 
 def _read_signal_controller(element: etree._Element, scope: Scope, world: World, entity: int | None) -> Action | None:
-    where, name = f"{scope.source}, line {element.sourceline}", scope.text(element, "trafficSignalControllerRef")
+    where = f"{scope.source}, line {element.sourceline}: <{element.tag}>"
+    name = scope.text(element, "trafficSignalControllerRef")
     phase = scope.text(element, "phase")
     controller = world.signal_controllers.get(name)
     if (controller is None or phase not in controller.names) and nobody_asks(element, *SIGNAL_CONDITIONS):

@@ -136,13 +136,14 @@ def read_gap(element: etree._Element, scope: Scope) -> Gap:
     }  # fmt: skip
     if kind not in kinds or system not in ("entity", "lane", "road", "trajectory", "world"):
         raise InputError(
-            f"{scope.source}, line {element.sourceline}: a distance of type '{kind}' in the system '{system}' does not"
-            " exist; use euclidianDistance, longitudinal or lateral in entity, lane, road or trajectory."
+            f"{scope.source}, line {element.sourceline}: <{element.tag}>: a distance of type '{kind}' in the system"
+            f" '{system}' does not exist; use euclidianDistance, longitudinal or lateral in entity, lane, road or"
+            " trajectory."
         )
     if system in ("trajectory", "world") and kinds[kind] != "euclidean":
         raise InputError(
-            f"{scope.source}, line {element.sourceline}: a {kind} distance in the system '{system}' cannot be measured;"
-            " use entity, lane or road."
+            f"{scope.source}, line {element.sourceline}: <{element.tag}>: a {kind} distance in the system '{system}'"
+            " cannot be measured; use entity, lane or road."
         )
     return Gap(kinds[kind], system in ("lane", "road"), scope.flag(element, "freespace", False))
 

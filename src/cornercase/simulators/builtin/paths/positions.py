@@ -134,7 +134,8 @@ def _lane_position(element: etree._Element, scope: Scope, world: World) -> Posit
     for where in np.unique(s[missing]):
         world.fail(
             missing & (s == where),
-            f"{scope.source}, line {element.sourceline}: road '{name}' has no lane {lane} at s = {where:g} m",
+            f"{scope.source}, line {element.sourceline}: <{element.tag}>: road '{name}' has no lane {lane} at s ="
+            f" {where:g} m",
         )
 
     def resolve(world: World) -> Pose:

@@ -251,7 +251,7 @@ def _clothoids(element: etree._Element, scope: Scope, world: World, read: Positi
     length = np.stack([scope.number(one, "length") for one in segments], axis=1)
     for one, each in zip(segments, length.T, strict=True):
         if not scope.origins(one.get("length", "")) and not each[0] > 0:
-            raise InputError(f"{scope.source}, line {one.sourceline}: the length of a clothoid is not above 0.")
+            raise InputError(f"{scope.source}, line {one.sourceline}: length of <{one.tag}> is not above 0.")
         scope.refuse(one, "length", "is not above 0", ~(each > 0))
     length = np.where(length > 0, length, 1.0)
     if element.tag == "Clothoid":

@@ -28,8 +28,8 @@ class Transition:
         require_shape(self.shape, element, scope)
         if self.dimension not in ("time", "rate", "distance"):
             raise InputError(
-                f"{scope.source}, line {element.sourceline}: dynamicsDimension '{self.dimension}' is not time, rate"
-                " or distance."
+                f"{scope.source}, line {element.sourceline}: dynamicsDimension '{self.dimension}' of"
+                f" <{element.tag}> is not time, rate or distance."
             )
         # A rate counts by its amount: files write that of braking with a minus.
         if self.dimension != "rate":
@@ -120,7 +120,8 @@ def require_shape(shape: str, element: etree._Element, scope: Scope) -> None:
     """
     if shape not in _PEAK:
         raise InputError(
-            f"{scope.source}, line {element.sourceline}: dynamicsShape '{shape}' is not one of {', '.join(_PEAK)}."
+            f"{scope.source}, line {element.sourceline}: dynamicsShape '{shape}' of <{element.tag}> is not one of"
+            f" {', '.join(_PEAK)}."
         )
 
 

@@ -79,7 +79,9 @@ def rule_of(element: etree._Element, scope: Scope) -> Callable[[Any, Any], Any]:
     """
     rule = scope.text(element, "rule")
     if rule not in _RULES:
-        raise InputError(f"{scope.source}, line {element.sourceline}: rule '{rule}': {suggestion(rule, _RULES)}")
+        raise InputError(
+            f"{scope.source}, line {element.sourceline}: rule '{rule}' of <{element.tag}>: {suggestion(rule, _RULES)}"
+        )
     return _RULES[rule]
 
 

@@ -28,6 +28,8 @@ class RunningAction(Element):
         Actions of the same entity, to which this one is added.
     chosen : callable, optional
         Where it takes part, as of the moment when it starts.
+    place : str
+        Line, element and name, for failures.
     """
 
     def __init__(
@@ -38,8 +40,10 @@ class RunningAction(Element):
         world: World,
         rivals: list[RunningAction],
         chosen: Callable[[], BoolArray] | None = None,
+        place: str = "",
     ) -> None:
         super().__init__("action", name, scenarios)
+        self._place = place
         self.action, self._chosen, self._world, self._rivals = action, chosen, world, rivals
         self.domains = () if action is None else action.domains
         rivals.append(self)
@@ -57,7 +61,9 @@ class RunningAction(Element):
             where = taking_part
         self.move(where, RUNNING, START)
         if self.action is not None:
+            self._world.acting = self._place
             self.action.start(self._world, where)
+            self._world.acting = None
 
     def take_over(self, where: BoolArray) -> None:
         """End all actions of the same entity that decide some of the same, in the scenarios of a mask."""
@@ -69,7 +75,9 @@ class RunningAction(Element):
         """Act for one time step in the scenarios of a mask."""
         where = where & (self.state == RUNNING)
         if anywhere(where):
+            self._world.acting = self._place
             done = where if self.action is None else self.action.step(self._world, dt, where) & where
+            self._world.acting = None
             self._world.stirred |= done
             self._finish(done)
 
@@ -77,7 +85,9 @@ class RunningAction(Element):
         """Look up what compiled code cannot before the action acts, in the scenarios of a mask."""
         where = where & (self.state == RUNNING)
         if self.action is not None and anywhere(where):
+            self._world.acting = self._place
             self.action.look_up(self._world, where)
+            self._world.acting = None
 
     def end(self, where: BoolArray) -> None:
         self._leave(where & (self.state == RUNNING))

@@ -12,11 +12,11 @@ import numpy as np
 from lxml import etree
 
 from cornercase._common.errors import InputError
+from cornercase._common.places import place_of, placed
 from cornercase._common.recorded_xml import adapt
 from cornercase._common.typing import BoolArray
 from cornercase.scenario import Scenario, Scope
-from cornercase.simulators.builtin.actions.action import Action
-from cornercase.simulators.builtin.actions.basic import read_action
+from cornercase.simulators.builtin.actions.basic import inner_action, read_action
 from cornercase.simulators.builtin.paths.positions import entities_in, entity_index
 from cornercase.simulators.builtin.storyboard.element import RUNNING, STANDBY, Element, Starter, Watch
 from cornercase.simulators.builtin.storyboard.events import Event, Group, RunningAction
@@ -180,11 +180,11 @@ class Storyboard:
         every = [one for tag in _INIT for one in actions.iterfind(tag)]
         for element in _in_order_of_reference(every, scope):
             if element.tag != "Private":
-                yield self._action("init", read_action(element, scope, self._world, None), scope, None)
+                yield self._action("init", element, scope, None)
                 continue
             for entity in self._entities(element, scope):
                 for item in element.iterfind("PrivateAction"):
-                    yield self._action("init", read_action(item, scope, self._world, entity), scope, entity)
+                    yield self._action("init", item, scope, entity)
 
     def _entities(self, element: etree._Element, scope: Scope) -> list[int]:
         members = self._world.selections.get(scope.text(element, "entityRef"))
@@ -193,13 +193,13 @@ class Storyboard:
     def _read_story(self, story: etree._Element, scope: Scope) -> Group:
         scope = scope.within(story)
         name = story.get("name", "")
-        with self._inside(name):
+        with self._inside(name), placed(story, scope.source):
             acts = [self._read_act(act, scope) for act in story.iterfind("Act")]
         return self._known(Group("story", name, scope.scenarios, acts))
 
     def _read_act(self, act: etree._Element, scope: Scope) -> Group:
         name = act.get("name", "")
-        with self._inside(name):
+        with self._inside(name), placed(act, scope.source):
             groups = [self._read_group(group, scope) for group in act.iterfind("ManeuverGroup")]
         start = self._start_trigger(act, scope)
         ending = read_trigger(act.find("StopTrigger"), scope, self._world, self)
@@ -223,7 +223,10 @@ class Storyboard:
                 maneuver, inner = element, scope.within(element)
             own = maneuver.get("name", "")
             with self._inside(name), self._inside(own):
-                events = [self._read_event(event, inner, actors, select) for event in maneuver.iterfind("Event")]
+                events = []
+                for event in maneuver.iterfind("Event"):
+                    with placed(event, inner.source):
+                        events.append(self._read_event(event, inner, actors, select))
             with self._inside(name):
                 maneuvers.append(self._known(Group("maneuver", own, scope.scenarios, events)))
         times = scope.whole_number(group, "maximumExecutionCount", 1, least=1)
@@ -244,8 +247,7 @@ class Storyboard:
             for element in action.iterchildren("*"):
                 private = element.tag == "PrivateAction"
                 for actor, chosen in choices.items() if private else [(None, None)]:
-                    what = read_action(element, scope, self._world, actor)
-                    running = self._action(name, what, scope, actor, chosen)
+                    running = self._action(name, element, scope, actor, chosen)
                     actions.append(running)
                     with self._inside(event.get("name", "")):
                         self._known(running)
@@ -256,13 +258,20 @@ class Storyboard:
     def _action(
         self,
         name: str,
-        action: Action | None,
+        element: etree._Element,
         scope: Scope,
         entity: int | None,
         chosen: Callable[[], BoolArray] | None = None,
     ) -> RunningAction:
-        rivals = self._actions.setdefault(entity, [])
-        self.actions.append(RunningAction(name, scope.scenarios, action, self._world, rivals, chosen))
+        rivals, what = self._actions.setdefault(entity, []), inner_action(element)
+        with placed(what, scope.source):
+            action = read_action(element, scope, self._world, entity)
+        # Of the scenario file whoever runs the scenario knows the name.
+        own = str(self._scenario.path)
+        place = f"line {what.sourceline}" if scope.source == own else place_of(what, scope.source)
+        holder = "<Init>" if next(what.iterancestors("Init"), None) is not None else f"'{name}'"
+        place += f": <{what.tag}> of {holder}"
+        self.actions.append(RunningAction(name, scope.scenarios, action, self._world, rivals, chosen, place))
         return self.actions[-1]
 
     def _known(self, element: E) -> E:

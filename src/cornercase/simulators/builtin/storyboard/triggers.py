@@ -10,6 +10,7 @@ from lxml import etree
 
 from cornercase._common.errors import InputError, suggestion
 from cornercase._common.masks import anywhere
+from cornercase._common.places import placed
 from cornercase._common.recorded_xml import adapt
 from cornercase._common.typing import BoolArray, FloatArray
 from cornercase.scenario import Scope, is_never_true
@@ -272,12 +273,13 @@ def read_trigger(element: etree._Element | None, scope: Scope, world: World, ele
             edge = scope.text(item, "conditionEdge", "none")
             if edge not in ("none", "rising", "falling", "risingOrFalling"):
                 raise InputError(
-                    f"{scope.source}, line {item.sourceline}: conditionEdge '{edge}' is not none, rising, falling or"
-                    " risingOrFalling."
+                    f"{scope.source}, line {item.sourceline}: conditionEdge '{edge}' of <Condition> is not none,"
+                    " rising, falling or risingOrFalling."
                 )
             delay = scope.number(item, "delay", 0.0)
             scope.refuse(item, "delay", "is below 0", delay < 0.0)
-            conditions.append(Condition(_read_test(item, scope, world, elements), edge, delay))
+            with placed(item, scope.source):
+                conditions.append(Condition(_read_test(item, scope, world, elements), edge, delay))
         groups.append(conditions)
     return Trigger(groups)
 
@@ -355,7 +357,7 @@ def _simulation_time(element: etree._Element, scope: Scope, world: World, elemen
 def _element_state(element: etree._Element, scope: Scope, world: World, elements: Elements) -> Test:
     kind = scope.text(element, "storyboardElementType")
     name, state = scope.text(element, "storyboardElementRef"), scope.text(element, "state")
-    where = f"{scope.source}, line {element.sourceline}"
+    where = f"{scope.source}, line {element.sourceline}: <{element.tag}>"
 
     watch = Watch(state, scope.scenarios, where)
     elements.watch(kind, name, watch, where)
@@ -371,7 +373,8 @@ def _held(element: etree._Element, scope: Scope, world: World, elements: Element
             return _never(element, scope, world, elements)
         what = "variable" if kind == "variableRef" else "parameter"
         raise InputError(
-            f"{scope.source}, line {element.sourceline}: there is no {what} '{name}'; {suggestion(name, values)}"
+            f"{scope.source}, line {element.sourceline}: <{element.tag}>: there is no {what} '{name}';"
+            f" {suggestion(name, values)}"
         )
     if values[name].dtype.kind == "f":
         rule, value = rule_of(element, scope), scope.number(element, "value")
@@ -387,7 +390,8 @@ def _held(element: etree._Element, scope: Scope, world: World, elements: Element
     }
     if rule_name not in orders:
         raise InputError(
-            f"{scope.source}, line {element.sourceline}: rule '{rule_name}': {suggestion(rule_name, orders)}"
+            f"{scope.source}, line {element.sourceline}: rule '{rule_name}' of <{element.tag}>:"
+            f" {suggestion(rule_name, orders)}"
         )
     compare = orders[rule_name]
     if rule_name not in ("equalTo", "notEqualTo"):
@@ -430,7 +434,7 @@ def _signal(element: etree._Element, scope: Scope, world: World, elements: Eleme
 
 
 def _signal_controller(element: etree._Element, scope: Scope, world: World, elements: Elements) -> Test:
-    place = f"{scope.source}, line {element.sourceline}"
+    place = f"{scope.source}, line {element.sourceline}: <{element.tag}>"
     controller = named_controller(world.signal_controllers, scope.text(element, "trafficSignalControllerRef"), place)
     phase = named_phase(controller, scope.text(element, "phase"), place)
     return lambda world, where: np.asarray(controller.phase(world.time) == phase)

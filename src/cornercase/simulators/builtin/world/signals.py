@@ -92,7 +92,7 @@ def read_signal_controllers(root: etree._Element, scope: Scope) -> dict[str, Sig
     """
     found: dict[str, SignalController] = {}
     for element in root.iterfind("RoadNetwork/TrafficSignals/TrafficSignalController"):
-        name, where = scope.text(element, "name"), f"{scope.source}, line {element.sourceline}"
+        name, where = scope.text(element, "name"), f"{scope.source}, line {element.sourceline}: <{element.tag}>"
         phases = list(element.iterfind("Phase"))
         durations = np.array([scope.number(phase, "duration") for phase in phases])
         still = np.ones(scope.scenarios, dtype=np.bool_) if not phases else durations.sum(axis=0) <= 0

@@ -15,6 +15,7 @@ from lxml import etree
 
 from cornercase._common.errors import SimulationError
 from cornercase._common.ledger import Label
+from cornercase._common.parts import format_instant
 from cornercase._common.typing import BoolArray, FloatArray, IntArray
 from cornercase.roads import RoadNetwork
 from cornercase.scenario import Scope
@@ -202,6 +203,8 @@ class World:
         All routes that were assigned, each as (road, lane, s) of what it passes.
     lane_tracks : dict
         Tracks along lanes, by where they begin, so that the same lane is the same object.
+    acting : str or None
+        Line and name of the action that acts, which failures meanwhile name, with the instant.
     errors : dict of int to SimulationError
         Why scenarios failed.
     remarks : dict of str to None
@@ -284,6 +287,7 @@ class World:
         self.actor: int | None = None
         self.lane_tracks: dict[tuple[object, ...], LaneTrack | None] = {}
         self.errors: dict[int, SimulationError] = {}
+        self.acting: str | None = None
         self.remarks: dict[str, None] = {}
         for tow in tows:
             self.pulled_by[tow.trailer] = tow.vehicle
@@ -297,9 +301,13 @@ class World:
 
     def fail(self, where: BoolArray, why: str | SimulationError) -> None:
         """End the scenarios of a mask with an error."""
-        error = SimulationError(why) if isinstance(why, str) else why
-        for i in np.flatnonzero(where & self.running):
-            self.errors[int(i)] = error
+        for i in np.flatnonzero(where & self.running).tolist():
+            if isinstance(why, SimulationError):
+                self.errors[i] = why
+            else:
+                acting = "" if self.acting is None else f"{self.acting}: "
+                instant = "" if self.acting is None else format_instant(float(self.time[i]))
+                self.errors[i] = SimulationError(f"{acting}{why}{instant}")
         self.running &= ~where
 
     def remark(self, place: str, what: str, why: str, where: BoolArray) -> None:
