@@ -128,7 +128,12 @@ class Scenario:
         return self._files.root(self.path)
 
     def as_written(self) -> etree._Element:
-        """Return the root of the scenario file as it stands there, with all that breaks the standard."""
+        """Return the root of the scenario file as it stands there, with all that breaks the standard.
+
+        Returns
+        -------
+        lxml element
+        """
         return parse_xml(self._files.content(self.path), self.path)
 
     def xml(self, path: Path) -> etree._Element:
