@@ -6,9 +6,23 @@ from pathlib import Path
 
 import pytest
 
-from conftest import car, event, moving, private, run, scenario_file, speed_action, story_of, teleport, time_trigger
+from conftest import (
+    car,
+    event,
+    moving,
+    private,
+    ran,
+    run,
+    same_recording,
+    scenario_file,
+    speed_action,
+    story_of,
+    teleport,
+    time_trigger,
+)
 from cornercase import check, convert
-from cornercase.scenario import Scenario, fill_concrete, read_xml
+from cornercase.scenario import ConcreteScenario, Scenario, fill_concrete, read_xml, write_concrete
+from cornercase.simulators import BuiltinSimulator
 
 NAMES = (
     "RunningStopTest", "RunningRedLightTest", "WrongLaneTest", "OnSidewalkTest", "KeepLaneTest", "CollisionTest",
@@ -94,6 +108,21 @@ def test_43_6_who_is_added_relative_to_another_waits_until_that_is_placed(tmp_pa
     assert x["B"] - x["Ego"] == pytest.approx(120.0)
     assert x["C"] - x["B"] == pytest.approx(30.0)
     assert recording.speed[recording.index("B"), -1] == pytest.approx(5.0)
+
+
+def test_43_6_a_driver_that_was_chosen_drives_in_the_concrete_file_too(tmp_path: Path) -> None:
+    """Scenarios for ScenarioRunner give the ego a controller of theirs as they begin."""
+    assigned = """<PrivateAction><ControllerAction><AssignControllerAction><Controller name="HeroAgent"><Properties>
+<Property name="module" value="external_control"/></Properties></Controller></AssignControllerAction></ControllerAction>
+</PrivateAction>"""
+    both = private("Ego", teleport("50"), speed_action("15"), assigned) + private("B", teleport("90"))
+    path = scenario_file(tmp_path, init=both, entities=car("Ego") + car("B"))
+    write_concrete(Scenario(path), {}, tmp_path / "out" / "one.xosc", {"Ego": "normal"})
+    (before,) = ran(BuiltinSimulator(duration=4.0, drivers={"Ego": "normal"}), [ConcreteScenario(path, {})])
+    after = run(tmp_path / "out" / "one.xosc", duration=4.0)
+    assert before.speed[0, -1] < 14.0
+    assert same_recording(before, after)
+    assert not same_recording(before, run(path, duration=4.0))
 
 
 def test_43_6_criteria_of_scenario_runner_stay_in_what_is_written_for_it(tmp_path: Path) -> None:

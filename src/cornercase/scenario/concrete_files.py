@@ -6,6 +6,7 @@ import io
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Final
 
 from lxml import etree
 
@@ -17,6 +18,9 @@ from cornercase.scenario.declared_types import typed_value, value_text
 from cornercase.scenario.openscenario import DRIVER_PROPERTY, Scenario
 from cornercase.scenario.parameter import Value
 from cornercase.scenario.xml import parse_xml
+
+# Initial actions that say who moves an entity.
+_CONTROLLERS: Final = ("ControllerAction", "AssignControllerAction", "ActivateControllerAction")
 
 
 @dataclass(frozen=True)
@@ -124,6 +128,7 @@ def fill_concrete(
         for element in root.iterfind("Entities/ScenarioObject"):
             if element.get("name") == name:
                 _set_driver(element, driver, target)
+        _keep_driver(root, name)
     buffer = io.BytesIO()
     profiles = ((file, file.name, "Profiles") for file in scenario.profiles_files)
     beside = (*_road_beside(scenario, root), *_catalogs_beside(scenario, root), *profiles)
@@ -194,6 +199,18 @@ def _set_driver(scenario_object: etree._Element, driver: str, target: Path) -> N
     controller = etree.SubElement(holder, "Controller", name=f"driver of {scenario_object.get('name')}")
     item = etree.SubElement(etree.SubElement(controller, "Properties"), "Property", name=DRIVER_PROPERTY)
     _set(item, "value", driver, target)
+
+
+def _keep_driver(root: etree._Element, entity: str) -> None:
+    """Leave out what gives an entity another controller as it begins: its driver stays in charge, as it was chosen."""
+    for private in root.findall("Storyboard/Init/Actions/Private"):
+        if private.get("entityRef") == entity:
+            for action in private.findall("PrivateAction"):
+                if any(action.find(tag) is not None for tag in _CONTROLLERS):
+                    private.remove(action)
+            actions = private.getparent()
+            if actions is not None and not private.findall("PrivateAction"):
+                actions.remove(private)
 
 
 def copy_beside(source: Path, target: Path, root: str) -> None:
