@@ -243,7 +243,7 @@ def test_histogram_and_set_share_the_unit_interval_by_weight(tmp_path):
     ],
 )  # fmt: skip
 def test_bad_distributions_are_refused_by_file_and_parameter(tmp_path, law):
-    with pytest.raises(InputError, match=r"d\.xosc, parameter n"):
+    with pytest.raises(InputError, match=r"d\.xosc, line \d+: <StochasticDistribution>: parameter n"):
         stochastic(tmp_path, law)
 
 

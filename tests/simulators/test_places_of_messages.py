@@ -14,12 +14,13 @@ from lxml import etree
 import cornercase as cc
 from conftest import EXAMPLES, at_night, car, event, scenario_file, speed_action, story_of, teleport, time_trigger
 from cornercase._common.errors import InputError
+from cornercase.scenario import LogicalScenario
 
 EVERYTHING = Path(__file__).parents[1] / "data" / "everything"
 PLACED = re.compile(r"(?P<file>.+?\.(xosc|xodr)), line \d+[:,] .*?(<\w+>|\w+ of <\w+>)")
 
-# Messages of what no line of the file is to blame for: of a file that is not there, and of what is said to the command.
-WITHOUT_ELEMENT = ("is not well-formed XML", "cannot be read (")
+# Messages that name no element: of a file that is no XML or not there, and of a space that is of another scenario.
+WITHOUT_ELEMENT = ("is not well-formed XML", "cannot be read (", "declares no parameter")
 
 
 def message(path: Path, **options) -> str:
@@ -82,6 +83,24 @@ def test_43_10_each_message_names_file_line_and_element(tmp_path, name, each):
             wrong.append((what, said))
     assert wrong == []
     assert refused > 0
+
+
+@pytest.mark.parametrize("name", ["deterministic.space.xosc", "stochastic.space.xosc"])
+def test_43_10_each_message_of_a_space_names_file_line_and_element(tmp_path, name):
+    folder = Path(copytree(EVERYTHING, tmp_path / "copy"))
+    tree, refused, wrong = etree.parse(folder / name), 0, []
+    for k, what in enumerate(breaks(tree.getroot())):
+        if k % 5:
+            continue
+        tree.write(folder / name)
+        try:
+            LogicalScenario.read(folder / "everything.xosc", folder / name)
+        except InputError as error:
+            refused += 1
+            if PLACED.match(str(error)) is None and not any(one in str(error) for one in WITHOUT_ELEMENT):
+                wrong.append((what, str(error)))
+    assert wrong == []
+    assert refused > 5
 
 
 def two(folder: Path, story: str = "", init: str = "", **options) -> str:

@@ -192,8 +192,9 @@ class Scenario:
                 f" 0.{header.get('revMinor', '9')}, whose files are built in another way; bring it to 1.0 with ASAM's"
                 " migration script, which comes with OpenSCENARIO 1.0."
             )
-        if root.find("ParameterValueDistribution") is not None:
-            raise InputError(f"{self.path}: is a parameter value distribution, not a scenario; give it as `space`.")
+        if (other := root.find("ParameterValueDistribution")) is not None:
+            place = f"{place_of(other, str(self.path))}: <{other.tag}>"
+            raise InputError(f"{place}: is a parameter value distribution, not a scenario; give it as `space`.")
         note_version(root)
         for needed in ("Entities", "Storyboard"):
             if root.find(needed) is None:

@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import Any, Final
 
 import numpy as np
 
 from cornercase._common.errors import InputError
+from cornercase._common.places import place_of, placed
 from cornercase._common.recorded_xml import named, unrecorded
 from cornercase.scenario.distributions import read_distribution
 from cornercase.scenario.parameter import Parameter
@@ -63,18 +64,14 @@ def read_distribution_file(path: Path | str, files: XmlFiles | None = None) -> l
     """
     distribution = _distribution_element(path, files)
     parameters = []
-    for element in distribution.iterfind(".//DeterministicMultiParameterDistribution"):
-        parameters.append(_read_value_sets(element, str(path)))
-    for element in distribution.iterfind(".//DeterministicSingleParameterDistribution"):
-        parameters.append(_read_deterministic(element, str(path)))
-    for element in distribution.iterfind(".//StochasticDistribution"):
-        name = element.get("parameterName", "")
-        law, choices = read_distribution(element, str(path))
-        step = 1.0 if law.kind == "poisson" else None
-        parameters.append(Parameter(name, law.low, law.high, step, choices, distribution=law))
-    if not parameters:
-        raise InputError(f"{path}: varies no parameter.")
-    _require_names([name for p in parameters for name in p.assigns], str(path))
+    for tag, read in _DISTRIBUTIONS.items():
+        for element in distribution.iterfind(f".//{tag}"):
+            with placed(element, str(path)):
+                parameters.append(read(element, str(path)))
+    with placed(distribution, str(path)):
+        if not parameters:
+            raise InputError(f"{path}: varies no parameter.")
+        _require_names([name for p in parameters for name in p.assigns], str(path))
     return [_with_unit(parameter, distribution) for parameter in parameters]
 
 
@@ -99,7 +96,8 @@ def scenario_file_of(path: Path | str, files: XmlFiles | None = None) -> Path:
     file = _distribution_element(path, files).find("ScenarioFile")
     name = "" if file is None else file.get("filepath", "")
     if not name or re.match(r"[A-Za-z][A-Za-z0-9+.-]+:", name):
-        raise InputError(f"{path}: <ScenarioFile> must name a local file.")
+        place = str(path) if file is None else place_of(file, str(path))
+        raise InputError(f"{place}: <ScenarioFile> must name a local file.")
     return Path(path).parent / name
 
 
@@ -194,7 +192,8 @@ def _distribution_element(path: Path | str, files: XmlFiles | None) -> Any:
     root = (files or XmlFiles()).root(Path(path))
     element = root.find("ParameterValueDistribution")
     if element is None:
-        raise InputError(f"{path}: has no <ParameterValueDistribution>; `space` takes such a file.")
+        place = place_of(root, str(path))
+        raise InputError(f"{place}: <{root.tag}> has no <ParameterValueDistribution>; `space` takes such a file.")
     return element
 
 
@@ -216,6 +215,20 @@ def _read_deterministic(element: Any, path: str) -> Parameter:
             raise InputError(f"{where}: <DistributionSet> is empty.")
         return Parameter(name, 0.0, len(choices) - 1.0, None, choices)
     raise InputError(f"{where}: only ranges and sets are read; a user-defined distribution is not.")
+
+
+def _read_stochastic(element: Any, path: str) -> Parameter:
+    name = element.get("parameterName", "")
+    law, choices = read_distribution(element, path)
+    step = 1.0 if law.kind == "poisson" else None
+    return Parameter(name, law.low, law.high, step, choices, distribution=law)
+
+
+_DISTRIBUTIONS: Final[Mapping[str, Callable[[Any, str], Parameter]]] = {
+    "DeterministicMultiParameterDistribution": _read_value_sets,
+    "DeterministicSingleParameterDistribution": _read_deterministic,
+    "StochasticDistribution": _read_stochastic,
+}
 
 
 def _with_unit(parameter: Parameter, distribution: Any) -> Parameter:
