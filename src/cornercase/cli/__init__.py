@@ -12,7 +12,7 @@ from cornercase._common.platform import forgive_narrow_output
 
 # Their order is that of the commands in the help.
 # isort: off
-from cornercase.cli import running, simulating, studies, testing, estimating, comparing, verifying, warming
+from cornercase.cli import running, varying, simulating, studies, testing, estimating, comparing, verifying, warming
 
 # isort: on
 from cornercase.cli.failures import exit_code_of
@@ -23,7 +23,8 @@ from cornercase.cli.options import app, debugging
 _OBJECTS_BETWEEN_COLLECTIONS: Final = 10_000
 
 __all__ = [
-    "app", "comparing", "estimating", "main", "running", "simulating", "studies", "testing", "verifying", "warming",
+    "app", "comparing", "estimating", "main", "running", "simulating", "studies", "testing", "varying", "verifying",
+    "warming",
 ]  # fmt: skip
 
 

@@ -19,7 +19,7 @@ _PARAMETERS: Final = (
     "max_seconds", "memory", "method", "min_samples", "most_repeats", "on_collision", "optimizer", "other", "pareto",
     "patience", "port", "profile", "repair", "repeats", "require", "require_from_file", "requirements", "retries",
     "retry_failed", "scenario", "seed", "share", "simulator", "size",
-    "space", "stop_when", "summary", "time_step", "timeout", "window", "within", "workers",
+    "space", "stop_when", "summary", "time_step", "timeout", "vary", "window", "within", "workers",
 )  # fmt: skip
 # Those whose option has another name.
 _RENAMED: Final = {
@@ -39,7 +39,7 @@ _RENAMED: Final = {
 }
 _COMMANDS: Final = (
     "analyze", "check", "compare", "convert", "demo", "estimate", "explore", "export", "import", "measure", "reduce",
-    "replay", "report", "show", "simulate", "test", "verify", "watch",
+    "replay", "report", "show", "simulate", "test", "vary", "verify", "watch",
 )  # fmt: skip
 _QUOTED: Final = re.compile(r"`(\w+)`")
 

@@ -90,6 +90,15 @@ Drivers = Annotated[
         help="Driver of an entity: normal, normal:horizon=4, or a class of your own, package.module:Class:option=3.",
     ),
 ]
+Vary = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--vary",
+        metavar="NAME[=LOW:HIGH[:STEP]]",
+        help="Vary a number that stands in the file, by its name in the list of 'cornercase vary FILE.xosc'; without"
+        " a range, in the one that is proposed.",
+    ),
+]
 Values = Annotated[list[str] | None, typer.Option("--set", metavar="NAME=VALUE", help="Value of a parameter.")]
 By = Annotated[
     list[str] | None,

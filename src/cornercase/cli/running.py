@@ -35,6 +35,7 @@ from cornercase.cli.options import (
     Timeout,
     TimeStep,
     Values,
+    Vary,
     Workers,
     app,
     err,
@@ -61,6 +62,7 @@ def explore(
         list[str] | None,
         typer.Option("--range", metavar="NAME=LOW:HIGH[:STEP]", help="Add or replace a parameter."),
     ] = None,
+    vary: Vary = None,
     continuous: Annotated[
         bool, typer.Option("--continuous", help="Search ranges with steps as continuous intervals.")
     ] = False,
@@ -173,15 +175,19 @@ def explore(
           --space examples/t_intersection/t_intersection.space.xosc \\
           --ego Ego --other C --metric wttc --driver Ego=normal --optimizer committee \\
           --critical-if "collision and not reference:cautious" -o preventable.db
+      cornercase explore examples/r157/cut_in.xosc --vary Ego.initial.s=40:60 \\
+          --ego Ego --other Other --metric wttc -o varied.db
       cornercase explore --config study.toml --budget 200 -o study.db
     """
     from cornercase import exploration
-    from cornercase.scenario import LogicalScenario
 
-    logical = LogicalScenario.read(scenario, space, ranges or (), continuous)
     result = exploration.explore(
-        logical,
+        scenario,
         output,
+        space=space,
+        ranges=ranges or (),
+        vary=vary or (),
+        continuous=continuous,
         ego=ego,
         other=other,
         metrics=metric,

@@ -12,7 +12,7 @@ from cornercase._common.errors import InputError, suggestion
 from cornercase._common.files import read_file
 
 _TEXTS: Final = ("ego", "optimizer", "critical-if", "simulator", "on-collision")
-_LISTS: Final = ("other", "metric", "range", "weight", "stop-when", "driver")
+_LISTS: Final = ("other", "metric", "range", "vary", "weight", "stop-when", "driver")
 _PATHS: Final = ("scenario", "space", "from")
 _WHOLE: Final = ("budget", "batch", "patience", "seed", "workers", "retries", "max-failures", "repeats", "most-repeats")
 _NUMBERS: Final = ("critical", "max-seconds", "timeout", "audit", "time-step", "duration")

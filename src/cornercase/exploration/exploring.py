@@ -21,6 +21,7 @@ from cornercase.exploration.configuration import Configuration
 from cornercase.exploration.explorer import ExplorationResult, ScenarioExplorer
 from cornercase.exploration.objective import Objective
 from cornercase.exploration.replaying import replay_proposals
+from cornercase.exploration.varied_beside import explored_file
 from cornercase.optimizers import Optimizer, create_optimizer, optimizer_needs
 from cornercase.scenario import LogicalScenario
 from cornercase.simulators import (
@@ -47,6 +48,7 @@ def explore(
     metrics: Sequence[str],
     space: Path | str | None = None,
     ranges: Sequence[str] = (),
+    vary: Sequence[str] = (),
     continuous: bool = False,
     optimizer: str = "bayes",
     critical: float | None = None,
@@ -97,9 +99,13 @@ def explore(
     metrics : sequence of str
         Criticality metrics; all are stored, the first is searched where there are no weights.
     space : path, optional
-        ParameterValueDistribution file. Like `ranges` and `continuous` only for the path of a scenario.
+        ParameterValueDistribution file. Like `ranges`, `vary` and `continuous` only for the path of a scenario.
     ranges : sequence of str
         ``NAME=LOW:HIGH[:STEP]``; they add parameters to the space or replace them.
+    vary : sequence of str
+        ``NAME=LOW:HIGH[:STEP]``, or ``NAME``, of numbers that stand in the file, by the names that
+        `cornercase.scenario.variables` gives them. The scenario with parameters in their place is written beside the
+        study, as ``STUDY.varied.xosc``, and that one is explored.
     continuous : bool, default False
         Search ranges with steps as continuous intervals.
     optimizer : str, default "bayes"
@@ -181,46 +187,43 @@ def explore(
     NoticeWarning
         Something in the scenario's files has no effect in the simulator.
     """
-    path("study", study)
-    if not isinstance(scenario, LogicalScenario):
-        scenario = LogicalScenario.read(scenario, space, ranges, continuous)
-    elif space is not None or ranges or continuous:
-        raise InputError("`space`, `ranges` and `continuous` belong to a scenario file; this scenario has its space.")
-    configuration = Configuration(
-        logical=scenario,
-        ego=ego,
-        other=other,
-        metrics=texts("metrics", metrics),
-        optimizer=optimizer,
-        critical=critical,
-        critical_if=critical_if,
-        weights={} if weights is None else weights,
-        pareto=pareto,
-        stop_when=texts("stop_when", stop_when),
-        budget=budget,
-        batch=batch,
-        asynchronous=asynchronous,
-        patience=patience,
-        max_seconds=max_seconds,
-        seed=seed,
-        simulator=simulator,
-        workers=workers,
-        cluster=cluster,
-        timeout=timeout,
-        retries=retries,
-        max_failures=max_failures,
-        repeats=repeats,
-        most_repeats=most_repeats,
-        audit=audit,
-        time_step=time_step,
-        duration=duration,
-        on_collision=on_collision,
-        drivers={} if drivers is None else drivers,
-        from_study=from_study,
-    )
-    if flag("replay", replay):
-        return _replay(configuration, path("study", study))
-    return explore_configuration(configuration, study, progress, retry_failed=retry_failed)
+    file = path("study", study)
+    with explored_file(scenario, file, space, ranges, vary, continuous) as logical:
+        configuration = Configuration(
+            logical=logical,
+            ego=ego,
+            other=other,
+            metrics=texts("metrics", metrics),
+            optimizer=optimizer,
+            critical=critical,
+            critical_if=critical_if,
+            weights={} if weights is None else weights,
+            pareto=pareto,
+            stop_when=texts("stop_when", stop_when),
+            budget=budget,
+            batch=batch,
+            asynchronous=asynchronous,
+            patience=patience,
+            max_seconds=max_seconds,
+            seed=seed,
+            simulator=simulator,
+            workers=workers,
+            cluster=cluster,
+            timeout=timeout,
+            retries=retries,
+            max_failures=max_failures,
+            repeats=repeats,
+            most_repeats=most_repeats,
+            audit=audit,
+            time_step=time_step,
+            duration=duration,
+            on_collision=on_collision,
+            drivers={} if drivers is None else drivers,
+            from_study=from_study,
+        )
+        if flag("replay", replay):
+            return _replay(configuration, file)
+        return explore_configuration(configuration, file, progress, retry_failed=retry_failed)
 
 
 def _replay(one: Configuration, study: Path) -> ExplorationResult:

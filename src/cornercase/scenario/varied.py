@@ -23,12 +23,14 @@ _MOST_STEPS = 1e9
 _RANGE = re.compile(r"(?P<name>[^=]+)=(?P<low>[^:]+):(?P<high>[^:]+)(?::(?P<step>[^:]+))?")
 
 
-def read_ranges(texts: Sequence[str]) -> list[Parameter]:
+def read_ranges(texts: Sequence[str], given: str = "ranges") -> list[Parameter]:
     """Read ``NAME=LOW:HIGH[:STEP]`` texts.
 
     Parameters
     ----------
     texts : sequence of str
+    given : str
+        Parameter that they were given for.
 
     Returns
     -------
@@ -39,8 +41,8 @@ def read_ranges(texts: Sequence[str]) -> list[Parameter]:
     InputError
         A text is malformed, a bound is not finite, or LOW is not below HIGH.
     """
-    parameters = [_read_range(text) for text in texts]
-    _require_names([parameter.name for parameter in parameters], "`ranges`")
+    parameters = [_read_range(text, f"`{given}` {text}") for text in texts]
+    _require_names([parameter.name for parameter in parameters], f"`{given}`")
     return parameters
 
 
@@ -147,18 +149,18 @@ def _of_sets(sets: tuple[tuple[tuple[str, str], ...], ...]) -> Parameter:
     return Parameter(name, 0.0, len(sets) - 1.0, None, labels, sets=sets)
 
 
-def _read_range(text: str) -> Parameter:
+def _read_range(text: str, where: str) -> Parameter:
     match = _RANGE.fullmatch(text.strip())
     if match is None:
-        raise InputError(f"`ranges` {text}: write it as NAME=LOW:HIGH or NAME=LOW:HIGH:STEP.")
+        raise InputError(f"{where}: write it as NAME=LOW:HIGH or NAME=LOW:HIGH:STEP.")
     numbers = {}
     for key in ("low", "high", "step"):
         if match[key] is not None:
             try:
                 numbers[key] = float(match[key])
             except ValueError:
-                raise InputError(f"`ranges` {text}: '{match[key]}' is not a number.") from None
-    return _ranged(match["name"].strip(), numbers["low"], numbers["high"], numbers.get("step"), f"`ranges` {text}")
+                raise InputError(f"{where}: '{match[key]}' is not a number.") from None
+    return _ranged(match["name"].strip(), numbers["low"], numbers["high"], numbers.get("step"), where)
 
 
 def _ranged(name: str, low: float, high: float, step: float | None, where: str) -> Parameter:

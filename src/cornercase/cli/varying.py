@@ -1,0 +1,95 @@
+"""The command that lists what of a scenario could vary, and makes parameters of it."""
+
+from __future__ import annotations
+
+from contextlib import suppress
+from itertools import groupby
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Final
+
+import typer
+
+from cornercase._common.errors import InputError
+from cornercase._common.texts import shorten
+from cornercase.cli.options import ScenarioFile, Vary, app, out
+
+if TYPE_CHECKING:
+    from cornercase.scenario import Variable
+
+_LONGEST_VALUE: Final = 11
+_LONGEST_GROUP: Final = 60
+_WIDTH: Final = 80
+
+
+@app.command(name="vary")
+def vary_(
+    scenario: ScenarioFile,
+    *,
+    vary: Vary = None,
+    every: Annotated[bool, typer.Option("--all", help="Vary all that a range is proposed for.")] = False,
+    output: Annotated[
+        Path | None,
+        typer.Option(
+            "--output", "-o", metavar="OUT.xosc", help="Scenario to write; the ranges go into OUT.space.xosc beside it."
+        ),
+    ] = None,
+) -> None:
+    """List the numbers of a scenario that could vary, or make parameters of them.
+
+    The list names each number, with its value, unit, a range that is proposed, and its line. With --vary or --all it
+    writes a scenario in which they vary, and a file of their ranges. explore takes --vary, too.
+
+    \b
+    Example:
+      cornercase vary examples/r157/cut_in.xosc
+      cornercase vary examples/r157/cut_in.xosc --vary Ego.initial.s=40:60 \\
+          -o varied/cut_in.xosc
+    """
+    from cornercase.scenario import variables
+    from cornercase.scenario import vary as write_varied
+
+    if not vary and not every:
+        if output is not None:
+            raise InputError(f"-o {output}: says where to write; say what varies, too, with --vary NAME or --all.")
+        _tell(variables(scenario))
+        return
+    if output is None:
+        raise InputError("--vary, --all: say where to write the scenario, with -o OUT.xosc.")
+    logical = write_varied(scenario, vary or (), output, proposed=every)
+    for parameter in logical.space.parameters:
+        out.print(f"varied: {parameter}")
+    space = output.with_suffix(".space.xosc")
+    out.print(f"Written to {output}, and its ranges to {space}; search them with")
+    out.print(f"  cornercase explore {output} --space {space} …", soft_wrap=True)
+
+
+def _tell(listed: tuple[Variable, ...]) -> None:
+    """Print what could vary, in groups."""
+    if not listed:
+        out.print("no numbers that could vary")
+        return
+    rows = [("name", "value", "unit", "proposed", "line")]
+    for group, some in groupby(listed, key=lambda one: one.group):
+        rows.append((shorten(group, _LONGEST_GROUP), "", "", "", ""))
+        for one in some:
+            proposal = "–" if one.fixed or not one.proposal else one.proposal
+            rows.append((f"  {one.name}", _short(one.text), one.unit, proposal, str(one.line)))
+    name, value, unit, proposal_, line = (max(map(len, column)) for column in zip(*rows, strict=True))
+    # Names are typed again, so they are whole: a long one moves its own line only.
+    both = min(name + 1 + value, _WIDTH - unit - proposal_ - line - 3)
+    for row in rows:
+        first = f"{row[0]} {row[1]:>{max(both - len(row[0]) - 1, 0)}}"
+        text = f"{first} {row[2]:<{unit}} {row[3]:<{proposal_}} {row[4]:>{line}}"
+        out.print(text.rstrip())
+    if any(one.fixed and one.text.startswith("$") for one in listed):
+        out.print("Values with $ are those of parameters: vary the parameter.")
+    for one in listed:
+        if one.fixed and not one.text.startswith("$"):
+            out.print(f"{one.name}: {one.fixed}.", soft_wrap=False)
+
+
+def _short(text: str) -> str:
+    """A value in few characters."""
+    with suppress(ValueError):
+        return text if len(text) <= _LONGEST_VALUE else f"{float(text):.6g}"
+    return shorten(text, _LONGEST_VALUE)

@@ -1,0 +1,419 @@
+"""What of a scenario file could be varied: its numbers, with names that can be typed."""
+
+from __future__ import annotations
+
+import math
+import re
+from collections import Counter
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any, Final
+
+from lxml import etree
+
+from cornercase._common.errors import InputError
+from cornercase._common.texts import shorten
+from cornercase.scenario.declared_types import INTEGERS, NUMERIC
+from cornercase.scenario.openscenario import Scenario
+from cornercase.scenario.road_extent import RoadExtent, read_extents
+from cornercase.scenario.variable_kinds import (
+    DYNAMICS,
+    ELSEWHERE,
+    LANE,
+    NUMBERS,
+    RATE_OF_LANES,
+    SPEED_FACTOR,
+    Kind,
+)
+from cornercase.scenario.xml import parse_xml
+
+# Characters of a part of a name, and of one between others, so that a table of names fits a terminal.
+_LONGEST: Final = 24
+_LONGEST_BETWEEN: Final = 16
+
+
+@dataclass(frozen=True)
+class Variable:
+    """A number of a scenario file that could be varied, or one that could not, and why.
+
+    Attributes
+    ----------
+    name : str
+        By which `vary` knows it: ``"Ego.initial.speed"``.
+    group : str
+        Whose it is: ``"entity Ego"``, ``"event CutIn"``.
+    text : str
+        As it stands in the file.
+    unit : str
+        Empty for numbers without one.
+    line : int
+        Where it stands in the file; the first of several places.
+    low, high : float or None
+        Range that is proposed; None where there is none.
+    least, most : float or None
+        Bounds that a range may not leave; None where there are none.
+    whole : bool
+        Whether it takes whole numbers only.
+    parameter : str
+        Name of the parameter that stands for it once it varies; of one that is a parameter already, its own.
+    fixed : str
+        Why it cannot be varied here; empty where it can.
+    declared : bool
+        Whether it is a parameter already.
+    lanes : frozenset of int
+        Numbers that it can have where it is that of a lane on a road that could be read.
+
+    Examples
+    --------
+    >>> from cornercase.scenario import variables
+    >>> known = {one.name: one for one in variables("examples/x_intersection/x_intersection.xosc")}
+    >>> known["Pedestrian.initial.speed"].text, known["Pedestrian.initial.speed"].unit
+    ('0', 'm/s')
+    """
+
+    name: str
+    group: str
+    text: str
+    unit: str = ""
+    line: int = 0
+    low: float | None = None
+    high: float | None = None
+    least: float | None = None
+    most: float | None = None
+    whole: bool = False
+    parameter: str = ""
+    fixed: str = ""
+    declared: bool = False
+    lanes: frozenset[int] = frozenset()
+    places: tuple[tuple[int, str], ...] = field(default=(), repr=False)
+
+    @property
+    def proposal(self) -> str:
+        """Range that is proposed, as ``"5:20"``; empty where there is none."""
+        return "" if self.low is None or self.high is None else f"{_plain(self.low)}:{_plain(self.high)}"
+
+
+@dataclass(frozen=True)
+class _Found:
+    """A number, before those of its group have got names of their own."""
+
+    base: str
+    qualifier: str
+    suffix: str
+    variable: Variable
+
+
+def variables(scenario: Scenario | Path | str) -> tuple[Variable, ...]:
+    """List what of a scenario could be varied.
+
+    These are the numeric parameters that it declares, and the numbers that stand in it: initial speeds and places, what
+    triggers wait for, and what actions aim at and how fast. Each number has a name that holds the name of its entity or
+    event, and a range that is proposed.
+
+    Parameters
+    ----------
+    scenario : Scenario or path
+        OpenSCENARIO file, in whose own axes the numbers are.
+
+    Returns
+    -------
+    tuple of Variable
+        In the order of the file; also those that cannot be varied, with the reason.
+
+    Raises
+    ------
+    InputError
+        The file cannot be used.
+
+    See Also
+    --------
+    vary : Writes a scenario in which some of them vary.
+
+    Examples
+    --------
+    >>> from cornercase.scenario import variables
+    >>> for one in variables("examples/x_intersection/x_intersection.xosc")[:4]:
+    ...     print(one.name, one.text, one.proposal)
+    """
+    file = Scenario.read(scenario.path if isinstance(scenario, Scenario) else scenario)
+    return variables_of(file, parse_xml(file.contents()[file.path], file.path))
+
+
+def variables_of(scenario: Scenario, root: etree._Element) -> tuple[Variable, ...]:
+    """List what could be varied in the tree of a scenario file.
+
+    Parameters
+    ----------
+    scenario : Scenario
+        The same file, of which catalogs and roads are read.
+    root : lxml element
+        What is read of it does not count as read by anybody.
+
+    Returns
+    -------
+    tuple of Variable
+    """
+    return _Listing(scenario, root).all()
+
+
+class _Listing:
+    def __init__(self, scenario: Scenario, root: etree._Element) -> None:
+        self._scenario, self._root = scenario, root
+        self._numbers = {element: k for k, element in enumerate(root.iter("*"))}
+        self._declared = {e.get("name", ""): e.get("value", "") for e in _each(root, "ParameterDeclarations")}
+        self._parts: dict[tuple[str, etree._Element], str] = {}
+        self._known: Counter[tuple[str, str]] = Counter()
+        self._roads: dict[str, RoadExtent] | None = None
+
+    def all(self) -> tuple[Variable, ...]:
+        """All of them, with names and names of parameters that are unique."""
+        found = [*self._of_init(), *self._of_storyboard()]
+        several = Counter((one.base, one.suffix) for one in found)
+        names: Counter[str] = Counter()
+        taken = {str(e.get("name", "")) for e in self._root.iter("ParameterDeclaration", "VariableDeclaration")}
+        listed = list(self._of_parameters())
+        names.update(one.name for one in listed)
+        for one in found:
+            middle = (one.qualifier,) if several[one.base, one.suffix] > 1 and one.qualifier else ()
+            name = _unique(".".join((one.base, *middle, one.suffix)), names)
+            parameter = _free(re.sub(r"[^A-Za-z0-9_]", "_", name), taken)
+            listed.append(replace(one.variable, name=name, parameter=parameter))
+        return tuple(listed)
+
+    def _of_parameters(self) -> Iterator[Variable]:
+        for element in _each(self._root, "ParameterDeclarations"):
+            kind = element.get("parameterType", "string")
+            if kind in NUMERIC:
+                name, text = element.get("name", ""), element.get("value", "")
+                yield Variable(
+                    name, "parameters", text, line=_line(element), whole=kind in INTEGERS, parameter=name, declared=True
+                )
+
+    def _of_init(self) -> Iterator[_Found]:
+        for private in self._root.iterfind("Storyboard/Init/Actions/Private"):
+            entity = self._text(private.get("entityRef", ""))
+            for action in private.iterchildren("PrivateAction"):
+                leaf = next((e for e in action.iterdescendants("*") if str(e.tag).endswith("Action")), action)
+                qualifier = re.sub("Action$", "", str(leaf.tag))
+                yield from self._below(action, f"{_part(entity)}.initial", qualifier, f"entity {entity}")
+
+    def _of_storyboard(self) -> Iterator[_Found]:
+        for act in self._root.iterfind("Storyboard/Story/Act"):
+            name = self._name(act, "act")
+            yield from self._of_trigger(act.find("StartTrigger"), f"{name}.start", f"act {_called(act)}")
+            for group in act.iterfind("ManeuverGroup"):
+                for maneuver in group.iterchildren("Maneuver", "CatalogReference"):
+                    yield from self._of_maneuver(maneuver)
+            yield from self._of_trigger(act.find("StopTrigger"), f"{name}.stop", f"act {_called(act)}")
+        yield from self._of_trigger(self._root.find("Storyboard/StopTrigger"), "storyboard.stop", "storyboard")
+
+    def _of_maneuver(self, maneuver: etree._Element) -> Iterator[_Found]:
+        if maneuver.tag == "CatalogReference":
+            yield from self._of_reference(maneuver)
+            return
+        for element in _each(maneuver, "ParameterDeclarations"):
+            kind = element.get("parameterType", "string")
+            if kind in NUMERIC:
+                base, group = self._name(maneuver, "maneuver"), f"maneuver {_called(maneuver)}"
+                suffix = _part(element.get("name", ""))
+                yield from self._number([element], "value", base, "", suffix, Kind(whole=kind in INTEGERS), group)
+        for event in maneuver.iterfind("Event"):
+            name, group = self._name(event, "event"), f"event {_called(event)}"
+            yield from self._of_trigger(event.find("StartTrigger"), f"{name}.trigger", group)
+            for action in event.iterfind("Action"):
+                yield from self._below(action, name, _part(action.get("name", ""), longest=_LONGEST_BETWEEN), group)
+
+    def _of_reference(self, reference: etree._Element) -> Iterator[_Found]:
+        """Values that a maneuver of a catalog is given here; the others stand in the catalog."""
+        catalog, entry = self._text(reference.get("catalogName", "")), self._text(reference.get("entryName", ""))
+        group = f"maneuver {shorten(entry, _LONGEST)} of the catalog {shorten(catalog, _LONGEST)}"
+        try:
+            declared = self._scenario.catalog_entry(catalog, entry)
+            kinds = {e.get("name", ""): e.get("parameterType", "") for e in _each(declared, "ParameterDeclarations")}
+        except InputError:
+            kinds = {}
+        for element in reference.iterfind("ParameterAssignments/ParameterAssignment"):
+            name = element.get("parameterRef", "").lstrip("$")
+            if kinds.get(name) in NUMERIC:
+                kind = Kind(whole=kinds[name] in INTEGERS)
+                yield from self._number([element], "value", _part(entry), "", _part(name), kind, group)
+        why = f"its numbers stand in the catalog {catalog}; copy the maneuver into the scenario to vary them"
+        yield _Found(_part(entry), "", "catalog", Variable("", group, "in a catalog", line=_line(reference), fixed=why))
+
+    def _of_trigger(self, trigger: etree._Element | None, base: str, group: str) -> Iterator[_Found]:
+        """Numbers of conditions; a condition that stands in several groups of one trigger varies in all of them."""
+        alike: dict[Any, list[etree._Element]] = {}
+        for condition in () if trigger is None else trigger.iterfind("ConditionGroup/Condition"):
+            inner = tuple(_content(child) for child in condition.iterchildren("*"))
+            alike.setdefault((condition.get("delay", ""), inner), []).append(condition)
+        for same in alike.values():
+            qualifier = _part(same[0].get("name", ""), longest=_LONGEST_BETWEEN)
+            yield from self._below(same[0], base, qualifier, group, same)
+
+    def _below(
+        self, top: etree._Element, base: str, qualifier: str, group: str, same: list[etree._Element] | None = None
+    ) -> Iterator[_Found]:
+        """Numbers of an element and all below it; elements of the `same` content have them, too."""
+        rows = zip(*(_looked_into(one) for one in same or [top]), strict=True)
+        entries = 0
+        for row in rows:
+            element = row[0]
+            entries += element.tag == "SpeedProfileEntry"
+            inner = f"entry_{entries}" if element.tag == "SpeedProfileEntry" else qualifier
+            for attribute, (suffix, kind) in _numbers_of(element).items():
+                whole = f"{_role(element, top)}{suffix}"
+                yield from self._number(list(row), attribute, base, inner, whole, kind, group)
+
+    def _number(
+        self, elements: list[etree._Element], attribute: str, base: str, qualifier: str, suffix: str, kind: Kind,
+        group: str,
+    ) -> Iterator[_Found]:  # fmt: skip
+        element = elements[0]
+        text = (element.get(attribute) or "").strip()
+        found = Variable("", group, text, kind.unit, _line(element), whole=kind.whole)
+        if text.startswith("$"):
+            why = f"it is {text}" + ("; vary the parameter" if text[1:] in self._declared else "")
+            yield _Found(base, qualifier, suffix, replace(found, fixed=why))
+            return
+        value = _finite(text)
+        if value is None or (kind.whole and value != round(value)):
+            return
+        least, most = kind.least, None
+        inner_least, inner_most, lanes = least, most, frozenset[int]()
+        road, lane, s = self._on_road(element)
+        if road is not None and attribute in ("s", "laneId"):
+            if attribute == "s":
+                most = road.length
+                inner_least, inner_most = (0.0, most) if lane is None else road.stretch(lane, value)
+            elif s is not None:
+                lanes = road.lanes_at(s)
+                inner_least, inner_most = road.alike(round(value), s) or (None, None)
+                kind = replace(kind, half=math.inf) if inner_least is not None else kind
+        # What the file has stays possible.
+        least = None if least is not None and value < least else least
+        most = None if most is not None and value > most else most
+        range_ = _proposed(kind, value, inner_least, inner_most)
+        yield _Found(
+            base, qualifier, suffix,
+            replace(
+                found, low=range_[0], high=range_[1], least=least, most=most, lanes=lanes,
+                places=tuple((self._numbers[one], attribute) for one in elements),
+            ),
+        )  # fmt: skip
+
+    def _on_road(self, element: etree._Element) -> tuple[RoadExtent | None, int | None, float | None]:
+        """The road that a position lies on, and its lane and s, as far as they are known."""
+        if element.tag not in ("LanePosition", "RoadPosition"):
+            return None, None, None
+        if self._roads is None:
+            self._roads = read_extents(self._scenario.road_file())
+        lane, s = (_finite(self._text(element.get(name) or "")) for name in ("laneId", "s"))
+        whole = None if lane is None or lane != round(lane) else round(lane)
+        return self._roads.get(self._text(element.get("roadId", ""))), whole, s
+
+    def _text(self, text: str) -> str:
+        """A text, or the value of the parameter that it names."""
+        return self._declared.get(text[1:], text) if text.startswith("$") else text
+
+    def _name(self, element: etree._Element, what: str) -> str:
+        """Part of names that an element is, unique among those of its kind."""
+        if (what, element) not in self._parts:
+            name = _part(element.get("name", ""), what)
+            self._known[what, name] += 1
+            count = self._known[what, name]
+            self._parts[what, element] = name if count == 1 else f"{name}_{count}"
+        return self._parts[what, element]
+
+
+def _numbers_of(element: etree._Element) -> Mapping[str, tuple[str, Kind]]:
+    tag = str(element.tag)
+    if tag == "RelativeTargetSpeed" and element.get("speedTargetValueType") == "factor":
+        return {"value": SPEED_FACTOR}
+    if tag in ("SpeedActionDynamics", "LaneChangeActionDynamics"):
+        dimension = element.get("dynamicsDimension", "")
+        # A step takes no time, whatever the value says.
+        if element.get("dynamicsShape") == "step" or dimension not in DYNAMICS:
+            return {}
+        lanes = tag == "LaneChangeActionDynamics" and dimension == "rate"
+        return {"value": RATE_OF_LANES if lanes else DYNAMICS[dimension]}
+    return {name: one for name, one in NUMBERS.get(tag, {}).items() if element.get(name) is not None}
+
+
+def _role(element: etree._Element, top: etree._Element) -> str:
+    """What goes before the name of a number, where an action has two positions."""
+    above: etree._Element | None = element.getparent()
+    while above is not None and above is not top:
+        if above.tag in ("TargetPositionMaster", "TargetPosition"):
+            return "master_" if above.tag == "TargetPositionMaster" else "target_"
+        above = above.getparent()
+    return ""
+
+
+def _looked_into(element: etree._Element) -> Iterator[etree._Element]:
+    yield element
+    for child in element.iterchildren("*"):
+        if child.tag not in ELSEWHERE:
+            yield from _looked_into(child)
+
+
+def _content(element: etree._Element) -> tuple[Any, ...]:
+    """What an element says, without how it is laid out."""
+    attributes = tuple(sorted((str(key), str(value)) for key, value in element.attrib.items()))
+    return str(element.tag), attributes, tuple(_content(child) for child in element.iterchildren("*"))
+
+
+def _proposed(kind: Kind, value: float, low: float | None, high: float | None) -> tuple[float | None, float | None]:
+    if kind is LANE:
+        return None, None
+    if kind.whole and math.isinf(kind.half):
+        return (low, high) if low is not None and high is not None and low < high else (None, None)
+    return kind.proposed(value, low, high) or (None, None)
+
+
+def _each(element: etree._Element, holder: str) -> Iterator[etree._Element]:
+    yield from element.iterfind(f"{holder}/ParameterDeclaration")
+
+
+def _part(text: str, empty: str = "", longest: int = _LONGEST) -> str:
+    """A name as a part of one that can be typed: letters, digits, hyphens and underscores."""
+    plain = re.sub(r"[^\w-]+", "_", text).strip("_-")
+    return plain[:longest].rstrip("_-") or empty
+
+
+def _called(element: etree._Element) -> str:
+    return shorten(str(element.get("name", "")), 60)
+
+
+def _unique(name: str, known: Counter[str]) -> str:
+    return _counted(name, lambda one: known[one] > 0, lambda one: known.update([one]))
+
+
+def _free(name: str, taken: set[str]) -> str:
+    """A name for a parameter that no other one has."""
+    return _counted(name if name[:1].isalpha() else f"v_{name}", lambda one: one in taken, taken.add)
+
+
+def _counted(name: str, is_known: Callable[[str], bool], add: Callable[[str], None]) -> str:
+    found, count = name, 1
+    while is_known(found):
+        count += 1
+        found = f"{name}_{count}"
+    add(found)
+    return found
+
+
+def _finite(text: str) -> float | None:
+    try:
+        value = float(text)
+    except ValueError:
+        return None
+    return value if math.isfinite(value) else None
+
+
+def _line(element: etree._Element) -> int:
+    return int(str(element.sourceline or 0))
+
+
+def _plain(value: float) -> str:
+    return f"{value:.12g}"
