@@ -19,6 +19,7 @@ PAGES = [
     ROOT / "docs" / "start" / "first-study.md",
     *sorted((ROOT / "docs" / "guide").glob("*.md")),
     *sorted((ROOT / "docs" / "howto").glob("own-*.md")),
+    ROOT / "docs" / "howto" / "vary.md",
     ROOT / "docs" / "simulators" / "recordings.md",
     ROOT / "docs" / "simulators" / "sumo.md",
     ROOT / "docs" / "warm-starts.md",

@@ -175,7 +175,7 @@ def explore(
           --space examples/t_intersection/t_intersection.space.xosc \\
           --ego Ego --other C --metric wttc --driver Ego=normal --optimizer committee \\
           --critical-if "collision and not reference:cautious" -o preventable.db
-      cornercase explore examples/r157/cut_in.xosc --vary Ego.initial.s=40:60 \\
+      cornercase explore examples/r157/cut_in.xosc --vary Ego.initial.x=90:110 \\
           --ego Ego --other Other --metric wttc -o varied.db
       cornercase explore --config study.toml --budget 200 -o study.db
     """

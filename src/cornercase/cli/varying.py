@@ -42,7 +42,7 @@ def vary_(
     \b
     Example:
       cornercase vary examples/r157/cut_in.xosc
-      cornercase vary examples/r157/cut_in.xosc --vary Ego.initial.s=40:60 \\
+      cornercase vary examples/r157/cut_in.xosc --vary Ego.initial.x=90:110 \\
           -o varied/cut_in.xosc
     """
     from cornercase.scenario import variables

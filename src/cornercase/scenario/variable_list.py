@@ -63,13 +63,15 @@ class Variable:
         Whether it is a parameter already.
     lanes : frozenset of int
         Numbers that it can have where it is that of a lane on a road that could be read.
+    places : tuple of (int, str)
+        Which elements of the file hold it, in the order of the file from 0 on, and their attributes.
 
     Examples
     --------
     >>> from cornercase.scenario import variables
     >>> known = {one.name: one for one in variables("examples/x_intersection/x_intersection.xosc")}
-    >>> known["Pedestrian.initial.speed"].text, known["Pedestrian.initial.speed"].unit
-    ('0', 'm/s')
+    >>> known["C_stops.rate"].text, known["C_stops.rate"].unit, known["C_stops.rate"].proposal
+    ('4', 'm/s²', '2.8:5.2')
     """
 
     name: str
@@ -133,8 +135,10 @@ def variables(scenario: Scenario | Path | str) -> tuple[Variable, ...]:
     Examples
     --------
     >>> from cornercase.scenario import variables
-    >>> for one in variables("examples/x_intersection/x_intersection.xosc")[:4]:
-    ...     print(one.name, one.text, one.proposal)
+    >>> for one in variables("examples/r157/cut_in.xosc")[4:6]:
+    ...     print(one.name, one.text, one.unit, one.proposal)
+    Ego.initial.x 100 m 95:105
+    Ego.initial.y -5.25 m -10.2:-0.2
     """
     file = Scenario.read(scenario.path if isinstance(scenario, Scenario) else scenario)
     return variables_of(file, parse_xml(file.contents()[file.path], file.path))

@@ -189,8 +189,8 @@ def vary(
     Examples
     --------
     >>> from cornercase.scenario import vary
-    >>> logical = vary("examples/r157/cut_in.xosc", ["Ego.initial.s=40:60"], "varied/cut_in.xosc")
-    >>> logical
+    >>> vary("examples/r157/cut_in.xosc", ["Ego.initial.x=90:110"], "varied/cut_in.xosc")
+    <LogicalScenario 'varied/cut_in.xosc': Ego_initial_x 90 to 110 m>
     """
     output = arguments.path("output", output)
     varied = VariedScenario.read(scenario, arguments.texts("vary", ranges), arguments.flag("proposed", proposed))

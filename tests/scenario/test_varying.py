@@ -1,0 +1,333 @@
+"""Numbers of a scenario file that are no parameters: what they are called, and what is written where they vary."""
+
+from __future__ import annotations
+
+import difflib
+import json
+import re
+from pathlib import Path
+
+import pytest
+from lxml import etree
+
+from conftest import EXAMPLES, event, moving, private, scenario_file, speed_action, story_of, time_trigger
+from cornercase import InputError, SimulationError
+from cornercase.recordings import Recording
+from cornercase.scenario import Scenario, Variable, VariedScenario, variables, vary
+from cornercase.simulators import simulate
+
+pytestmark = pytest.mark.filterwarnings("ignore::cornercase.NoticeWarning")
+
+WILD = Path(__file__).parents[3] / "shared" / "reference" / "wild"
+CUT_IN = EXAMPLES / "r157" / "cut_in.xosc"
+X = EXAMPLES / "x_intersection" / "x_intersection.xosc"
+GENERATED = "scenariogeneration-examples/generator"
+
+
+def of_entity(name: str, inner: str, delay: str = "0") -> str:
+    return (
+        f'<Condition name="{name}" delay="{delay}" conditionEdge="none"><ByEntityCondition><TriggeringEntities'
+        ' triggeringEntitiesRule="any"><EntityRef entityRef="Ego"/></TriggeringEntities><EntityCondition>'
+        f"{inner}</EntityCondition></ByEntityCondition></Condition>"
+    )
+
+
+def travelled(value: str, name: str = "far") -> str:
+    return of_entity(name, f'<TraveledDistanceCondition value="{value}"/>')
+
+
+def braking(over: str = "3") -> str:
+    return speed_action("2", "linear", "time", over)
+
+
+def written(folder: Path, events: str = "", parameters: str = "", init: str = "") -> Path:
+    story = story_of(events) if events else ""
+    path: Path = scenario_file(folder, init=init or moving("10"), story=story, parameters=parameters)
+    return path
+
+
+def listed(path: Path) -> dict[str, Variable]:
+    found = {one.name: one for one in variables(path)}
+    assert len(found) == len(variables(path))
+    return found
+
+
+def everything_varied(path: Path, folder: Path) -> Path:
+    """The scenario in another folder, where each number that stands in it is a parameter."""
+    source = Scenario.read(path)
+    numbers = tuple(one for one in variables(path) if not one.fixed and not one.declared)
+    target = folder / "deeper" / path.name
+    target.parent.mkdir(parents=True)
+    target.write_bytes(VariedScenario(source, (), numbers).content(target.parent))
+    assert not numbers or len(variables(target)) > len(numbers)
+    return target
+
+
+def content(recording: Recording, folder: Path) -> bytes:
+    recording.to_csv(folder / "recording.csv")
+    return (folder / "recording.csv").read_bytes()
+
+
+def require_same_recording(path: Path, folder: Path, duration: float = 10.0) -> None:
+    varied = everything_varied(path, folder)
+    before, after = (content(simulate(one, duration=duration), folder) for one in (path, varied))
+    assert before == after
+
+
+def test_43_12_numbers_have_names_units_lines_and_proposals(tmp_path: Path) -> None:
+    path = written(tmp_path, event("my brake", braking(), time_trigger("4")))
+    found = listed(path)
+    assert {name: (one.text, one.unit, one.proposal) for name, one in found.items()} == {
+        "Ego.initial.s": ("10", "m", "0:30"),
+        "Ego.initial.lane": ("-1", "", ""),
+        "Ego.initial.speed": ("10", "m/s", "7:13"),
+        "a.start.delay": ("0", "s", "0:2"),
+        "a.start.time": ("0", "s", "0:2"),
+        "my_brake.trigger.delay": ("0", "s", "0:2"),
+        "my_brake.trigger.time": ("4", "s", "2:6"),
+        "my_brake.duration": ("3", "s", "1.5:4.5"),
+        "my_brake.speed": ("2", "m/s", "1.4:2.6"),
+    }
+    lines = path.read_text().splitlines()
+    assert all(one.text in lines[one.line - 1] for one in found.values())
+    assert found["Ego.initial.s"].most == 500.0
+    assert found["my_brake.duration"].parameter == "my_brake_duration"
+
+
+def test_43_12_a_step_takes_no_time_and_is_not_listed(tmp_path: Path) -> None:
+    assert "Ego.initial.duration" not in listed(written(tmp_path))
+
+
+def test_43_12_equal_names_get_different_ones(tmp_path: Path) -> None:
+    twice = event("e", braking(), time_trigger("1")) + event("e", braking(), time_trigger("2"))
+    both = "".join(f'<Action name="{name}">{braking()}</Action>' for name in ("first", "second.one"))
+    events = (
+        f'{twice}<Event name="two" priority="parallel">{both}<StartTrigger>{time_trigger("3")}</StartTrigger></Event>'
+    )
+    found = listed(written(tmp_path, events))
+    assert {"e.speed", "e_2.speed", "e.trigger.time", "e_2.trigger.time"} <= set(found)
+    assert {"two.first.speed", "two.second_one.speed"} <= set(found)
+    parameters = [one.parameter for one in found.values()]
+    assert len(set(parameters)) == len(parameters)
+    assert all(re.fullmatch(r"[A-Za-z_][A-Za-z0-9_]*", one) for one in parameters)
+
+
+def test_43_12_a_condition_in_several_groups_varies_as_one(tmp_path: Path) -> None:
+    groups = "".join(
+        f"<ConditionGroup>{travelled('20')}{of_entity('', inner)}</ConditionGroup>"
+        for inner in ('<SpeedCondition value="5" rule="greaterThan"/>', '<SpeedCondition value="6" rule="lessThan"/>')
+    )
+    path = written(tmp_path, event("e", braking(), groups))
+    found = listed(path)
+    assert len(found["e.trigger.travelled"].places) == 2
+    assert {"e.trigger.speed", "e.trigger.speed_2"} <= set(found)
+    vary(path, ["e.trigger.travelled=10:30"], tmp_path / "out.xosc")
+    assert (tmp_path / "out.xosc").read_text().count("$e_trigger_travelled") == 2
+
+
+def test_43_12_what_is_a_parameter_already_is_said(tmp_path: Path) -> None:
+    declared = '<ParameterDeclaration name="v" parameterType="double" value="8"/>'
+    path = written(tmp_path, parameters=declared, init=moving("${2 * $v}", "$v"))
+    found = listed(path)
+    assert found["v"].declared
+    assert not found["v"].fixed
+    assert found["Ego.initial.speed"].fixed == "it is $v; vary the parameter"
+    assert found["Ego.initial.s"].fixed == "it is ${2 * $v}"
+    with pytest.raises(InputError, match=r"Ego\.initial\.speed=1:2: cannot vary, since it is \$v; vary the parameter"):
+        vary(path, ["Ego.initial.speed=1:2"], tmp_path / "out.xosc")
+    logical = vary(path, ["v=5:20"], tmp_path / "out.xosc")
+    assert logical.space.names == ("v",)
+    assert (tmp_path / "out.xosc").read_bytes() == path.read_bytes()
+
+
+def test_43_12_a_maneuver_of_a_catalog_is_named_and_what_it_is_given_varies(tmp_path: Path) -> None:
+    maneuver = (
+        '<Maneuver name="brakes"><ParameterDeclarations><ParameterDeclaration name="over" parameterType="double"'
+        f' value="2"/></ParameterDeclarations>{event("e", braking("$over"), time_trigger("1"))}</Maneuver>'
+    )
+    (tmp_path / "catalogs").mkdir()
+    (tmp_path / "catalogs" / "m.xosc").write_text(
+        f'<OpenSCENARIO><FileHeader/><Catalog name="M">{maneuver}</Catalog></OpenSCENARIO>'
+    )
+    reference = (
+        '<CatalogReference catalogName="M" entryName="brakes"><ParameterAssignments><ParameterAssignment'
+        ' parameterRef="$over" value="3"/></ParameterAssignments></CatalogReference>'
+    )
+    path = written(tmp_path, "EVENTS")
+    text = path.read_text().replace('<Maneuver name="m">EVENTS</Maneuver>', reference)
+    where = '<CatalogLocations><ManeuverCatalog><Directory path="catalogs"/></ManeuverCatalog></CatalogLocations>'
+    path.write_text(text.replace("<CatalogLocations/>", where))
+    found = listed(path)
+    assert found["brakes.over"].text == "3"
+    assert "stand in the catalog M" in found["brakes.catalog"].fixed
+    require_same_recording(path, tmp_path)
+    vary(path, ["brakes.over=1:5"], tmp_path / "elsewhere" / "out.xosc")
+    slow = simulate(tmp_path / "elsewhere" / "out.xosc", {"brakes_over": 5.0}, duration=10)
+    assert slow.speed[0, -1] == pytest.approx(2.0)
+
+
+def test_43_12_only_what_varies_is_written_anew(tmp_path: Path) -> None:
+    vary(CUT_IN, ["Ego.initial.x=90:110", "Other_cuts_in.trigger.time"], tmp_path / "there" / "out.xosc")
+    before, after = CUT_IN.read_text("utf-8").splitlines(), (tmp_path / "there" / "out.xosc").read_text("utf-8")
+    changes = [line for line in difflib.ndiff(before, after.splitlines()) if line[0] in "+-"]
+    assert [line[0] for line in changes] == list("++-+-+-+")
+    road = re.search(r'LogicFile filepath="([^"]*)"', after)
+    assert road is not None
+    assert (tmp_path / "there" / road[1]).samefile(CUT_IN.with_name("motorway.xodr"))
+    assert '    <ParameterDeclaration name="Ego_initial_x" parameterType="double" value="100"/>' in after
+
+
+@pytest.mark.parametrize(
+    "declarations", ["", "<ParameterDeclarations/>", "<ParameterDeclarations>\n </ParameterDeclarations>"]
+)
+@pytest.mark.parametrize("encoding", ["utf-8", "iso-8859-1", "utf-16"])
+def test_43_12_files_are_written_as_they_came(tmp_path: Path, declarations: str, encoding: str) -> None:
+    path = written(tmp_path)
+    text = path.read_text().replace("<ParameterDeclarations></ParameterDeclarations>", declarations)
+    text = text.replace("<CatalogLocations/>", "<!-- <LanePosition s='ü' --><CatalogLocations />")
+    text = f'<?xml version="1.0" encoding="{encoding}"?>\n{text}'.replace("\n", "\r\n").replace('s="10"', "s = '10'")
+    path.write_bytes(text.encode(encoding))
+    vary(path, ["Ego.initial.s=5:20"], tmp_path / "out.xosc")
+    after = (tmp_path / "out.xosc").read_bytes().decode(encoding)
+    assert "<!-- <LanePosition s='ü' --><CatalogLocations />" in after
+    assert 's = "$Ego_initial_s"' in after
+    assert after.count("\n") == after.count("\r\n")
+    assert simulate(tmp_path / "out.xosc", duration=1).x[0, 0] == simulate(path, duration=1).x[0, 0]
+
+
+def test_43_12_the_space_has_units_types_and_steps(tmp_path: Path) -> None:
+    path = written(tmp_path)
+    lanes = EXAMPLES / "r157" / "motorway.xodr"
+    path.write_text(path.read_text().replace('filepath="road.xodr"', f'filepath="{lanes}"'))
+    logical = vary(path, ["Ego.initial.s=5:20", "Ego.initial.speed"], tmp_path / "out.xosc")
+    assert [str(one) for one in logical.space.parameters] == [
+        "Ego_initial_s 5 to 20 m",
+        "Ego_initial_speed 7 to 13 m/s",
+    ]
+    logical = vary(path, ["Ego.initial.s=5:20:0.5"], tmp_path / "out.xosc")
+    assert [one.step for one in logical.space.parameters] == [0.5]
+    with pytest.raises(InputError, match="Ego_initial_s has a step and Ego_initial_speed has none"):
+        vary(path, ["Ego.initial.s=5:20:0.5", "Ego.initial.speed=5:10"], tmp_path / "out.xosc")
+
+
+def test_43_12_lanes_are_whole_numbers_of_lanes_that_are_there(tmp_path: Path) -> None:
+    text = CUT_IN.read_text("utf-8").replace(
+        '<WorldPosition x="100" y="-5.25" h="0"/>', '<LanePosition roadId="1" laneId="-1" s="100"/>'
+    )
+    path = tmp_path / "lanes.xosc"
+    path.write_text(text.replace("motorway.xodr", str(CUT_IN.with_name("motorway.xodr"))), "utf-8")
+    proposed = listed(path)["Ego.initial.lane"]
+    assert proposed.proposal
+    logical = vary(path, ["Ego.initial.lane", "Ego.initial.s=90:110"], tmp_path / "out.xosc")
+    values = [point["Ego_initial_lane"] for point in logical.space.values(logical.space.samples())]
+    assert all(isinstance(value, int) for value in values)
+    assert 'parameterType="integer"' in (tmp_path / "out.xosc").read_text("utf-8")
+    for value in range(round(proposed.low or 0), round(proposed.high or 0) + 1):
+        simulate(tmp_path / "out.xosc", {"Ego_initial_lane": value}, duration=0.5)
+    with pytest.raises(InputError, match=r"the road has no lane -\d+ there; its lanes are"):
+        vary(path, ["Ego.initial.lane=-9:-1"], tmp_path / "out.xosc")
+    with pytest.raises(InputError, match="it takes whole numbers only"):
+        vary(path, ["Ego.initial.lane=-2:-1:0.5"], tmp_path / "out.xosc")
+
+
+@pytest.mark.parametrize(
+    ("ranges", "words"),
+    [
+        (["Ego.initial.spede=1:2"], "`vary` Ego.initial.spede=1:2: {} has no 'Ego.initial.spede' that could vary; did"
+         " you mean 'Ego.initial.speed'?"),
+        (["zzz"], "{} has no 'zzz' that could vary; 'cornercase vary' with the scenario alone lists the names."),
+        (["Ego.initial.s=-5:20"], "`vary` Ego.initial.s=-5:20: it has to be at least 0 m."),
+        (["Ego.initial.s=5:501"], "it has to be at most 500 m."),
+        (["a.start.time=-1:1"], "it has to be at least 0 s."),
+        (["Ego.initial.s=1:2", "Ego.initial.s"], "Ego.initial.s is varied twice; keep one of them."),
+        (["Ego.initial.s=20:5"], "the lower bound must be below the upper."),
+        (["Ego.initial.s="], "write it as NAME, NAME=LOW:HIGH or NAME=LOW:HIGH:STEP."),
+        (["Ego.initial.s=x:5"], "'x' is not a number."),
+        (["Ego.initial.lane"], "no range is proposed for it; give one, as Ego.initial.lane=LOW:HIGH."),
+        ([], "nothing is varied; name what varies with `vary`."),
+    ],
+)  # fmt: skip
+def test_43_12_what_cannot_vary_is_refused_in_a_sentence(tmp_path: Path, ranges: list[str], words: str) -> None:
+    path = written(tmp_path, event("e", braking(), time_trigger("1")))
+    with pytest.raises(InputError) as refused:
+        vary(path, ranges, tmp_path / "out.xosc")
+    assert words.format(path) in str(refused.value)
+    assert not list(tmp_path.glob("out*"))
+
+
+def test_43_12_a_file_is_not_written_over_the_one_that_it_is_made_from(tmp_path: Path) -> None:
+    path = written(tmp_path)
+    for output in (path, tmp_path / "road.xodr"):
+        before = output.read_bytes()
+        with pytest.raises(InputError, match="is the file that is read"):
+            vary(path, ["Ego.initial.s"], output)
+        assert output.read_bytes() == before
+
+
+def test_43_12_a_road_that_a_parameter_names_is_found_from_another_folder(tmp_path: Path) -> None:
+    road = '<ParameterDeclaration name="Road" parameterType="string" value="road.xodr"/>'
+    path = written(tmp_path, parameters=road)
+    path.write_text(path.read_text().replace('filepath="road.xodr"', 'filepath="$Road"'))
+    vary(path, ["Ego.initial.s"], tmp_path / "there" / "out.xosc")
+    assert simulate(tmp_path / "there" / "out.xosc", duration=1).x[0, 0] == simulate(path, duration=1).x[0, 0]
+    path.write_text(path.read_text().replace('filepath="$Road"', """filepath="${'road' + '.xodr'}\""""))
+    with pytest.raises(InputError, match=r"line 3: <LogicFile> names a path by an expression.*into the folder"):
+        vary(path, ["Ego.initial.s"], tmp_path / "there" / "other.xosc")
+
+
+def test_43_12_a_left_handed_file_stays_left_handed(tmp_path: Path) -> None:
+    place = '<PrivateAction><TeleportAction><Position><WorldPosition x="50" y="1.75" z="0" h="0.1"/></Position></TeleportAction></PrivateAction>'
+    path = written(tmp_path, init=private("Ego", place, speed_action("5")))
+    path.write_text(path.read_text().replace('description="d"', 'description="CARLA:d"'))
+    assert listed(path)["Ego.initial.y"].text == "1.75"
+    require_same_recording(path, tmp_path)
+    vary(path, ["Ego.initial.y=1:3"], tmp_path / "out.xosc")
+    assert simulate(tmp_path / "out.xosc", {"Ego_initial_y": 2.5}, duration=1).y[0, 0] == pytest.approx(-2.5)
+
+
+@pytest.mark.parametrize(
+    "path", [X, EXAMPLES / "t_intersection" / "t_intersection.xosc", CUT_IN], ids=lambda one: one.stem
+)
+def test_43_12_examples_give_the_same_recording(path: Path, tmp_path: Path) -> None:
+    require_same_recording(path, tmp_path, 5.0)
+
+
+def test_43_12_a_value_does_what_it_does_in_the_file(tmp_path: Path) -> None:
+    path = X
+    varied = everything_varied(path, tmp_path)
+    for one in variables(path):
+        if one.fixed or one.declared or one.low is None or one.high is None or "delay" in one.name:
+            continue
+        value = one.low + 0.75 * (one.high - one.low)
+        tree = etree.parse(str(path))
+        elements = list(tree.getroot().iter("*"))
+        for number, attribute in one.places:
+            elements[number].set(attribute, repr(value))
+        edited = tmp_path / "edited.xosc"
+        tree.getroot().find("RoadNetwork/LogicFile").set("filepath", str(path.with_suffix(".xodr")))  # type: ignore[union-attr]
+        tree.write(str(edited))
+        by_hand, by_parameter = simulate(edited, duration=2), simulate(varied, {one.parameter: value}, duration=2)
+        assert content(by_hand, tmp_path) == content(by_parameter, tmp_path), one.name
+
+
+@pytest.mark.skipif(not WILD.is_dir(), reason="the folder of others' scenarios is not there")
+@pytest.mark.parametrize("name", ["CCRb/CCRb_scenarios/xosc/CCRb1.xosc", "CCRs/CCRs_scenarios/xosc/CCRs41.xosc"])
+def test_43_12_scenarios_of_others_give_the_same_recording(name: str, tmp_path: Path) -> None:
+    require_same_recording(WILD / GENERATED / name, tmp_path, 3.0)
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(not WILD.is_dir(), reason="the folder of others' scenarios is not there")
+def test_43_12_each_scenario_of_others_gives_the_same_recording(tmp_path: Path) -> None:
+    compared = 0
+    for k, entry in enumerate(json.loads((WILD / "index.json").read_text("utf-8"))):
+        path = WILD / entry["source"] / entry["path"]
+        if entry["kind"] != "scenario" or "expected" not in entry:
+            continue
+        try:
+            simulate(path, duration=20.0)
+        except (InputError, SimulationError):
+            continue
+        require_same_recording(path, tmp_path / str(k), 20.0)
+        compared += 1
+    assert compared > 50
