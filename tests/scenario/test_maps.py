@@ -17,7 +17,7 @@ from cornercase import test as run_suite
 from cornercase._common.errors import InputError
 from cornercase.scenario import LogicalScenario, Scenario, ScenarioParcel, write_concrete
 from cornercase.scenario.maps import MAPS_VARIABLE, looking_in
-from cornercase.simulators import simulate
+from cornercase.simulators import EsminiSimulator, simulate
 from cornercase.study import Study, explored_scenario
 
 pytestmark = pytest.mark.filterwarnings("ignore:adapted:UserWarning")
@@ -176,6 +176,16 @@ def test_43_7_what_is_written_holds_the_map_and_a_study_says_that_it_needs_it(tm
     assert 'filepath="Town01.xodr"' in (tmp_path / "set" / "one.xosc").read_text()
     result = run_suite(tmp_path / "set", tmp_path / "run.db", ego="Ego", other="B", duration=2.0)
     assert result.has_passed()
+
+
+def test_43_7_esmini_refuses_a_map_that_it_would_not_find(tmp_path, maps):
+    path, named = town(tmp_path / "s"), town(tmp_path / "t", "../maps/Town01.xodr")
+    simulator = EsminiSimulator.__new__(EsminiSimulator)
+    simulator._undriven = True
+    with looking_in([maps]):
+        simulator.require_means(Scenario.read(named))
+        with pytest.raises(InputError, match=r"names the road 'Town01', which was found as .*; name that file in"):
+            simulator.require_means(Scenario.read(path))
 
 
 def test_43_7_convert_leaves_the_name_of_carlas_map(tmp_path, maps):
