@@ -10,7 +10,7 @@ from pathlib import Path
 from cornercase._common.arguments import texts
 from cornercase._common.errors import InputError
 from cornercase._common.files import read_file, require_other_file, written_whole
-from cornercase.scenario import LogicalScenario, Parameter, ParameterSpace, VariedScenario, space_with_units, value_text
+from cornercase.scenario import LogicalScenario, Parameter, ParameterSpace, VariedScenario, value_text
 
 
 @contextmanager
@@ -57,7 +57,7 @@ def explored_file(
         every = [*texts("ranges", ranges), *map(_range_text, varied.parameters)]
         logical = LogicalScenario.read(file, space, every, continuous)
         _require_roads_here(logical, varied, file)
-        yield replace(logical, space=space_with_units(logical.space, varied.parameters))
+        yield replace(logical, space=varied.with_units(logical.space))
     except BaseException as error:
         if file not in made or study.exists():
             raise

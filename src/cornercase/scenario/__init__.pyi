@@ -42,7 +42,6 @@ from .variable_list import variables as variables
 from .varied_roads import with_roads as with_roads
 from .varies import VariesError as VariesError
 from .varying import VariedScenario as VariedScenario
-from .varying import space_with_units as space_with_units
 from .varying import vary as vary
 from .xml import parse_xml as parse_xml
 from .xml import read_xml as read_xml

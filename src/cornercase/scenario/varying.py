@@ -54,7 +54,26 @@ class VariedScenario:
 
     @classmethod
     def read(cls, scenario: Path | str | Scenario, ranges: Sequence[str], proposed: bool = False) -> VariedScenario:
-        """Read what is to vary in a scenario; as `vary`."""
+        """Read what is to vary in a scenario.
+
+        Parameters
+        ----------
+        scenario : path or Scenario
+            OpenSCENARIO file.
+        ranges : sequence of str
+            As of `vary`.
+        proposed : bool, default False
+            Vary all that a range is proposed for.
+
+        Returns
+        -------
+        VariedScenario
+
+        Raises
+        ------
+        InputError
+            There is no such name, a range is malformed or leaves what the number may be, or the file cannot be used.
+        """
         source = Scenario.read(scenario.path if isinstance(scenario, Scenario) else scenario)
         known = {one.name: one for one in variables_of(source, parse_xml(_content(source), source.path))}
         chosen = {} if not proposed else {name: "" for name, one in known.items() if one.proposal}
@@ -152,6 +171,21 @@ class VariedScenario:
             )
             etree.SubElement(inner, "Range", {"lowerLimit": _text(one.low), "upperLimit": _text(one.high)})
         return etree.tostring(root, encoding="UTF-8", xml_declaration=True, pretty_print=True)
+
+    def with_units(self, space: ParameterSpace) -> ParameterSpace:
+        """Give a space the units of what varies in it.
+
+        Parameters
+        ----------
+        space : ParameterSpace
+
+        Returns
+        -------
+        ParameterSpace
+        """
+        units = {one.name: one.unit for one in self.parameters}
+        parameters = [replace(one, unit=units.get(one.name) or one.unit) for one in space.parameters]
+        return ParameterSpace(parameters, space.declarations)
 
 
 def vary(
@@ -325,21 +359,3 @@ def _is_same_folder(one: Path, other: Path) -> bool:
 
 def _text(value: float) -> str:
     return str(int(value)) if float(value).is_integer() and abs(value) < 1e15 else repr(float(value))
-
-
-def space_with_units(space: ParameterSpace, parameters: Sequence[Parameter]) -> ParameterSpace:
-    """Give a space the units of what varies in it.
-
-    Parameters
-    ----------
-    space : ParameterSpace
-    parameters : sequence of Parameter
-
-    Returns
-    -------
-    ParameterSpace
-    """
-    units = {one.name: one.unit for one in parameters}
-    return ParameterSpace(
-        [replace(one, unit=units.get(one.name) or one.unit) for one in space.parameters], space.declarations
-    )
