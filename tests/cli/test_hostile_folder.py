@@ -44,6 +44,7 @@ COMMANDS: dict[str, tuple[object, ...]] = {
     "explore with references": (*EXPLORE, "--critical-if", "collision and not reference:cautious", "--workers", "2"),
     "demo": ("demo", "x-intersection", "--budget", "20", "-o", "demo"),
     "check": ("check", X),
+    "vary": ("vary", X, "--all", "-o", "new/varied.xosc"),
     "convert": ("convert", X, "--ego", "Ego", "-o", "new.xosc"),
     "simulate": ("simulate", X, *MINE, "--duration", "3", "-o", "new.csv"),
     "simulate with SUMO": ("simulate", X, "--simulator", "sumo", "--duration", "3", "-o", "new.csv"),

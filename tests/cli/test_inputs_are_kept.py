@@ -19,7 +19,7 @@ def scenario(tmp_path):
 
 @pytest.mark.parametrize(
     ("command", "options"),
-    [("simulate", ()), ("convert", ("--ego", "Ego"))],
+    [("simulate", ()), ("convert", ("--ego", "Ego")), ("vary", ("--all",))],
 )
 def test_a_scenario_is_not_written_over(command, options, scenario):
     before = scenario.read_bytes()

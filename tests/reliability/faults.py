@@ -37,6 +37,7 @@ _SEARCH: Final = (
 _CONCRETE: Final = ("t_intersection.xosc", "--set", "c_start_time=1")
 COMMANDS: Final[dict[str, tuple[str, ...]]] = {
     "simulate": ("simulate", *_CONCRETE, "--duration", "2", "-o", "new/run.csv"),
+    "vary": ("vary", "t_intersection.xosc", "--all", "-o", "new/varied.xosc"),
     "convert": ("convert", *_CONCRETE, "--ego", "Ego", "-o", "new/t10.xosc"),
     "measure": ("measure", "runs/00001.csv", "--ego", "Ego", "--other", "C", "--metric", "wttc", "-o", "courses.csv"),
     "explore": (*_SEARCH, "--budget", "6", "-o", "new.db"),

@@ -210,6 +210,18 @@ def test_43_12_the_space_has_units_types_and_steps(tmp_path: Path) -> None:
         vary(path, ["Ego.initial.s=5:20:0.5", "Ego.initial.speed=5:10"], tmp_path / "out.xosc")
 
 
+def test_43_12_what_is_proposed_can_be_typed_at_the_end_of_a_road(tmp_path: Path) -> None:
+    path = written(tmp_path, init=moving("22.02"))
+    for old, new in (('length="500"', 'length="22.027099999999997"'),):
+        road = tmp_path / "road.xodr"
+        assert old in road.read_text()
+        road.write_text(road.read_text().replace(old, new))
+    proposed = listed(path)["Ego.initial.s"].proposal
+    assert proposed == "2:22.0271"
+    logical = vary(path, [f"Ego.initial.s={proposed}"], tmp_path / "out.xosc")
+    assert logical.space.parameters[0].high == 22.027099999999997
+
+
 def test_43_12_lanes_are_whole_numbers_of_lanes_that_are_there(tmp_path: Path) -> None:
     text = CUT_IN.read_text("utf-8").replace(
         '<WorldPosition x="100" y="-5.25" h="0"/>', '<LanePosition roadId="1" laneId="-1" s="100"/>'

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import re
 from collections import Counter
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, Final
@@ -31,6 +31,7 @@ from cornercase.scenario.xml import parse_xml
 # Characters of a part of a name, and of one between others, so that a table of names fits a terminal.
 _LONGEST: Final = 24
 _LONGEST_BETWEEN: Final = 16
+_LONGEST_SHOWN: Final = 60
 
 
 @dataclass(frozen=True)
@@ -166,22 +167,24 @@ class _Listing:
         self._scenario, self._root = scenario, root
         self._numbers = {element: k for k, element in enumerate(root.iter("*"))}
         self._declared = {e.get("name", ""): e.get("value", "") for e in _each(root, "ParameterDeclarations")}
-        self._parts: dict[tuple[str, etree._Element], str] = {}
-        self._known: Counter[tuple[str, str]] = Counter()
+        self._parts: dict[etree._Element, str] = {}
+        self._known: dict[str, _Names] = {}
         self._roads: dict[str, RoadExtent] | None = None
 
     def all(self) -> tuple[Variable, ...]:
         """All of them, with names and names of parameters that are unique."""
         found = [*self._of_init(), *self._of_storyboard()]
         several = Counter((one.base, one.suffix) for one in found)
-        names: Counter[str] = Counter()
-        taken = {str(e.get("name", "")) for e in self._root.iter("ParameterDeclaration", "VariableDeclaration")}
         listed = list(self._of_parameters())
-        names.update(one.name for one in listed)
+        names = _Names(one.name for one in listed)
+        parameters = _Names(
+            str(e.get("name", "")) for e in self._root.iter("ParameterDeclaration", "VariableDeclaration")
+        )
         for one in found:
             middle = (one.qualifier,) if several[one.base, one.suffix] > 1 and one.qualifier else ()
-            name = _unique(".".join((one.base, *middle, one.suffix)), names)
-            parameter = _free(re.sub(r"[^A-Za-z0-9_]", "_", name), taken)
+            name = names.new(".".join((one.base, *middle, one.suffix)))
+            plain = re.sub(r"[^A-Za-z0-9_]", "_", name)
+            parameter = parameters.new(plain if plain[:1].isalpha() else f"v_{plain}")
             listed.append(replace(one.variable, name=name, parameter=parameter))
         return tuple(listed)
 
@@ -231,7 +234,7 @@ class _Listing:
     def _of_reference(self, reference: etree._Element) -> Iterator[_Found]:
         """Values that a maneuver of a catalog is given here; the others stand in the catalog."""
         catalog, entry = self._text(reference.get("catalogName", "")), self._text(reference.get("entryName", ""))
-        group = f"maneuver {shorten(entry, _LONGEST)} of the catalog {shorten(catalog, _LONGEST)}"
+        group = f"maneuver {shorten(entry, _LONGEST_SHOWN)} of the catalog {shorten(catalog, _LONGEST_SHOWN)}"
         try:
             declared = self._scenario.catalog_entry(catalog, entry)
             kinds = {e.get("name", ""): e.get("parameterType", "") for e in _each(declared, "ParameterDeclarations")}
@@ -242,7 +245,8 @@ class _Listing:
             if kinds.get(name) in NUMERIC:
                 kind = Kind(whole=kinds[name] in INTEGERS)
                 yield from self._number([element], "value", _part(entry), "", _part(name), kind, group)
-        why = f"its numbers stand in the catalog {catalog}; copy the maneuver into the scenario to vary them"
+        place = shorten(catalog, _LONGEST_SHOWN)
+        why = f"its numbers stand in the catalog {place}; copy the maneuver into the scenario to vary them"
         yield _Found(_part(entry), "", "catalog", Variable("", group, "in a catalog", line=_line(reference), fixed=why))
 
     def _of_trigger(self, trigger: etree._Element | None, base: str, group: str) -> Iterator[_Found]:
@@ -277,7 +281,9 @@ class _Listing:
         text = (element.get(attribute) or "").strip()
         found = Variable("", group, text, kind.unit, _line(element), whole=kind.whole)
         if text.startswith("$"):
-            why = f"it is {text}" + ("; vary the parameter" if text[1:] in self._declared else "")
+            why = f"it is {shorten(text, _LONGEST_SHOWN)}" + (
+                "; vary the parameter" if text[1:] in self._declared else ""
+            )
             yield _Found(base, qualifier, suffix, replace(found, fixed=why))
             return
         value = _finite(text)
@@ -322,12 +328,9 @@ class _Listing:
 
     def _name(self, element: etree._Element, what: str) -> str:
         """Part of names that an element is, unique among those of its kind."""
-        if (what, element) not in self._parts:
-            name = _part(element.get("name", ""), what)
-            self._known[what, name] += 1
-            count = self._known[what, name]
-            self._parts[what, element] = name if count == 1 else f"{name}_{count}"
-        return self._parts[what, element]
+        if element not in self._parts:
+            self._parts[element] = self._known.setdefault(what, _Names(())).new(_part(element.get("name", ""), what))
+        return self._parts[element]
 
 
 def _numbers_of(element: etree._Element) -> Mapping[str, tuple[str, Kind]]:
@@ -386,25 +389,23 @@ def _part(text: str, empty: str = "", longest: int = _LONGEST) -> str:
 
 
 def _called(element: etree._Element) -> str:
-    return shorten(str(element.get("name", "")), 60)
+    return shorten(str(element.get("name", "")), _LONGEST_SHOWN)
 
 
-def _unique(name: str, known: Counter[str]) -> str:
-    return _counted(name, lambda one: known[one] > 0, lambda one: known.update([one]))
+class _Names:
+    """Names of which none is given twice."""
 
+    def __init__(self, taken: Iterable[str]) -> None:
+        self._counts = dict.fromkeys(taken, 1)
 
-def _free(name: str, taken: set[str]) -> str:
-    """A name for a parameter that no other one has."""
-    return _counted(name if name[:1].isalpha() else f"v_{name}", lambda one: one in taken, taken.add)
-
-
-def _counted(name: str, is_known: Callable[[str], bool], add: Callable[[str], None]) -> str:
-    found, count = name, 1
-    while is_known(found):
-        count += 1
-        found = f"{name}_{count}"
-    add(found)
-    return found
+    def new(self, name: str) -> str:
+        """A name as asked for, or with a number behind it."""
+        found = name
+        while found in self._counts:
+            self._counts[name] += 1
+            found = f"{name}_{self._counts[name]}"
+        self._counts[found] = 1
+        return found
 
 
 def _finite(text: str) -> float | None:

@@ -26,7 +26,11 @@ from cornercase.scenario.xml_text import XmlText
 
 # So many values at most are looked at, whether each is that of a lane.
 _MOST_LANES: Final = 1000
-_STEPS: Final = 100
+# Runs that a file of distributions has to name, although nothing here counts them.
+_RUNS: Final = "100"
+# A bound that is shown has fewer digits.
+_ROUNDING: Final = 1e-6
+_NO_DATE: Final = "1970-01-01T00:00:00"
 # Attributes that name a file or folder from the folder of the scenario.
 _PATHS: Final = {"LogicFile": "filepath", "SceneGraphFile": "filepath", "Directory": "path", "File": "filepath"}
 _MODEL: Final = "model3d"
@@ -127,6 +131,7 @@ class VariedScenario:
             _declare(root, numbers, text, lines)
         if not _is_same_folder(folder, self.source.path.parent):
             for element, attribute, path in _moved_paths(self.source, root, folder):
+                _require_text(path)
                 text.set(numbers[element], attribute, path)
         return text.content()
 
@@ -148,7 +153,8 @@ class VariedScenario:
         """
         parameters = _of_one_kind(self.parameters)
         header = self.source.root.find("FileHeader")
-        date = "1970-01-01T00:00:00" if header is None else header.get("date", "1970-01-01T00:00:00")
+        date = "" if header is None else header.get("date", "")
+        date = date if re.fullmatch(r"\d{4}-\d\d-\d\dT\d\d:\d\d:\d\d", date) else _NO_DATE
         root = etree.Element("OpenSCENARIO")
         words = {"revMajor": "1", "revMinor": "2", "date": date, "author": "cornercase"}
         head = etree.SubElement(root, "FileHeader", {**words, "description": f"What varies in {name}"})
@@ -159,7 +165,7 @@ class VariedScenario:
         body = etree.SubElement(root, "ParameterValueDistribution")
         etree.SubElement(body, "ScenarioFile", {"filepath": name})
         stepped = parameters[0].step is not None
-        runs = {} if stepped else {"numberOfTestRuns": str(_STEPS)}
+        runs = {} if stepped else {"numberOfTestRuns": _RUNS}
         all_ = etree.SubElement(body, "Deterministic" if stepped else "Stochastic", runs)
         for one in parameters:
             tag = "DeterministicSingleParameterDistribution" if stepped else "StochasticDistribution"
@@ -227,6 +233,7 @@ def vary(
     <LogicalScenario 'varied/cut_in.xosc': Ego_initial_x 90 to 110 m>
     """
     output = arguments.path("output", output)
+    _require_text(output)
     varied = VariedScenario.read(scenario, arguments.texts("vary", ranges), arguments.flag("proposed", proposed))
     space = output.with_suffix(".space.xosc")
     for file in varied.source.files():
@@ -238,6 +245,14 @@ def vary(
             with written_whole(path) as temporary:
                 temporary.write_bytes(content)
     return LogicalScenario.read(output, space)
+
+
+def _require_text(path: Path | str) -> None:
+    """Refuse a name that XML cannot hold."""
+    try:
+        str(path).encode()
+    except UnicodeEncodeError as error:
+        raise InputError(f"{path}: its name has characters that XML cannot hold; choose another one.") from error
 
 
 def _content(scenario: Scenario) -> bytes:
@@ -258,11 +273,13 @@ def _parameter(variable: Variable, range_: str) -> Parameter:
     if not range_ and not variable.proposal:
         raise InputError(f"{where}: no range is proposed for it; give one, as {variable.name}=LOW:HIGH.")
     (read,) = read_ranges([f"{variable.name}={range_ or variable.proposal}"], "vary")
-    for bound, is_out in ((variable.least, read.low < _or(variable.least, read.low)),
-                          (variable.most, read.high > _or(variable.most, read.high))):  # fmt: skip
-        if bound is not None and is_out:
-            side = "at least" if bound == variable.least else "at most"
-            raise InputError(f"{where}: it has to be {side} {bound:g} {variable.unit}".rstrip() + ".")
+    least, most = variable.least, variable.most
+    if least is not None and read.low < least - _ROUNDING:
+        raise InputError(f"{where}: it has to be at least {least:.9g} {variable.unit}".rstrip() + ".")
+    if most is not None and read.high > most + _ROUNDING:
+        raise InputError(f"{where}: it has to be at most {most:.9g} {variable.unit}".rstrip() + ".")
+    low = read.low if least is None else max(read.low, least)
+    read = replace(read, low=low, high=read.high if most is None else min(read.high, most))
     if variable.whole and any(one is not None and one != round(one) for one in (read.low, read.high, read.step)):
         raise InputError(f"{where}: it takes whole numbers only.")
     step = 1.0 if variable.whole and read.step is None else read.step
@@ -274,10 +291,6 @@ def _parameter(variable: Variable, range_: str) -> Parameter:
             there = ", ".join(map(str, sorted(variable.lanes)))
             raise InputError(f"{where}: the road has no lane {missing[0]} there; its lanes are {there}.")
     return found
-
-
-def _or(value: float | None, other: float) -> float:
-    return other if value is None else value
 
 
 def _of_one_kind(parameters: Sequence[Parameter]) -> list[Parameter]:

@@ -11,7 +11,8 @@ from cornercase.scenario.xml import parse_xml
 
 # Of well-formed XML without a document type declaration.
 _TOKEN: Final = re.compile(
-    r"<!--.*?-->|<\?.*?\?>|<!\[CDATA\[.*?\]\]>|<(?P<close>/?)(?P<tag>[^\s/>!?]+)(?P<rest>(?:\"[^\"]*\"|'[^']*'|[^\"'>])*)>",
+    r"<!--.*?-->|<\?.*?\?>|<!\[CDATA\[.*?\]\]>"
+    r"|<(?P<close>/?)(?P<tag>[^\s/>!?]++)(?P<rest>(?:\"[^\"]*+\"|'[^']*+'|[^\"'>]++)*+)>",
     re.DOTALL,
 )
 _ATTRIBUTE: Final = re.compile(r"([^\s=/]+)\s*=\s*(\"[^\"]*\"|'[^']*')")
