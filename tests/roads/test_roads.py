@@ -128,7 +128,6 @@ def test_all_lanes_of_roads_of_others_join(each):
     for file in files[::each]:
         network = RoadNetwork.read(file)
         graph = network._graph
-        assert graph.gaps() == [], file.name
         for road, one in enumerate(network.roads):
             for section, (_, lanes) in enumerate(one.sections):
                 for lane, along in ((lane, along) for lane in lanes for along in (True, False)):
@@ -140,6 +139,7 @@ def test_all_lanes_of_roads_of_others_join(each):
                         gap = np.hypot(path.x[-1] - follows.x[0], path.y[-1] - follows.y[0])
                         if gap > 0.05 and (one.name, lane, option.lane) not in APART.get(file.name, ()):
                             apart.append((file.name, one.name, here, option, gap))
+        assert graph.gaps == {}, file.name
     assert joins > (20 if each > 1 or not REFERENCE.is_dir() else 1000)
     assert apart == []
 
@@ -155,11 +155,6 @@ def test_all_lanes_of_roads_of_others_join(each):
         ('id="1" length="500"', 'id="1" length="nan"', "finite"),
         ("<line/>", "<wave/>", "not a line, arc"),
         ('x="0"', 'x="NaN"', "finite"),
-        (
-            "<planView>",
-            '<link><successor elementType="road" elementId="7"/></link><planView>',
-            "does not exist",
-        ),
     ],
 )
 def test_bad_roads_are_refused(tmp_path, old, new, words):

@@ -11,8 +11,9 @@ from lxml import etree
 
 from cornercase._common.errors import InputError
 from cornercase._common.places import at_line
+from cornercase._common.recorded_xml import adapt
 from cornercase._common.typing import FloatArray
-from cornercase.roads.reference_line import read_number
+from cornercase.roads.reference_line import note_disorder, read_number, same_word
 
 # A side of a road has at most so many lanes.
 _MOST_LANES: Final = 200
@@ -23,6 +24,11 @@ _LATE: Final = 0.1
 _DRIVABLE: Final = (
     "driving", "bidirectional", "entry", "exit", "mwyEntry", "mwyExit", "onRamp", "offRamp", "connectingRamp",
     "slipLane", "bus", "taxi", "HOV",
+)  # fmt: skip
+
+_TYPES: Final = (
+    *_DRIVABLE, "none", "stop", "shoulder", "biking", "sidewalk", "border", "restricted", "parking", "median", "curb",
+    "walking", "shared", "special1", "special2", "special3", "roadWorks", "tram", "rail",
 )  # fmt: skip
 
 PERMANENT: Final = "permanent"
@@ -99,8 +105,10 @@ def read_sections(
         A lane cannot be used.
     """
     sides: dict[str, list[_Side]] = {"left": [], "right": []}
-    for element in sorted(elements, key=lambda e: read_number(e, "s", where)):
-        start, single = read_number(element, "s", where), element.get("singleSide") in ("true", "1")
+    begins = [read_number(element, "s", where, 0.0) for element in elements]
+    note_disorder(elements, begins)
+    for start, element in sorted(zip(begins, elements, strict=True), key=lambda pair: pair[0]):
+        single = element.get("singleSide") in ("true", "1")
         for side, found in sides.items():
             if not single or element.find(side) is not None:
                 found.append(_Side(start, _read_lanes(element, side, where)))
@@ -146,6 +154,7 @@ def _read_lanes(section: etree._Element, side: str, where: str) -> dict[int, Lan
     found = {}
     for element in section.iterfind(f"{side}/lane"):
         widths = read_polynomials(element.iterfind("width"), "sOffset", where)
+        borders = () if widths else read_polynomials(element.iterfind("border"), "sOffset", where)
         number = lane_number(element, where)
         if number in found:
             where = at_line(where, element)
@@ -153,15 +162,28 @@ def _read_lanes(section: etree._Element, side: str, where: str) -> dict[int, Lan
         if number == 0 or (number > 0) != (side == "left"):
             where = at_line(where, element)
             raise InputError(f"{where}: the lane {number} stands in <{side}>; lanes on the left have numbers above 0.")
+        if not widths and not borders:
+            adapt(element, "<lane> without a width", "is 0 m wide", "a lane has a <width> or a <border>")
         found[number] = Lane(
-            element.get("type", "none"),
+            _lane_type(element),
             widths,
-            () if widths else read_polynomials(element.iterfind("border"), "sOffset", where),
+            borders,
             _linked(element, "link/predecessor", where),
             _linked(element, "link/successor", where),
             element.get("direction") == "reversed",
         )
     return found
+
+
+def _lane_type(lane: etree._Element) -> str:
+    """Type of a lane; nobody drives on what has none that the standard knows."""
+    if (kind := lane.get("type")) in _TYPES:
+        return str(kind)
+    if kind and (meant := same_word(lane, "type", _TYPES)):
+        return meant
+    why = f"is {repr(kind) if kind else 'missing'}, and is read as 'none'"
+    adapt(lane, "type of <lane>", why, "a lane has one of the types of e_laneType")
+    return "none"
 
 
 def _linked(lane: etree._Element, path: str, where: str) -> tuple[int, ...]:
@@ -201,12 +223,14 @@ def read_polynomials(elements: Iterable[etree._Element], name: str, where: str) 
     Raises
     ------
     InputError
-        A number is missing or not finite.
+        A number is not finite.
     """
     found: list[Polynomial] = []
+    elements = list(elements)
     for e in elements:
-        start, a, b, c, d = (read_number(e, key, where) for key in (name, "a", "b", "c", "d"))
+        start, a, b, c, d = (read_number(e, key, where, 0.0) for key in (name, "a", "b", "c", "d"))
         found.append((start, a, b, c, d))
+    note_disorder(elements, [start for start, *_ in found])
     # Of several that begin at one place the last in the file holds.
     return tuple(sorted(found, key=lambda one: one[0]))
 

@@ -153,20 +153,19 @@ class LaneGraph:
 
     def exits(self, here: Stretch) -> list[Stretch]:
         """Stretches that follow one in the direction of travel; none where its lane ends."""
-        return [option for option in self._linked(here) if self._gap(here, option) <= 0.0]
+        found = []
+        for option in self._linked(here):
+            if self._gap(here, option) <= 0.0:
+                found.append(option)
+            else:
+                pair = min(here.road, option.road), max(here.road, option.road)
+                self.gaps[pair] = max(self.gaps.get(pair, 0.0), self._apart(here, option)[0])
+        return found
 
-    def gaps(self) -> list[tuple[int, int, float]]:
-        """Roads that are linked but do not meet: index of each, and how far apart their lanes end, in m."""
-        found: dict[tuple[int, int], float] = {}
-        for road, one in enumerate(self._roads):
-            for along, section in ((True, len(one.sections) - 1), (False, 0)):
-                for lane in one.sections[section][1]:
-                    here = Stretch(road, section, lane, along)
-                    for option in self._linked(here):
-                        if self._gap(here, option) > 0.0:
-                            pair = min(road, option.road), max(road, option.road)
-                            found[pair] = max(found.get(pair, 0.0), self._apart(here, option)[0])
-        return [(*pair, apart) for pair, apart in found.items()]
+    @cached_property
+    def gaps(self) -> dict[tuple[int, int], float]:
+        """Indices of roads that are linked but do not meet, and how far apart lanes end, in m, as `exits` found."""
+        return {}
 
     def _linked(self, here: Stretch) -> list[Stretch]:
         """Stretches that are linked to the end of one, whether they meet it or not."""

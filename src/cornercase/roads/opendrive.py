@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
@@ -13,15 +12,17 @@ from lxml import etree
 
 from cornercase._common.errors import InputError, suggestion
 from cornercase._common.places import place_of
+from cornercase._common.recorded_xml import adapt
 from cornercase._common.typing import BoolArray, FloatArray, IntArray
 from cornercase.roads.distance import LaneDistance
-from cornercase.roads.lane import is_permanent, lane_number
 from cornercase.roads.lane_graph import LaneGraph, Stretch
 from cornercase.roads.lane_path import LanePath, join
 from cornercase.roads.ledger import LEDGER
+from cornercase.roads.links import read_connections, settled
 from cornercase.roads.locating import Locator, Place
 from cornercase.roads.reference_line import read_number
-from cornercase.roads.road import Road, read_road
+from cornercase.roads.road import Road, permanent_lanes, read_road
+from cornercase.roads.road_graph import Connection
 from cornercase.roads.soundness import require_sound
 from cornercase.scenario import read_xml
 
@@ -43,11 +44,14 @@ class RoadNetwork:
     roads : tuple of Road
     connections : dict
         Junction to its (incoming road, connecting road, contact point, lane links).
+    left_out : dict
+        Id of each road that cannot be used, to what is wrong with it. Nothing is there.
     """
 
     path: Path
     roads: tuple[Road, ...]
-    connections: dict[str, tuple[tuple[str, str, str, dict[int, int]], ...]] = field(default_factory=dict)
+    connections: dict[str, tuple[Connection, ...]] = field(default_factory=dict)
+    left_out: dict[str, str] = field(default_factory=dict)
 
     @classmethod
     def read(cls, path: Path | str) -> RoadNetwork:
@@ -64,7 +68,7 @@ class RoadNetwork:
         Raises
         ------
         InputError
-            The file cannot be used; the message names the road.
+            The file, or none of its roads, can be used; the message names the road.
         """
         return cls.of_xml(read_xml(path), Path(path))
 
@@ -96,27 +100,41 @@ class RoadNetwork:
             raise InputError(f"{place}: the root element is <{root.tag}>; a road file starts with <OpenDRIVE>.")
         LEDGER.refuse(root, path)
         cuts = _places_of_links(root, path)
-        roads = tuple(_sound_road(e, path, cuts) for e in root.iterfind("road"))
-        if not roads:
+        if root.find("header") is None:
+            adapt(root, "<header>", "is missing, and the file is read as OpenDRIVE 1.9", "a file has a <header>")
+        elements: dict[str, etree._Element] = {}
+        roads, left_out = list[Road](), dict[str, str]()
+        for element in root.iterfind("road"):
+            name, line = element.get("id", ""), element.sourceline
+            if not name:
+                raise InputError(f"{path}, line {line}: a <road> has no id; give it one.")
+            if name in elements:
+                raise InputError(f"{path}, line {line}: <road>: a second road has the id '{name}'; give it another.")
+            elements[name], where = element, f"{place_of(element, str(path))}, road {name}"
+            # Which lanes are meant is asked of the whole file.
+            permanent_lanes(element, where)
+            try:
+                road = read_road(element, where, cuts.get(name, ()))
+                require_sound(road, element, where)
+            except InputError as error:
+                left_out[name] = str(error)
+            else:
+                roads.append(road)
+        if not elements:
             raise InputError(f"{place_of(root, str(path))}: <OpenDRIVE> has no <road>.")
-        names = [road.name for road in roads]
-        if len(set(names)) < len(names):
-            again = [e for k, e in enumerate(root.iterfind("road")) if e.get("id", "") in names[:k]]
-            raise InputError(f"{place_of(again[0], str(path))}: <road>: two roads have the same id.")
-        for road in roads:
-            for link in (road.predecessor, road.successor):
-                if link is not None and link.kind == "road" and link.element not in names:
-                    raise InputError(
-                        f"{path}, road {road.name}: is linked to the road {link.element}, which does not exist."
-                    )
-        return cls(
-            path,
-            roads,
-            {
-                e.get("id", ""): tuple(_connections(e, f"{place_of(e, str(path))}, junction {e.get('id')}"))
-                for e in root.iterfind("junction")
-            },
-        )
+        if not roads:
+            raise InputError(next(iter(left_out.values())))
+        for name, message in left_out.items():
+            reason = message.partition(f", road {name}: ")[2].removesuffix(".")
+            adapt(elements[name], f"road {name}", f"is left out: {reason}", "a road is complete and without jumps")
+        junctions = {e.get("id", ""): e for e in root.iterfind("junction")}
+        known = settled(roads, elements, {*junctions})
+        by_name = {road.name: road for road in known}
+        connections = {
+            name: read_connections(e, f"{place_of(e, str(path))}, junction {name}", by_name, elements)
+            for name, e in junctions.items()
+        }
+        return cls(path, known, connections, left_out)
 
     @cached_property
     def lengths(self) -> FloatArray:
@@ -138,8 +156,10 @@ class RoadNetwork:
         Raises
         ------
         InputError
-            There is none.
+            There is none, or it cannot be used.
         """
+        if name in self.left_out:
+            raise InputError(self.left_out[name])
         if name not in self._index:
             raise InputError(f"{self.path}: has no road '{name}'; {suggestion(name, self._index)}")
         return self._index[name]
@@ -326,14 +346,15 @@ class RoadNetwork:
         return self._graph.roads.way(road, s, along, goal, goal_s)
 
     def gaps(self) -> list[tuple[str, str, float]]:
-        """Find roads that are linked but do not meet.
+        """Find roads that are linked but do not meet, where somebody's path came to the end of one of them so far.
 
         Returns
         -------
         list of (str, str, float)
             Their ids, and how far apart their lanes end, in m. No way leads from one to the other.
         """
-        return [(self.roads[a].name, self.roads[b].name, apart) for a, b, apart in self._graph.gaps()]
+        found = sorted((*pair, apart) for pair, apart in self._graph.gaps.items())
+        return [(self.roads[a].name, self.roads[b].name, apart) for a, b, apart in found]
 
     def locate(self, x: FloatArray, y: FloatArray) -> Place:
         """Find where points are on the roads.
@@ -469,16 +490,6 @@ class RoadNetwork:
         return {}
 
 
-def _sound_road(element: etree._Element, path: Path, cuts: Mapping[str, Sequence[float]]) -> Road:
-    name = element.get("id", "")
-    where = f"{place_of(element, str(path))}, road {name}"
-    if not name:
-        raise InputError(f"{path}, line {element.sourceline}: a <road> has no id; give it one.")
-    road = read_road(element, where, cuts.get(name, ()))
-    require_sound(road, where)
-    return road
-
-
 def _places_of_links(root: etree._Element, path: Path) -> dict[str, list[float]]:
     """Where roads begin or end along others, in m on these, by their id."""
     found: dict[str, list[float]] = {}
@@ -487,17 +498,4 @@ def _places_of_links(root: etree._Element, path: Path) -> dict[str, list[float]]
             if link.get("elementS") is not None:
                 s = read_number(link, "elementS", f"{place_of(link, str(path))}, road {road.get('id')}")
                 found.setdefault(link.get("elementId", ""), []).append(s)
-    return found
-
-
-def _connections(junction: etree._Element, where: str) -> list[tuple[str, str, str, dict[int, int]]]:
-    found = []
-    for e in junction.iterfind("connection"):
-        links = {
-            lane_number(k, where, "from"): lane_number(k, where, "to")
-            for k in e.iterfind("laneLink")
-            if is_permanent(k, "fromLayer", "toLayer")
-        }
-        connecting = e.get("connectingRoad") or e.get("linkedRoad") or ""
-        found.append((e.get("incomingRoad", ""), connecting, e.get("contactPoint", "start"), links))
     return found

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Final
@@ -9,10 +10,11 @@ from typing import Final
 import numpy as np
 from lxml import etree
 
-from cornercase._common.errors import InputError
+from cornercase._common.errors import InputError, suggestion
 from cornercase._common.geometry import within_half_turn
 from cornercase._common.ledger import local_name
 from cornercase._common.places import at_line
+from cornercase._common.recorded_xml import adapt
 from cornercase._common.typing import FloatArray
 
 # Below this bend, in rad, a spiral is not told from an arc; Fresnel's integrals lose digits there.
@@ -147,15 +149,27 @@ class Geometry:
         return u, np.polyval(self.numbers[::-1], u), np.arctan(np.polyval(slope, u))
 
 
-def read_geometry(element: etree._Element, where: str) -> Geometry:
+def read_geometry(element: etree._Element, where: str, begin: float = 0.0, end: str | None = None) -> Geometry:
     """Read one ``geometry``.
+
+    Parameters
+    ----------
+    element : lxml element
+    where : str
+        File and road, for messages.
+    begin : float, default 0.0
+        Where it begins if it does not say so, in m.
+    end : str, optional
+        Where it ends if it does not say how long it is, in m, as the file has it.
 
     Raises
     ------
     InputError
         It is malformed, or of a length below 0.
     """
-    s, x, y, heading, length = (read_number(element, name, where) for name in ("s", "x", "y", "hdg", "length"))
+    s = read_number(element, "s", where, begin)
+    x, y, heading = (read_number(element, name, where, 0.0) for name in ("x", "y", "hdg"))
+    length = read_number(element, "length", where, _difference(end, s))
     if length < 0:
         where = at_line(where, element)
         raise InputError(f"{where}: a <geometry> has the length {length:g} m; it must be above 0.")
@@ -171,9 +185,10 @@ def read_geometry(element: etree._Element, where: str) -> Geometry:
         "poly3": ("a", "b", "c", "d"),
     }
     if kind != "paramPoly3":
-        return Geometry(s, x, y, heading, length, kind, tuple(read_number(shape, name, where) for name in names[kind]))
-    top = length if shape.get("pRange", "normalized") == "arcLength" else 1.0
-    coefficients = [read_number(shape, f"{c}{axis}", where) for axis in "UV" for c in "abcd"]
+        numbers = tuple(read_number(shape, name, where, 0.0) for name in names[kind])
+        return Geometry(s, x, y, heading, length, kind, numbers)
+    top = length if read_word(shape, "pRange", ("normalized", "arcLength"), "normalized", where) == "arcLength" else 1.0
+    coefficients = [read_number(shape, f"{c}{axis}", where, 0.0) for axis in "UV" for c in "abcd"]
     return Geometry(s, x, y, heading, length, kind, (top, *coefficients))
 
 
@@ -216,11 +231,62 @@ def turns_evenly(start: float, end: float, length: float) -> bool:
     return abs((end - start) / length) * length**2 < _STRAIGHT
 
 
+def read_word(element: etree._Element, name: str, words: Sequence[str], missing: str, where: str) -> str:
+    """Read an attribute that is one of a few words, in whatever case; `missing` where there is none.
+
+    Raises
+    ------
+    InputError
+        It is another word.
+    """
+    text = element.get(name)
+    if not text:
+        return missing
+    if (meant := same_word(element, name, words)) is None:
+        tag, line = local_name(element), element.sourceline
+        raise InputError(
+            f"{where}: {name} '{text}' of <{tag}> in line {line} cannot be used; {suggestion(text, words)}"
+        )
+    return meant
+
+
+def same_word(element: etree._Element, name: str, words: Sequence[str]) -> str | None:
+    """The one of some words that an attribute is, but for its case and blanks; None where it is none."""
+    text, tag = element.get(name, ""), local_name(element)
+    meant = next((word for word in words if word.lower() == text.strip().lower()), None)
+    if meant is not None and meant != text:
+        adapt(
+            element, f"{name} of <{tag}>", f"is '{text}', and is read as '{meant}'", f"{name} of <{tag}> is '{meant}'"
+        )
+    return meant
+
+
+def _difference(end: str | None, start: float) -> float | None:
+    """How far an end, as a file has it, lies beyond a start; None where it does not."""
+    try:
+        return max(float(end or "") - start, 0.0) or None
+    except ValueError:
+        return None
+
+
+def note_disorder(elements: Sequence[etree._Element], starts: Sequence[float]) -> None:
+    """Note which of the elements begin before the one ahead of them in the file, given where each begins in m."""
+    for element, start, before in zip(elements[1:], starts[1:], starts[:-1], strict=True):
+        if start < before:
+            tag = local_name(element)
+            adapt(
+                element,
+                f"order of <{tag}>",
+                "those of a road are read in the order of their places",
+                f"each <{tag}> begins after the one before",
+            )
+
+
 def _derivative(coefficients: tuple[float, ...] | list[float]) -> list[float]:
     return [i * c for i, c in enumerate(coefficients)][:0:-1]
 
 
-def read_number(element: etree._Element, name: str, where: str) -> float:
+def read_number(element: etree._Element, name: str, where: str, missing: float | None = None) -> float:
     """Read a finite number of an attribute.
 
     Parameters
@@ -230,6 +296,8 @@ def read_number(element: etree._Element, name: str, where: str) -> float:
         Of the attribute.
     where : str
         File and road, for messages.
+    missing : float, optional
+        What it is if the attribute is missing or empty, which a notice then says.
 
     Returns
     -------
@@ -241,6 +309,10 @@ def read_number(element: etree._Element, name: str, where: str) -> float:
         It is missing, or none.
     """
     text = element.get(name)
+    if missing is not None and not (text or "").strip():
+        tag = local_name(element)
+        adapt(element, f"{name} of <{tag}>", f"is missing, and is read as {missing:g}", f"<{tag}> has a number {name}")
+        return missing
     if text is None:
         raise InputError(f"{at_line(where, element)}: <{local_name(element)}> has no {name}; give it one.")
     try:

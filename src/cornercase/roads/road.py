@@ -24,7 +24,7 @@ from cornercase.roads.lane import (
     read_polynomials,
     read_sections,
 )
-from cornercase.roads.reference_line import Geometry, read_geometry, read_number
+from cornercase.roads.reference_line import Geometry, note_disorder, read_geometry, read_number, read_word
 
 _SHORTEST_ROAD: Final = 1e-9
 _LONGEST_ROAD: Final = 1e5
@@ -40,7 +40,8 @@ class Link:
 
     Attributes
     ----------
-    kind : {"road", "junction"}
+    kind : {"road", "junction", ""}
+        Empty where the file does not say it, until it is settled.
     element : str
         Its id.
     contact : str
@@ -213,21 +214,17 @@ def read_road(element: etree._Element, where: str, cuts: Iterable[float] = ()) -
     InputError
         The road cannot be used.
     """
-    length = read_number(element, "length", where)
+    geometries = _geometries(element, where)
+    length = read_number(element, "length", where, max(one.s + one.length for one in geometries))
     if length < _SHORTEST_ROAD:
         raise InputError(f"{where}: <road> has the length {length:g} m; it must be at least {_SHORTEST_ROAD:g} m.")
     if length > _LONGEST_ROAD:
         raise InputError(f"{where}: <road> is {length:g} m long; at most {_LONGEST_ROAD:g} m are read.")
-    geometries = tuple(
-        sorted((read_geometry(e, where) for e in element.iterfind("planView/geometry")), key=lambda g: g.s)
-    )
-    if not geometries:
-        raise InputError(f"{where}: has no <geometry> in its <planView>.")
     # One that is no longer than rounding has no shape that could go on: those beside it do.
     geometries = tuple(one for one in geometries if one.length > _ROUNDING) or geometries[-1:]
     if geometries[-1].length <= 0.0:
         raise InputError(f"{where}: a <geometry> has the length 0 m; it must be above 0.")
-    lanes = _permanent_lanes(element, where)
+    lanes = permanent_lanes(element, where)
     sections = [] if lanes is None else lanes.findall("laneSection")
     if lanes is None or not sections:
         raise InputError(f"{where}: has no <laneSection>.")
@@ -239,7 +236,7 @@ def read_road(element: etree._Element, where: str, cuts: Iterable[float] = ()) -
         element.get("id", ""),
         length,
         element.get("junction", "-1"),
-        element.get("rule", "RHT") != "LHT",
+        read_word(element, "rule", ("RHT", "LHT"), "RHT", where) != "LHT",
         geometries,
         offsets,
         tuple(read_sections(sections, length, cuts, where)),
@@ -248,7 +245,20 @@ def read_road(element: etree._Element, where: str, cuts: Iterable[float] = ()) -
     )
 
 
-def _permanent_lanes(road: etree._Element, where: str) -> etree._Element | None:
+def _geometries(road: etree._Element, where: str) -> tuple[Geometry, ...]:
+    """Pieces of the reference line, in their order."""
+    elements, found = list(road.iterfind("planView/geometry")), list[Geometry]()
+    if not elements:
+        raise InputError(f"{where}: has no <geometry> in its <planView>.")
+    for k, element in enumerate(elements):
+        begin = found[-1].s + found[-1].length if found else 0.0
+        following = elements[k + 1].attrib.get("s") if k + 1 < len(elements) else road.attrib.get("length")
+        found.append(read_geometry(element, where, begin, following))
+    note_disorder(elements, [one.s for one in found])
+    return tuple(sorted(found, key=lambda one: one.s))
+
+
+def permanent_lanes(road: etree._Element, where: str) -> etree._Element | None:
     """Lanes of the permanent layer, of which a road has one; None where it has none at all."""
     layers = unrecorded(road, "lanes")
     found = [one for one in layers if one.attrib.get("layer", PERMANENT) == PERMANENT]
@@ -271,9 +281,9 @@ def _link(element: etree._Element | None, where: str) -> Link | None:
         return None
     along = element.get("elementS") is not None
     return Link(
-        element.get("elementType", "road"),
+        read_word(element, "elementType", ("road", "junction"), "", where),
         element.get("elementId", ""),
-        element.get("contactPoint", ""),
+        read_word(element, "contactPoint", ("start", "end"), "", where),
         read_number(element, "elementS", where) if along else None,
         element.get("elementDir", "+") != "-",
     )

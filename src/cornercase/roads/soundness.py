@@ -6,14 +6,17 @@ from itertools import pairwise
 from typing import Final
 
 import numpy as np
+from lxml import etree
 
 from cornercase._common.errors import InputError
+from cornercase._common.recorded_xml import adapt, unrecorded
 from cornercase.roads.lane import Polynomial
 from cornercase.roads.reference_line import Geometry
 from cornercase.roads.road import Road
 
-# m; pieces of a reference line that lie further apart than this do not meet.
-_APART: Final = 1.0
+# m; pieces of a reference line that lie further apart than this do not meet, and those beyond the second are no line.
+_MEETING: Final = 0.1
+_APART: Final = 2.0
 # m; nothing lies further out than this from the origin, and no lane from its road.
 _FARTHEST: Final = 1e8
 _WIDEST: Final = 1e4
@@ -23,12 +26,14 @@ _TIGHTEST: Final = 10.0
 _STRETCHED: Final = 2.0
 
 
-def require_sound(road: Road, where: str) -> None:
+def require_sound(road: Road, element: etree._Element, where: str) -> None:
     """Refuse a road that cannot be what its file says.
 
     Parameters
     ----------
     road : Road
+    element : lxml element
+        Where its file has it.
     where : str
         File and road, for messages.
 
@@ -49,6 +54,9 @@ def require_sound(road: Road, where: str) -> None:
                 f"{where}: the <geometry> at s = {other.s:g} m begins {apart:.3g} m away from the end of the one"
                 " before; make them meet."
             )
+        if apart > _MEETING:
+            why = f"begins up to {_APART:g} m away from the end of the one before, and is driven onto straight"
+            adapt(_geometry_at(element, other.s), "<geometry>", why, "each <geometry> begins where the one before ends")
     _require_near(road.offsets, road.length, f"{where}: its <laneOffset>")
     for (start, lanes), end in zip(road.sections, road.seams[1:].tolist(), strict=True):
         for number, lane in lanes.items():
@@ -56,8 +64,25 @@ def require_sound(road: Road, where: str) -> None:
             _require_near(curve, end - start, f"{where}: <{tag}> of the lane {number} at s = {start:g} m")
 
 
+def _geometry_at(road: etree._Element, s: float) -> etree._Element:
+    """The <geometry> of a road that begins at s, in m; the road itself where it does not say so."""
+    for one in unrecorded(road, "planView", "geometry"):
+        if float(one.attrib.get("s") or "nan") == s:
+            return one
+    return road
+
+
 def _require_shape(geometry: Geometry, end: float, where: str) -> None:
     where = f"{where}: the <geometry> at s = {geometry.s:g} m"
+    if geometry.kind in ("line", "arc", "spiral"):
+        # It lies nowhere further away than it is long.
+        most = max(abs(geometry.x), abs(geometry.y)) + max(geometry.length, end - geometry.s)
+        if not (most < _FARTHEST and np.isfinite(geometry.heading)):
+            raise InputError(f"{where} lies more than {_FARTHEST / 1000:g} km from the origin; move it nearer.")
+        bend = max(map(abs, geometry.numbers), default=0.0)
+        if bend > _TIGHTEST and bend * geometry.length > 2.0 * np.pi:
+            raise InputError(f"{where} has a curvature of {bend:g} 1/m; at most {_TIGHTEST:g} 1/m are read.")
+        return
     # A road goes on in the shape of its last geometry.
     along = np.append(np.linspace(0.0, geometry.length, 101), end - geometry.s)
     with np.errstate(all="ignore"):
@@ -65,10 +90,6 @@ def _require_shape(geometry: Geometry, end: float, where: str) -> None:
         length = float(np.hypot(np.diff(x[:-1]), np.diff(y[:-1])).sum())
     if not (np.isfinite(heading).all() and max(np.abs(x).max(), np.abs(y).max()) < _FARTHEST):
         raise InputError(f"{where} lies more than {_FARTHEST / 1000:g} km from the origin; move it nearer.")
-    if geometry.kind in ("arc", "spiral"):
-        bend = max(map(abs, geometry.numbers))
-        if bend > _TIGHTEST and bend * geometry.length > 2.0 * np.pi:
-            raise InputError(f"{where} has a curvature of {bend:g} 1/m; at most {_TIGHTEST:g} 1/m are read.")
     if geometry.kind == "paramPoly3" and not 1 / _STRETCHED <= length / geometry.length <= _STRETCHED:
         raise InputError(
             f"{where} is a <paramPoly3> that is {length:.3g} m long, but its length says {geometry.length:g} m; correct"

@@ -16,6 +16,8 @@ _FINER: Final = 8
 _MOST_SAMPLES: Final = 4_000
 # Influences of all control points at all samples that are held at once.
 _MOST_INFLUENCES: Final = 10_000_000
+# A derivative below this, in m, has no direction.
+_STILL: Final = 1e-9
 
 
 def nurbs_points(
@@ -63,10 +65,20 @@ def nurbs_points(
         step = min(_AHEAD, float(coarse[1] - coarse[0]))
         ahead = np.append(coarse[:-1] + step, coarse[-1] - step)
         clock = _mixed(time[rows], _shares(u, coarse[basis(ahead).argmax(axis=0)]).T)
-        for part, held in zip((px, py, np.unwrap(np.arctan2(dy, dx), axis=1), clock), found, strict=True):
+        for part, held in zip((px, py, _headings(px, py, dx, dy), clock), found, strict=True):
             held[rows, : u.size] = part
             held[rows, u.size :] = part[:, -1:]
     return found[0], found[1], found[2], found[3]
+
+
+def _headings(x: FloatArray, y: FloatArray, dx: FloatArray, dy: FloatArray) -> FloatArray:
+    """Direction of a curve at its points, unwrapped, given its derivative there, each (N, S)."""
+    # Where control points coincide the derivative is nothing, and the curve leads to its next point.
+    still = np.hypot(dx, dy) < _STILL
+    if still.any():
+        ahead_x, ahead_y = (np.diff(one, axis=1, append=2.0 * one[:, -1:] - one[:, -2:-1]) for one in (x, y))
+        dx, dy = np.where(still, ahead_x, dx), np.where(still, ahead_y, dy)
+    return np.unwrap(np.arctan2(dy, dx), axis=1)
 
 
 def _mixed(controls: FloatArray, shares: FloatArray) -> FloatArray:
