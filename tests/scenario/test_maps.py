@@ -15,9 +15,9 @@ from conftest import ROAD, car, moving, scenario_file
 from cornercase import check, convert, explore
 from cornercase import test as run_suite
 from cornercase._common.errors import InputError
-from cornercase.scenario import LogicalScenario, Scenario, ScenarioParcel, write_concrete
+from cornercase.scenario import ConcreteScenario, LogicalScenario, Scenario, ScenarioParcel, write_concrete
 from cornercase.scenario.maps import MAPS_VARIABLE, looking_in
-from cornercase.simulators import EsminiSimulator, simulate
+from cornercase.simulators import EsminiSimulator, WorkerSimulator, simulate
 from cornercase.study import Study, explored_scenario
 
 pytestmark = pytest.mark.filterwarnings("ignore:adapted:UserWarning")
@@ -142,6 +142,20 @@ def test_43_7_workers_find_what_the_command_finds(tmp_path, maps):
         told = subprocess.run([sys.executable, "-c", asked, str(path)], capture_output=True, text=True, check=True)
     assert told.stdout.strip() == str(maps / "Town01.xodr")
     assert one.names == ("Ego", "B")
+
+
+def test_43_7_a_map_that_is_lost_on_the_way_is_told_by_a_worker(tmp_path, maps):
+    """The sentence of a worker process arrives as it is."""
+    path = town(tmp_path / "s")
+    with looking_in([maps]):
+        concrete = ConcreteScenario(path, {}, Scenario.read(path))
+        with WorkerSimulator("builtin", {"duration": 1.0}) as simulator:
+            assert not isinstance(next(iter(simulator.run([concrete]))), Exception)
+    with (
+        WorkerSimulator("builtin", {"duration": 1.0}) as simulator,
+        pytest.raises(InputError, match="'Town01'; it is a"),
+    ):
+        list(simulator.run([ConcreteScenario(path, {})]))
 
 
 def test_43_7_other_machines_get_the_map_with_the_scenario(tmp_path, maps):

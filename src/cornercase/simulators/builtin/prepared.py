@@ -42,6 +42,10 @@ class UnusableError(InputError):
         super().__init__(words)
         self.names = names
 
+    def __reduce__(self) -> tuple[type[UnusableError], tuple[str, set[str]]]:
+        # As a worker process sends it.
+        return UnusableError, (str(self), self.names)
+
 
 class PreparedScenario:
     """A scenario file with what its batches need, which is made once.
