@@ -70,10 +70,10 @@ class RunNotices:
             )
         if self._cut:
             runs = "the run was" if self._runs == 1 else f"{self._cut} of {self._runs} runs were"
-            warn(
-                f"cut off: {runs} ended by the longest duration, {self._duration:g} s, before the scenario came to"
-                " its end; where it would go on, give a longer `duration`"
-            )
+            # A simulator of one's own may have no such option.
+            limit = f", {self._duration:g} s," if isinstance(self._duration, int | float) else ""
+            more = "; where it would go on, give a longer `duration`" if limit else ""
+            warn(f"cut off: {runs} ended by the longest duration{limit} before the scenario came to its end{more}")
 
 
 def far_from_roads(
