@@ -9,7 +9,9 @@ parts are
 
 - ``scenarios``: each scenario, run by the builtin simulator and compared with its recording within 0.25 m, 0.05 rad,
   0.25 m/s and 0.15 s. A file of CARLA's, which esmini reads in other axes, has no recording to agree with;
-- ``lanes``: each lane centre, within 1 cm of CARLA's or of esmini's;
+- ``lanes``: each lane centre, within 1 cm of CARLA's or of esmini's; those that are not, by the reason, as far as it
+  follows from the road: lanes by borders, lanes of a road that leans, and the like. Where some centres of a file are on
+  roads that it lacks, all of them come from another version of it, and are counted apart;
 - ``driving``: each lane of each road: whether it can be driven, and whether short steps with 10 m/s from places all
   along it are right within 0.1 %. ``tests/driven_lanes.py`` says which differences are allowed for, such as that of a
   lane aslant to the reference line, along which a step is measured, as in esmini.
@@ -18,19 +20,15 @@ parts are
 from __future__ import annotations
 
 import argparse
-import csv
-import gzip
 import json
 import sys
 import time
 from collections import Counter
 from collections.abc import Iterable, Iterator
 from concurrent.futures import ProcessPoolExecutor
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, field
 from functools import partial
 from pathlib import Path
-
-import numpy as np
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
 
@@ -40,10 +38,9 @@ from cornercase.recordings import Recording
 from cornercase.roads import RoadNetwork
 from cornercase.simulators import BuiltinSimulator
 from driven_lanes import drive_lanes
+from lane_centres import OTHER_VERSION, compare_centres, read_centres
 
 PARTS = ("scenarios", "lanes", "driving")
-# m: a lane centre that is no further away is the same.
-NEAR = 0.01
 # Of the speed that a lane is driven with.
 EXACT = 1e-3
 
@@ -60,6 +57,8 @@ class Row:
     """Lane centres or lanes that were looked at."""
     good: int = 0
     seconds: float = 0.0
+    explained: dict[str, int] = field(default_factory=dict)
+    """Lane centres that are elsewhere, by the reason."""
 
 
 def judge_scenario(folder: Path, entry: dict[str, object]) -> Row:
@@ -102,29 +101,13 @@ def judge_centres(folder: Path, name: str, points: list[dict[str, str]]) -> Row:
     """Compare lane centres of a road file with those of CARLA and of esmini."""
     begun = time.perf_counter()
     try:
-        network = RoadNetwork.read(folder / name)
+        centres = compare_centres(RoadNetwork.read(folder / name), points)
     except InputError as error:
         return Row("lanes", name, "refused", str(error).replace(f"{folder}/", ""), len(points))
-    good, off = 0, Counter[str]()
-    for point in points:
-        where = f"road {point['road']}, lane {point['lane']}"
-        try:
-            road, s = network.index_of(point["road"]), np.array([float(point["s"])])
-            x, y, _ = network.world(road, int(point["lane"]), s, np.zeros(1))
-        except (InputError, IndexError, KeyError) as error:
-            off[f"{where}: {error}"] += 1
-            continue
-        apart = [
-            float(np.hypot(x[0] - float(point[f"{who}_x"]), y[0] - float(point[f"{who}_y"])))
-            for who in ("carla", "esmini")
-            if point[f"{who}_x"]
-        ]
-        if not apart or min(apart) <= NEAR:
-            good += 1
-        else:
-            off[f"{where}: {min(apart):.3g} m"] += 1
-    why = "; ".join(list(off)[:3])
-    return Row("lanes", name, "differs" if off else "agrees", why, len(points), good, time.perf_counter() - begun)
+    why = "; ".join([*centres.off[:3], *(f"{reason}: {count}" for reason, count in centres.explained.items())])
+    outcome = "differs" if centres.off else "explained" if centres.explained else "agrees"
+    seconds = time.perf_counter() - begun
+    return Row("lanes", name, outcome, why, len(points), centres.good, seconds, centres.explained)
 
 
 def judge_roads(folder: Path, path: Path) -> Row:
@@ -150,10 +133,7 @@ def cases(options: argparse.Namespace) -> Iterator[partial[Row]]:
     for entry in json.loads((folder / "index.json").read_text(encoding="utf-8")):
         if entry["kind"] == "scenario":
             found.append(("scenarios", str(entry["path"]), partial(judge_scenario, folder, entry)))
-    centres: dict[str, list[dict[str, str]]] = {}
-    with gzip.open(folder / "lane_centres.csv.gz", "rt", encoding="utf-8", newline="") as file:
-        for row in csv.DictReader(file):
-            centres.setdefault(row["file"], []).append(row)
+    centres = read_centres(folder / "lane_centres.csv.gz")
     found += [("lanes", name, partial(judge_centres, folder, name, points)) for name, points in centres.items()]
     found += [("driving", str(path), partial(judge_roads, folder, path)) for path in sorted(folder.rglob("*.xodr"))]
     for part in options.part:
@@ -181,8 +161,13 @@ def summary(table: Iterable[Row]) -> dict[str, float]:
             figures |= {
                 f"road files of {what}": len(mine), f"refused of {what}": outcomes[part, "refused"],
                 f"crashes of {what}": outcomes[part, "crashes"],
-                what: sum(row.points for row in mine), f"good {what}": sum(row.good for row in mine),
+                what: sum(row.points - row.explained.get(OTHER_VERSION, 0) for row in mine),
+                f"good {what}": sum(row.good for row in mine),
             }  # fmt: skip
+        reasons: Counter[str] = Counter()
+        for row in mine:
+            reasons.update(row.explained)
+        figures |= {f"{what} {reason}": count for reason, count in reasons.items()}
     return figures
 
 
@@ -207,7 +192,7 @@ def main() -> int:
             table.append(row)
     figures = summary(table)
     for name, figure in figures.items():
-        print(f"{name:36} {figure:g}")
+        print(f"{figure:<8g} {name}")
     if options.json:
         rows = [asdict(row) for row in table]
         options.json.write_text(json.dumps({"figures": figures, "rows": rows}, indent=2) + "\n", encoding="utf-8")
