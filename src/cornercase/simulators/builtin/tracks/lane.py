@@ -9,7 +9,7 @@ import numpy as np
 
 from cornercase._common.typing import FloatArray, IntArray
 from cornercase.roads import LanePath, RoadNetwork
-from cornercase.simulators.builtin.tracks.lane_kernels import SHRUNK
+from cornercase.simulators.builtin.tracks.lane_kernels import advance_on_path
 from cornercase.simulators.builtin.tracks.nearest_kernels import nearest_on_path
 from cornercase.simulators.builtin.tracks.track import Pose, Track
 
@@ -66,16 +66,11 @@ class LaneTrack(Track):
         """Distance along the track after a step, each (R,) in m.
 
         As in esmini, a step is a step along the reference line of the road, which lengthens or shortens it as the bend
-        at its begin does: where the bend changes, and where the lane runs aslant, the way that is driven is another.
+        at its begin does. Where the bend changes, and where the lane runs aslant, the way that is driven is another: if
+        it is so by more than 0.1 %, the step is one along the lane.
         """
         path = self.path
-        along = np.interp(distance, path.distance, path.reference)
-        left = np.interp(distance, path.distance, path.center) + offset
-        shrunk = 1.0 - np.interp(along, path.bend_at, path.bend) * left
-        # Near the center of a bend, where the reference line does not lead on, the lane itself does.
-        near = shrunk < SHRUNK
-        ahead = path.ahead(distance, way / np.where(near, 1.0, shrunk))
-        return np.where(near, np.clip(distance + way, 0.0, self.length), ahead)
+        return np.asarray(advance_on_path(path.addresses, path.x.size, path.bend_at.size, distance, offset, way))
 
     def nearest(self, x: FloatArray, y: FloatArray, rows: IntArray, after: FloatArray | None = None) -> FloatArray:
         path, first = self.path, np.full(len(x), -np.inf) if after is None else after

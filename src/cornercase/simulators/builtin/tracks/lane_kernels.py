@@ -7,13 +7,21 @@ from __future__ import annotations
 
 import math
 
+import numpy as np
+
 from cornercase._common.addresses import floats_at, integers_at, truths_at
 from cornercase._common.compiling import kernel
 from cornercase.roads import KINK
 from cornercase.simulators.builtin.tracks import columns
 
-SHRUNK = 0.1
-"""Where a lane is shorter than this part of the reference line, an entity moves along the lane alone."""
+# Where a lane is shorter than this part of the reference line, an entity moves along the lane alone.
+_SHRUNK = 0.1
+
+
+# By no more than this part the way of a step over ground differs from that asked for.
+_EXACT = 1e-3
+# A lane that gets on so much less along the reference line than at both ends of a step has a jump there.
+_JUMP = 0.2
 
 
 @kernel(error_model="numpy", forceinline=True, _nrt=False)
@@ -105,14 +113,51 @@ def advance_lane(tracks, g, distance, offset, way):
         tracks.address[g, columns.BEND_AT],
         tracks.address[g, columns.BEND],
         tracks.bends[g],
+        tracks.address[g, columns.CURVATURE],
         distance,
         offset,
         way,
     )
 
 
+@kernel(error_model="numpy")
+def advance_on_path(addresses, count, known, distance, offset, way):
+    """Distances along a path of lanes after steps along the reference line.
+
+    Parameters
+    ----------
+    addresses : ndarray of int64, shape (14,)
+        Where the columns of the path lie.
+    count, known : int
+        Its samples, and places with a bend.
+    distance, offset, way : ndarray of float64, shape (R,)
+        m along it, to the left, and of the steps.
+
+    Returns
+    -------
+    ndarray of float64, shape (R,)
+        m.
+    """
+    result = np.empty(len(distance))
+    for i in range(len(distance)):
+        result[i] = _advance(
+            addresses[columns.DISTANCE],
+            addresses[columns.REFERENCE],
+            addresses[columns.CENTER],
+            count,
+            addresses[columns.BEND_AT],
+            addresses[columns.BEND],
+            known,
+            addresses[columns.CURVATURE],
+            distance[i],
+            offset[i],
+            way[i],
+        )
+    return result
+
+
 @kernel(error_model="numpy", _nrt=False)
-def _advance(distances, references, centers, count, bends_at, bends, known, distance, offset, way):
+def _advance(distances, references, centers, count, bends_at, bends, known, curvatures, distance, offset, way):
     if math.isnan(distance + offset + way):
         return math.nan
     table, reference = floats_at(distances, count), floats_at(references, count)
@@ -123,10 +168,39 @@ def _advance(distances, references, centers, count, bends_at, bends, known, dist
     k = _last_within(bend_at, known, along, 0)
     shrunk = 1.0 - _between(bend_at, floats_at(bends, known), known, along, k) * left
     # Near the center of a bend, where the reference line does not lead on, the lane itself does.
-    if shrunk < SHRUNK:
+    if shrunk < _SHRUNK:
         return min(max(distance + way, 0.0), table[count - 1])
     ahead = along + way / shrunk
-    return _between(reference, table, count, ahead, _last_within(reference, count, ahead, max(j, 0)))
+    reached = _between(reference, table, count, ahead, _last_within(reference, count, ahead, max(j, 0)))
+    return _over_ground(table, reference, floats_at(curvatures, count), count, distance, offset, way, reached)
+
+
+@kernel(error_model="numpy", forceinline=True, _nrt=False)
+def _over_ground(table, reference, curvature, count, distance, offset, way, reached):
+    """Distance after a step that led to `reached` along the reference line, where the way over ground is another."""
+    middle = distance + 0.5 * way
+    shrunk = 1.0 - _between(table, curvature, count, middle, _sample(table, count, middle)) * offset
+    if shrunk < _SHRUNK or abs((reached - distance) * shrunk - way) <= _EXACT * abs(way):
+        return reached
+    goal = min(max(distance + way / shrunk, 0.0), table[count - 1])
+    # Jumps from a lane or a piece of a road to the next take no time, as in esmini.
+    return reached if _jumps(table, reference, count, distance, max(goal, reached)) else goal
+
+
+@kernel(error_model="numpy", forceinline=True, _nrt=False)
+def _jumps(table, reference, count, first, last):
+    """Whether a path jumps aside between two distances."""
+    j, k = _cell(table, count, first), _cell(table, count, last)
+    least = min(reference[j + 1] - reference[j], reference[k + 1] - reference[k])
+    for cell in range(min(j, k) + 1, max(j, k)):  # noqa: SIM110 - what is compiled has no generators
+        if reference[cell + 1] - reference[cell] < _JUMP * least:
+            return True
+    return False
+
+
+@kernel(error_model="numpy", forceinline=True, _nrt=False)
+def _cell(table, count, x):
+    return min(max(_sample(table, count, x), 0), count - 2)
 
 
 @kernel(error_model="numpy", forceinline=True, _nrt=False)
