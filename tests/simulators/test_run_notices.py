@@ -174,5 +174,10 @@ def test_43_5_a_study_in_which_nobody_drives_the_ego_says_so(tmp_path):
     assert "Nobody drives" not in said(undriven, "--driver", "Ego=simple")
     assert nobody in said(undriven, "--driver", "C=simple", "--seed", 1)
     assert "Nobody drives" not in said(EXAMPLES / "t_intersection" / "t_intersection.xosc", "--seed", 2, "--seed", 3)
+    (tmp_path / "suite").mkdir()
+    (tmp_path / "suite" / undriven.name).write_text(undriven.read_text(encoding="utf-8"), encoding="utf-8")
+    test = ["test", tmp_path / "suite", "--ego", "Ego", "--other", "C", "--require", "no collision", "--duration", 1]
+    assert nobody in cornercase(*test, "-o", tmp_path / "undriven.db").stderr
+    assert "Nobody drives" not in cornercase(*test, "--driver", "Ego=normal", "-o", tmp_path / "driven.db").stderr
     # A single run is no study.
     assert "Nobody drives" not in cornercase("simulate", undriven, "-o", tmp_path / "r.csv").stderr

@@ -63,7 +63,7 @@ def run_suite(
         None of the scenarios can be run, or the study is of something else; it is left as it is.
     """
     require_usable(simulator, (one.scenario for one in suite.scenarios), [one.concrete for one in suite.scenarios])
-    _warn(suite, simulator)
+    _warn(suite, simulator, meta.ego)
     metrics = [METRICS.create(name) for name in meta.metrics]
     with begun_study(path, meta) as study:
         study.continue_with(meta)
@@ -97,10 +97,10 @@ def _once_more(suite: SuiteContents, simulator: Simulator, row: Row) -> Recordin
     return outcome
 
 
-def _warn(suite: SuiteContents, simulator: Simulator) -> None:
-    """Tell what of the files has no effect; what is the same in several once."""
+def _warn(suite: SuiteContents, simulator: Simulator, ego: str) -> None:
+    """Tell what of the files has no effect, what is the same in several once, and that nobody drives the ego."""
     warn_of(distinct(notice for one in suite.scenarios for notice in notices_of(simulator.name, one.scenario)))
-    warn_if_nobody_drives(simulator, (one.scenario for one in suite.scenarios), suite.ego)
+    warn_if_nobody_drives(simulator, (one.scenario for one in suite.scenarios), ego)
 
 
 def _run(
