@@ -56,6 +56,17 @@ def test_roads_that_lie_apart_are_not_bridged(tmp_path):
     assert not np.isfinite(way(roads, 0, 50.0, True, 1, 50.0))
 
 
+def test_43_13_gaps_are_looked_for_only_where_somebody_comes_to_one(tmp_path):
+    gap = [road("1", 100.0, links=linked("successor", "2", "start")),
+           road("2", 100.0, at=(140.0, 0.0, 0.0), links=linked("predecessor", "1", "end")),
+           road("3", 100.0, at=(0.0, 50.0, 0.0))]  # fmt: skip
+    roads = network(tmp_path, *gap)
+    assert roads.path_of_lane(2, -1, 0.0, True) is not None
+    assert roads.gaps() == []
+    assert roads.path_of_lane(0, -1, 0.0, True) is not None
+    assert [names for *names, _ in roads.gaps()] == [["1", "2"]]
+
+
 def test_roads_that_nearly_meet_are_joined(tmp_path):
     roads = network(tmp_path, road("1", 100.0, links=linked("successor", "2", "start")),
                     road("2", 100.0, at=(100.3, 0.2, 0.0), links=linked("predecessor", "1", "end")))  # fmt: skip

@@ -285,9 +285,13 @@ class Ledger:
         if not self._refusable:
             return
         every = etree.ElementBase.iter if isinstance(element, etree.ElementBase) else etree._Element.iter
+        # A file has few different paths.
+        ended: dict[tuple[str, ...], bool] = {}
         for one in every(element, *(f"{{*}}{name}" for name in self._refusable)):
             path = _path(one)
-            if any(self._ends(path[: k + 1]) for k in range(len(path) - 1)):
+            if path not in ended:
+                ended[path] = any(self._ends(path[: k + 1]) for k in range(len(path) - 1))
+            if ended[path]:
                 continue
             entry = self.entry(path)
             if entry is not None and entry.status is Status.REFUSED:
