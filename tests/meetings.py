@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from typing import Any
 
 import numpy as np
 
@@ -30,13 +31,16 @@ def entity(x, y, heading, *speeds, kind="car", length=4.0, width=2.0, exists=(-1
 
 
 def recording(*collisions, until=20.0, **entities):
-    rows = list(entities.values())
+    rows: list[Any] = list(entities.values())
     shown = until + 1e-9 >= TIMES
+    motion: dict[str, Any] = {
+        key: np.array([one[key][shown] for one in rows]) for key in ("x", "y", "heading", "speed", "acceleration")
+    }
     return Recording(
         time=TIMES[shown],
         names=tuple(entities),
         kinds=tuple(one["kind"] for one in rows),
-        **{key: np.array([one[key][shown] for one in rows]) for key in ("x", "y", "heading", "speed", "acceleration")},
+        **motion,
         length=np.array([one["length"] for one in rows]),
         width=np.array([one["width"] for one in rows]),
         center_x=np.zeros(len(rows)),

@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import io
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pandas
@@ -27,7 +28,7 @@ def recording() -> Recording:
     time = np.array([0.0, 0.1, 0.2, 0.30000000000000004])
     shape = np.arange(8.0).reshape(2, 4)
     x = shape / 3
-    motion = {"x": x, "y": -x, "heading": x / 7, "speed": x + 1e-17, "acceleration": x - 0.1}
+    motion: dict[str, Any] = {"x": x, "y": -x, "heading": x / 7, "speed": x + 1e-17, "acceleration": x - 0.1}
     for values in motion.values():
         values[1, 2:] = np.nan
     return Recording(

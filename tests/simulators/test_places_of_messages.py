@@ -46,8 +46,9 @@ def breaks(root: etree._Element) -> Iterator[str]:
         tag, element.tag = element.tag, "Nonsense"
         yield f"<Nonsense> for <{tag}>, line {element.sourceline}"
         element.tag = tag
-        for name, value in list(element.attrib.items()):
-            order = dict(element.attrib)
+        attributes = [(str(name), str(value)) for name, value in element.attrib.items()]
+        for name, value in attributes:
+            order = dict(attributes)
             del element.attrib[name]
             yield f"without {name} of <{tag}>, line {element.sourceline}"
             element.attrib.update(order)

@@ -192,8 +192,8 @@ class Scenario:
                 f" 0.{header.get('revMinor', '9')}, whose files are built in another way; bring it to 1.0 with ASAM's"
                 " migration script, which comes with OpenSCENARIO 1.0."
             )
-        if (other := root.find("ParameterValueDistribution")) is not None:
-            place = f"{place_of(other, str(self.path))}: <{other.tag}>"
+        if (distribution := root.find("ParameterValueDistribution")) is not None:
+            place = f"{place_of(distribution, str(self.path))}: <{distribution.tag}>"
             raise InputError(f"{place}: is a parameter value distribution, not a scenario; give it as `space`.")
         note_version(root)
         for needed in ("Entities", "Storyboard"):
