@@ -48,10 +48,10 @@ def breaks(root: etree._Element) -> Iterator[str]:
         element.tag = tag
         attributes = [(str(name), str(value)) for name, value in element.attrib.items()]
         for name, value in attributes:
-            order = dict(attributes)
             del element.attrib[name]
             yield f"without {name} of <{tag}>, line {element.sourceline}"
-            element.attrib.update(order)
+            for key, text in attributes:
+                element.set(key, text)
             for nonsense in ("", "nonsense", "-1", "$nonsense", "${1/0}"):
                 element.set(name, nonsense)
                 yield f"{name}={nonsense!r} of <{tag}>, line {element.sourceline}"
