@@ -10,7 +10,7 @@ from typing import Final, NamedTuple
 import numpy as np
 
 from cornercase._common.geometry import within_half_turn
-from cornercase.roads.lane_path import SHORTEST, STEP, LanePath
+from cornercase.roads.lane_path import SHORTEST, STEP, LanePath, jumped_at
 from cornercase.roads.road import Link, Road
 from cornercase.roads.road_graph import GAP, Connection, RoadGraph
 
@@ -144,11 +144,16 @@ class LaneGraph:
         order, left = (slice(None), 1.0) if here.along else (slice(None, None, -1), -1.0)
         begin, until = (start, end) if here.along else (end, start)
         n = len(s)
+        jumps = [abs(jump - begin) for jump in one.jumps if start < jump < end]
         path = LanePath.of_points(
             x[order], y[order], s[order], np.full(n, here.road), np.full(n, here.lane), np.full(n, here.along),
             np.full(n, passed), np.abs(s - begin)[order], left * center[order],
             np.abs(at - begin)[order], left * bend[order],
+            jumped_at(np.abs(s - begin)[order], jumps),
         )  # fmt: skip
+        if jumps:
+            turned = 0.0 if here.along else np.pi
+            path = path.across_jumps(jumps, one.at_lane(here.lane, path.s)[2] + turned)
         return replace(path, lane_s=(begin, until), lane_span=(0.0, float(path.distance[-1])))
 
     def exits(self, here: Stretch) -> list[Stretch]:

@@ -18,6 +18,10 @@ SHORTEST: Final = 1e-5
 """m; a lane that is not longer than rounding is drawn so long. A path leaves it out where anything else is."""
 # A path that would need more samples has them further apart.
 _MOST_SAMPLES: Final = 1_000_000
+APART: Final = 0.005
+"""m; where pieces of a line lie further apart, it jumps aside: nobody turns there."""
+# m along the reference lines, on both sides of a jump, in which points do not tell the heading.
+_AROUND_JUMP: Final = 2.5 * STEP
 KINK: Final = 0.1
 """rad; a line that turns by more from one point to the next has a corner there."""
 
@@ -55,6 +59,8 @@ class LanePath:
         Way along the reference lines to where that lane begins, in m.
     ends, begins : bool
         Whether nothing follows after its end, and nothing lies before its begin; else it is cut there.
+    jumps : tuple of float
+        Ways along the reference lines at which it jumps aside, in m.
     """
 
     distance: FloatArray
@@ -76,6 +82,7 @@ class LanePath:
     lane_way: float = 0.0
     ends: bool = True
     begins: bool = True
+    jumps: tuple[float, ...] = ()
 
     @cached_property
     def columns(self) -> tuple[npt.NDArray[Any], ...]:
@@ -107,6 +114,7 @@ class LanePath:
         center: FloatArray,
         bend_at: FloatArray,
         bend: FloatArray,
+        jumped: BoolArray | None = None,
     ) -> LanePath:
         """Make a path through points that are close together.
 
@@ -125,20 +133,25 @@ class LanePath:
             How far they lie to the left of the reference line, in m.
         bend_at, bend : ndarray of float64, shape (K,)
             Ways along the reference lines in m, and their curvature there in 1/m.
+        jumped : ndarray of bool, shape (Q,), optional
+            Whether the line jumps aside between the point before and this one; the jump itself has no length.
 
         Returns
         -------
         LanePath
         """
         keep = np.concatenate([[True], np.hypot(np.diff(x), np.diff(y)) > 1e-6])
-        arrays = (x, y, s, road, lane, along, passed, reference, center)
-        x, y, s, road, lane, along, passed, reference, center = (array[keep] for array in arrays)
-        travelled = np.concatenate([[0.0], np.cumsum(np.hypot(np.diff(x), np.diff(y)))])
+        jumped = np.zeros(len(x), dtype=np.bool_) if jumped is None else jumped
+        arrays = (x, y, s, road, lane, along, passed, reference, center, jumped)
+        x, y, s, road, lane, along, passed, reference, center, jumped = (array[keep] for array in arrays)
+        travelled = _travelled(x, y, reference, jumped)
+        # Between two points at the same place along the line there is no direction.
+        chords = _travelled(x, y, reference, np.zeros_like(jumped))
         samples = min(int(np.ceil(travelled[-1] / STEP)) + 1, _MOST_SAMPLES)
         distance = np.linspace(0.0, travelled[-1], max(3, samples))
         nearest = np.clip(np.searchsorted(travelled, distance, "right") - 1, 0, len(x) - 1)
         # On a bend a place between two points lies beside their chord.
-        gap, (across, bent) = np.append(np.diff(travelled), 1.0)[nearest], _course(x, y, travelled)
+        gap, (across, bent) = np.append(np.diff(travelled), 1.0)[nearest], _course(x, y, chords)
         across, bent = np.interp(distance, travelled, across), np.interp(distance, travelled, bent)
         beside = _beside_chord(bent, (distance - travelled[nearest]) / gap, gap)
         x = np.interp(distance, travelled, x) + beside * np.sin(across)
@@ -162,6 +175,28 @@ class LanePath:
             bend_at,
             bend,
         )
+
+    def across_jumps(self, jumps: Sequence[float], heading: FloatArray) -> LanePath:
+        """Return the path with the heading that it has beside its jumps, where points tell that of the jump.
+
+        Parameters
+        ----------
+        jumps : sequence of float
+            Ways along the reference lines, in m.
+        heading : ndarray of float64, shape (P,)
+            rad at each sample, as the lanes have it.
+
+        Returns
+        -------
+        LanePath
+        """
+        if not jumps:
+            return self
+        near = np.any([np.abs(self.reference - jump) <= _AROUND_JUMP for jump in jumps], axis=0)
+        turns = np.round((self.heading - heading) / (2.0 * np.pi))
+        mended = np.where(near, heading + 2.0 * np.pi * turns, self.heading)
+        curvature = np.where(near, np.gradient(mended, self.distance), self.curvature)
+        return replace(self, heading=mended, curvature=curvature, jumps=tuple(jumps))
 
     def sample_at(self, distance: FloatArray) -> IntArray:
         """Find the last sample that does not lie beyond each distance.
@@ -262,6 +297,27 @@ class LanePath:
         return x - offset * np.sin(heading), y + offset * np.cos(heading), heading, curvature
 
 
+def _travelled(x: FloatArray, y: FloatArray, reference: FloatArray, jumped: BoolArray) -> FloatArray:
+    """Distances of points along the line through them, in which jumps have no length, each (Q,) in m."""
+    lengths = np.hypot(np.diff(x), np.diff(y))
+    if jumped.any():
+        ways = np.diff(reference)
+        known = np.flatnonzero(~jumped[1:] & (ways > 0.0))
+        rate = (
+            np.interp(np.arange(len(ways)), known, lengths[known] / ways[known]) if known.size else np.zeros(len(ways))
+        )
+        lengths = np.where(jumped[1:], np.minimum(lengths, rate * ways), lengths)
+    return np.concatenate([[0.0], np.cumsum(lengths)])
+
+
+def jumped_at(reference: FloatArray, jumps: Sequence[float]) -> BoolArray:
+    """Whether points along a line are the first behind a jump, by their ways along the reference lines, (Q,)."""
+    jumped = np.zeros(len(reference), dtype=np.bool_)
+    behind = np.searchsorted(reference, np.asarray(jumps))
+    jumped[behind[behind < len(reference)]] = True
+    return jumped
+
+
 def _course(x: FloatArray, y: FloatArray, distance: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Heading, unwrapped, and curvature of a line through points at distances along it, each (Q,)."""
     heading = np.unwrap(np.arctan2(np.gradient(y, distance), np.gradient(x, distance)))
@@ -284,11 +340,19 @@ def join(pieces: Sequence[LanePath], asked: int = 0) -> LanePath:
     # What is only drawn longer than it is has no direction of its own.
     kept = [k for k, piece in enumerate(pieces) if piece.distance[-1] > 2.0 * SHORTEST] or [asked]
     names = ("x", "y", "s", "road", "lane", "along", "passed", "reference", "center", "bend_at", "bend")
-    arrays = [np.concatenate([getattr(pieces[k], name) for k in kept]) for name in names]
-    # Where pieces do not quite meet, the way between them counts too.
-    travelled = np.concatenate([[0.0], np.cumsum(np.hypot(np.diff(arrays[0]), np.diff(arrays[1])))])
+    arrays: list[Any] = [np.concatenate([getattr(pieces[k], name) for k in kept]) for name in names]
+    seams = np.cumsum([len(pieces[k].x) for k in kept])[:-1]
+    apart = np.hypot(np.diff(arrays[0]), np.diff(arrays[1]))[seams - 1] > APART
+    jumps = [float(before[k]) + jump for k in kept for jump in pieces[k].jumps]
+    jumped = jumped_at(arrays[7], jumps)
+    jumped[seams[apart]] = True
+    jumps += arrays[7][seams[apart]].tolist()
+    # Where pieces meet but for rounding, the way between them counts too.
+    travelled = _travelled(arrays[0], arrays[1], arrays[7], jumped)
     begin = sum(len(pieces[k].x) for k in kept if k < asked)
     end = begin + len(own.x) - 1 if asked in kept else begin
     span = travelled[np.minimum([begin, end], len(travelled) - 1)].tolist()
-    path = LanePath.of_points(*arrays)
+    path = LanePath.of_points(*[*arrays, jumped])
+    headings = np.unwrap(np.concatenate([pieces[k].heading for k in kept]))
+    path = path.across_jumps(jumps, np.interp(path.distance, travelled, headings))
     return replace(path, lane_s=own.lane_s, lane_span=(span[0], span[1]), lane_way=float(before[asked]))

@@ -24,6 +24,7 @@ from cornercase.roads.lane import (
     read_polynomials,
     read_sections,
 )
+from cornercase.roads.lane_path import APART
 from cornercase.roads.reference_line import Geometry, note_disorder, read_geometry, read_number, read_word
 
 _SHORTEST_ROAD: Final = 1e-9
@@ -103,6 +104,16 @@ class Road:
             at.append(np.linspace(begin, until, max(fine, 1) + 1))
             bend.append(geometry.bend(at[-1] - geometry.s))
         return np.concatenate(at), np.concatenate(bend)
+
+    @cached_property
+    def jumps(self) -> tuple[float, ...]:
+        """Coordinates s at which a piece of the reference line does not begin where the one before ends, in m."""
+        found = []
+        for before, after in zip(self.geometries, self.geometries[1:], strict=False):
+            x, y, _ = before.at(np.array([after.s - before.s]))
+            if np.hypot(x[0] - after.x, y[0] - after.y) > APART:
+                found.append(after.s)
+        return tuple(found)
 
     def _pieces(self, s: FloatArray) -> Iterator[tuple[Geometry, BoolArray]]:
         """Pieces of the reference line, and which of the coordinates lie on each."""
