@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import warnings
 from pathlib import Path
 
@@ -53,7 +54,8 @@ def trajectory(*vertices: tuple[float, float, float], times: bool = False) -> st
 
 
 def test_43_5_a_vehicle_that_begins_far_from_every_road_is_named(tmp_path):
-    (said,) = told(placed(tmp_path, 1000.0, 2000.0))
+    # What lies beyond the end of the road is put at that end, which is said too.
+    _, said = told(placed(tmp_path, 1000.0, 2000.0))
     assert said.startswith("far from every road: Ego is ")
     away = float(said.split(" is ")[1].split(" m ")[0])
     assert 1900.0 < away < 2300.0
@@ -181,3 +183,10 @@ def test_43_5_a_study_in_which_nobody_drives_the_ego_says_so(tmp_path):
     assert "Nobody drives" not in cornercase(*test, "--driver", "Ego=normal", "-o", tmp_path / "driven.db").stderr
     # A single run is no study.
     assert "Nobody drives" not in cornercase("simulate", undriven, "-o", tmp_path / "r.csv").stderr
+
+
+@pytest.mark.parametrize(("x", "beyond"), [(540.0, True), (-20.0, True), (500.5, False), (250.0, False)])
+def test_43_5_a_place_beyond_the_end_of_a_road_is_said_to_be_that_end(tmp_path, x, beyond):
+    said = [one for one in told(placed(tmp_path, x, -1.5)) if "Ego lies beyond the end of the nearest road" in one]
+    assert len(said) == beyond
+    assert all(re.search(r"\(scenario.xosc, line \d+: <TeleportAction> of <Init>\)", one) for one in said)

@@ -75,7 +75,7 @@ class Batch:
         drivers: Mapping[str, Driver | str],
         coupling: Coupling | None = None,
     ) -> None:
-        scope = prepared.scope(values)
+        scope, self._name = prepared.scope(values), prepared.scenario.path.name
         self._time_step = time_step
         self.failure: DriverError | None = None
         try:
@@ -149,7 +149,9 @@ class Batch:
         """
         if self.failure is not None and self._world.scenarios > 1:
             return []
-        return [*self._world.remarks, *(text for one in self._drivings for text in one.exceeded.values())]
+        # Actions know their line, and where they do not stand in the scenario file the name of theirs.
+        remarks = [one.replace("(line ", f"({self._name}, line ", 1) for one in self._world.remarks]
+        return [*remarks, *(text for one in self._drivings for text in one.exceeded.values())]
 
     def run(self, threads: int = 1, turn: Lock | None = None) -> None:
         """Step until every scenario has ended, or a driver fails.

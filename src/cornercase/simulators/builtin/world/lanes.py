@@ -17,6 +17,8 @@ from cornercase.simulators.builtin.world.whereabouts import lane_of, on_lane
 
 # Headings that differ by less, in rad, are the same.
 _ALIGNED: Final = 1e-3
+# What lies so far beyond the end of a road, in m, is put at another place.
+_BEYOND: Final = 1.0
 # So near the place where two lanes meet, in m, a sample of a path may belong to either.
 _SEAM: Final = 0.5
 
@@ -90,7 +92,12 @@ def attach_to_lane(world: World, entity: int, where: BoolArray, pose: Pose | Non
         distance[rows] = track.distance_of(pose.s[rows])
         follow_track(world, entity, track, distance, rows)
         world.offset[entity][rows] = pose.offset[rows] if one[3] else -pose.offset[rows]
-        _, _, ahead = track.at(distance[rows], np.zeros(int(rows.sum())), np.flatnonzero(rows))
+        x, y, ahead = track.at(distance[rows], world.offset[entity][rows], np.flatnonzero(rows))
+        if world.acting is not None:
+            beyond = rows.copy()
+            beyond[rows] = np.hypot(x - pose.x[rows], y - pose.y[rows]) > _BEYOND
+            why = f"{world.names[entity]} lies beyond the end of the nearest road, and is put at that end"
+            world.remark(world.acting, "position", why, beyond)
         turn = within_half_turn(pose.heading[rows] - ahead)
         # Lanes are sampled, so their headings are not exact: so small a difference is none.
         world.turn[entity][rows] = np.where(np.abs(turn) < _ALIGNED, 0.0, turn)
