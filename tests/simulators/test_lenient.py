@@ -384,3 +384,27 @@ def test_43_8_vertices_are_passed_over_while_the_time_goes_back(tmp_path):
 def test_43_8_times_that_end_before_they_did_are_refused(tmp_path):
     (result,) = BuiltinSimulator(duration=2.0).run([ConcreteScenario(drawn(tmp_path, "0", "4", "2"))])
     assert "go back" in str(result)
+
+
+@pytest.mark.parametrize(
+    ("relative", "needed", "at"),
+    [
+        ('<RelativeLanePosition entityRef="Ego" {} ds="20"/>', 'dLane="0"', 70.0),
+        ('<RelativeObjectPosition entityRef="Ego" dx="20" {}/>', 'dy="0"', 70.0),
+        ('<RelativeObjectPosition entityRef="Ego" {} dy="0"/>', 'dx="0"', 50.0),
+        ('<RelativeWorldPosition entityRef="Ego" dx="20" {}/>', 'dy="0"', 70.0),
+        ('<RelativeRoadPosition entityRef="Ego" ds="20" {}/>', 'dt="0"', 70.0),
+    ],
+)
+def test_43_8_a_distance_that_is_missing_is_none(tmp_path, relative, needed, at):
+    found = []
+    for each in (needed, ""):
+        place = f"<PrivateAction><TeleportAction><Position>{relative.format(each)}</Position></TeleportAction></PrivateAction>"
+        path = scenario_file(tmp_path, init=moving("50", "10") + private("B", place), entities=car("Ego") + car("B"))
+        with warnings.catch_warnings(record=True):
+            warnings.simplefilter("always")
+            (recording,) = ran(BuiltinSimulator(duration=0.2), [ConcreteScenario(path, {})])
+        found.append(recording.x[1, 0])
+        said = [one.why for one in check(path).notices if "missing" in str(one)]
+        assert (said == ["is read as 0"]) == (each == "")
+    assert found == [at, at]

@@ -19,7 +19,7 @@ SHORTEST: Final = 1e-5
 # A path that would need more samples has them further apart.
 _MOST_SAMPLES: Final = 1_000_000
 APART: Final = 0.005
-"""m; where pieces of a line lie further apart, it jumps aside: nobody turns there."""
+"""m; where pieces of a road lie further apart, it jumps aside: nobody turns there."""
 # m along the reference lines, on both sides of a jump, in which points do not tell the heading.
 _AROUND_JUMP: Final = 2.5 * STEP
 KINK: Final = 0.1
@@ -341,13 +341,9 @@ def join(pieces: Sequence[LanePath], asked: int = 0) -> LanePath:
     kept = [k for k, piece in enumerate(pieces) if piece.distance[-1] > 2.0 * SHORTEST] or [asked]
     names = ("x", "y", "s", "road", "lane", "along", "passed", "reference", "center", "bend_at", "bend")
     arrays: list[Any] = [np.concatenate([getattr(pieces[k], name) for k in kept]) for name in names]
-    seams = np.cumsum([len(pieces[k].x) for k in kept])[:-1]
-    apart = np.hypot(np.diff(arrays[0]), np.diff(arrays[1]))[seams - 1] > APART
     jumps = [float(before[k]) + jump for k in kept for jump in pieces[k].jumps]
     jumped = jumped_at(arrays[7], jumps)
-    jumped[seams[apart]] = True
-    jumps += arrays[7][seams[apart]].tolist()
-    # Where pieces meet but for rounding, the way between them counts too.
+    # Where pieces do not quite meet, the way between them counts too.
     travelled = _travelled(arrays[0], arrays[1], arrays[7], jumped)
     begin = sum(len(pieces[k].x) for k in kept if k < asked)
     end = begin + len(own.x) - 1 if asked in kept else begin

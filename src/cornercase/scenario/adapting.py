@@ -91,6 +91,10 @@ _NEEDED: Final[dict[str, dict[str, str]]] = {
     "LateralDistanceAction": {"continuous": "false", "freespace": "false"},
     "LongitudinalDistanceAction": {"continuous": "false", "freespace": "false"},
     "RelativeTargetSpeed": {"continuous": "false"},
+    "RelativeLanePosition": {"dLane": "0"},
+    "RelativeObjectPosition": {"dx": "0", "dy": "0"},
+    "RelativeRoadPosition": {"ds": "0", "dt": "0"},
+    "RelativeWorldPosition": {"dx": "0", "dy": "0"},
     "SpeedActionDynamics": {"dynamicsDimension": "time"},
     "LaneChangeActionDynamics": {"dynamicsDimension": "time"},
 }

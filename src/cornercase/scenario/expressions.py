@@ -91,7 +91,7 @@ def evaluate(expression: str, values: Mapping[str, Operand]) -> Operand:
     try:
         with np.errstate(all="ignore"):
             result = parser.binary(0, 0)
-    except (TypeError, ValueError):
+    except TypeError:
         raise InputError(f"The expression '{_shortened(expression)}' mixes text and numbers.") from None
     parser.end()
     return result
