@@ -189,6 +189,7 @@ def test_a_file_gives_a_driver_nothing_but_numbers(tmp_path):
         drivers={"Ego": "normal:horizon=long"},
     )  # fmt: skip
     with pytest.raises(
-        InputError, match=r"written\.xosc: asks for .* option 'horizon'; in a file, options are numbers"
+        InputError,
+        match=r"written\.xosc, line \d+: <ScenarioObject>: asks for .* option 'horizon'; in a file, options are numbers",
     ):
         ends(written)

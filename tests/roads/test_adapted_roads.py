@@ -61,7 +61,7 @@ def test_43_8_a_missing_coefficient_is_zero(tmp_path, old, new, end, said):
 
 def test_43_8_numbers_that_are_none_are_still_refused_by_their_line(tmp_path):
     for text in ("nan", "4,5", "inf"):
-        with pytest.raises(InputError, match=f"road 1: a of <width> in line 1 is '{text}', not a finite number"):
+        with pytest.raises(InputError, match=f"line 1, road 1: a of <width> is '{text}', not a finite number"):
             read(edited(tmp_path, 'a="4"', f'a="{text}"'))
 
 

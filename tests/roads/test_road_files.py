@@ -27,10 +27,10 @@ def network(folder, *edits: tuple[str, str]) -> RoadNetwork:
     [
         ("OpenDRIVE>", "Roads>", "the root element is <Roads>"),
         (ROAD[ROAD.index("<road ") : ROAD.index("</OpenDRIVE>")], "", "has no <road>"),
-        ("</OpenDRIVE>", ROAD[ROAD.index("<road ") :], "line 6: a second road has the id '1'"),
+        ("</OpenDRIVE>", ROAD[ROAD.index("<road ") :], "line 6: <road>: a second road has the id '1'"),
         (LINE, "<loop/>", "is not a line, arc, spiral, poly3 or paramPoly3"),
         ('hdg="0" length="500"', 'hdg="0" length="0"', r"a <geometry> has the length 0(\.0)? m"),
-        ('hdg="0" length="500"', 'hdg="here" length="500"', "hdg of <geometry> in line 2 is 'here', not a finite number"),
+        ('hdg="0" length="500"', 'hdg="here" length="500"', "line 2, road 1: hdg of <geometry> is 'here', not a finite number"),
         (ROAD[ROAD.index("<geometry") : ROAD.index("</planView>")], "", "has no <geometry>"),
         (ROAD[ROAD.index("<laneSection") : ROAD.index("</lanes>")], "", "has no <laneSection>"),
         ('<road id="1" length="500"', '<road id="1" length="1e9"', "at most"),

@@ -40,9 +40,9 @@ def written(folder, old, new):
         (WIDTH, WIDTH.replace('b="0"', 'b="1e6"'), "the lane 1 at s = 0 m reaches 5e[+]08 m out; at most 10000 m"),
         (WIDTH, WIDTH.replace('d="0"', 'd="1e308"'), "the lane 1 at s = 0 m reaches inf m out"),
         ("<laneSection", '<laneOffset s="0" a="1e9" b="0" c="0" d="0"/><laneSection', "<laneOffset> reaches 1e[+]09 m"),
-        ("</right>", f'<lane id="-1" type="driving">{WIDTH}</lane></right>', "has a second lane -1 in line 5; keep one"),
-        ('lane id="1"', 'lane id="-1"', "the lane -1 in line 3 stands in <left>"),
-        ('lane id="-1"', 'lane id="0"', "the lane 0 in line 5 stands in <right>"),
+        ("</right>", f'<lane id="-1" type="driving">{WIDTH}</lane></right>', "line 5, road 1: a <laneSection> has two lanes -1; keep one"),
+        ('lane id="1"', 'lane id="-1"', "line 3, road 1: the lane -1 stands in <left>"),
+        ('lane id="-1"', 'lane id="0"', "line 5, road 1: the lane 0 stands in <right>"),
     ],
 )  # fmt: skip
 def test_a_road_that_contradicts_itself_is_refused(tmp_path, old, new, words):
@@ -81,6 +81,6 @@ def test_an_elevation_that_is_no_number_is_refused_where_it_is_needed(tmp_path):
     climb = '<elevationProfile><elevation s="0" a="0" b="road" c="0" d="0"/></elevationProfile><lanes>'
     (tmp_path / "road.xodr").write_text(ROAD.replace("<lanes>", climb))
     assert check(path).trouble == ()
-    with pytest.raises(InputError, match="road 1: b of <elevation> in line 3 is 'road', not a finite number"):
+    with pytest.raises(InputError, match="line 3, road 1: b of <elevation> is 'road', not a finite number"):
         convert(path, tmp_path / "out.xosc", ego="Ego")
     assert not (tmp_path / "out.xosc").exists()

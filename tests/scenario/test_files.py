@@ -115,4 +115,5 @@ def test_a_place_at_the_end_of_the_world_is_none(tmp_path):
         init='<Private entityRef="Ego"><PrivateAction><TeleportAction><Position><WorldPosition x="-1e300" y="0"/></Position>'
         "</TeleportAction></PrivateAction></Private>",
     )
-    simulate(path, duration=0.1)
+    with pytest.warns(UserWarning, match="Ego lies beyond the end of the nearest road"):
+        simulate(path, duration=0.1)

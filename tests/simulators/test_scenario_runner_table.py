@@ -177,7 +177,7 @@ def relative_speed(value, kind="delta"):
         ({"condition": when(edge="rising")}, "conditionEdge 'rising'"),
         ({"condition": when(delay=0.5)}, "delay '0.5'"),
         ({"event": 'priority="skip"'}, "priority 'skip'"),
-        ({"event": 'maximumExecutionCount="2"'}, "maximumExecutionCount '2' of <Event>"),
+        ({"event": 'priority="override" maximumExecutionCount="2"'}, "maximumExecutionCount '2' of <Event>"),
         ({"group": 'maximumExecutionCount="2"'}, "maximumExecutionCount '2' of <ManeuverGroup>"),
         (
             {"condition": by_entity('<SpeedCondition value="5" rule="greaterThan"/>', ("Ego", "Other"), "all")},

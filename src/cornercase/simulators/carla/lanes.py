@@ -8,6 +8,7 @@ from typing import Final
 import numpy as np
 
 from cornercase._common.geometry import within_half_turn
+from cornercase._common.places import place_of
 from cornercase._common.typing import FloatArray
 from cornercase.recordings import Recording
 from cornercase.roads import RoadNetwork, read_number
@@ -102,7 +103,7 @@ def heights(recording: Recording, road: Path | None, scenario: Scenario) -> Floa
     root = scenario.xml(road)
     profiles = {
         one.get("id", ""): [
-            [read_number(of, key, f"{road}, road {one.get('id')}") for key in "sabcd"]
+            [read_number(of, key, f"{place_of(of, str(road))}, road {one.get('id')}") for key in "sabcd"]
             for of in one.iterfind("{*}elevationProfile/{*}elevation")
         ]
         for one in root.iterfind("{*}road")
