@@ -104,7 +104,8 @@ def _drive(network: RoadNetwork, r: int, section: int, lane: int) -> DrivenLane:
     s, to = path.s_at(distance), path.s_at(after)
     jumps = _jumps(road, section, lane)[:, None]
     clear = ~((jumps > np.minimum(s, to) - _MIXED) & (jumps < np.maximum(s, to) + _MIXED)).any(axis=0)
-    error = np.where(clear & (until - begin > _SHORT), np.abs((after - distance) / way - 1.0), 0.0)
+    long = min(until - begin, end - start) > _SHORT
+    error = np.where(clear & long, np.abs((after - distance) / way - 1.0), 0.0)
     worst = int(error.argmax())
     length, even = _length(road, section, lane)
     whole = abs((until - begin) / length - 1.0) if even and length > _SHORT else 0.0
