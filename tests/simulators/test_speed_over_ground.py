@@ -23,8 +23,11 @@ def driven(lane_track: LaneTrack, offset: float = 0.0):
     distance = np.arange(0.0, lane_track.length - WAY, 0.25)
     aside = np.full(len(distance), offset)
     after = lane_track.advance(distance, aside, np.full(len(distance), WAY))
-    turn = np.interp(0.5 * (distance + after), lane_track.path.distance, lane_track.path.curvature)
-    return (after - distance) * (1.0 - turn * offset)
+    share = np.linspace(0.0, 1.0, 51)
+    places = (distance[:, None] + (after - distance)[:, None] * share).ravel()
+    x, y, _ = lane_track.at(places, np.full(len(places), offset), np.zeros(len(places), dtype=np.int64))
+    x, y = x.reshape(-1, 51), y.reshape(-1, 51)
+    return np.hypot(np.diff(x), np.diff(y)).sum(axis=1)
 
 
 @pytest.mark.parametrize("offset", [0.0, 1.0])
@@ -44,6 +47,13 @@ def test_43_a_step_is_as_long_over_ground_as_asked_for(tmp_path, shape, offsets,
     sections = offsets + SECTION.format(lane(-1))
     ways = driven(track(tmp_path, road("1", 60.0, shape=shape, sections=sections)), offset)
     np.testing.assert_allclose(ways, WAY, rtol=1.01e-3)
+
+
+@pytest.mark.parametrize("offset", [-1.5, 0.7, 1.5])
+def test_43_beside_a_corner_steps_are_as_long_as_asked_for(tmp_path, offset):
+    corner = '<laneOffset s="0" a="0" b="0" c="0" d="0"/><laneOffset s="30" a="0" b="0.5" c="0" d="0"/>'
+    lane_track = track(tmp_path, road("1", 60.0, sections=corner + SECTION.format(lane(-1))))
+    np.testing.assert_allclose(driven(lane_track, offset), WAY, rtol=1.5e-2)
 
 
 def test_43_a_jump_aside_takes_no_time(tmp_path):

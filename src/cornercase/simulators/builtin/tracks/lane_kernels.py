@@ -113,7 +113,7 @@ def advance_lane(tracks, g, distance, offset, way):
         tracks.address[g, columns.BEND_AT],
         tracks.address[g, columns.BEND],
         tracks.bends[g],
-        tracks.address[g, columns.CURVATURE],
+        tracks.address[g, columns.HEADING],
         distance,
         offset,
         way,
@@ -148,7 +148,7 @@ def advance_on_path(addresses, count, known, distance, offset, way):
             addresses[columns.BEND_AT],
             addresses[columns.BEND],
             known,
-            addresses[columns.CURVATURE],
+            addresses[columns.HEADING],
             distance[i],
             offset[i],
             way[i],
@@ -157,7 +157,7 @@ def advance_on_path(addresses, count, known, distance, offset, way):
 
 
 @kernel(error_model="numpy", _nrt=False)
-def _advance(distances, references, centers, count, bends_at, bends, known, curvatures, distance, offset, way):
+def _advance(distances, references, centers, count, bends_at, bends, known, headings, distance, offset, way):
     if math.isnan(distance + offset + way):
         return math.nan
     table, reference = floats_at(distances, count), floats_at(references, count)
@@ -172,19 +172,41 @@ def _advance(distances, references, centers, count, bends_at, bends, known, curv
         return min(max(distance + way, 0.0), table[count - 1])
     ahead = along + way / shrunk
     reached = _between(reference, table, count, ahead, _last_within(reference, count, ahead, max(j, 0)))
-    return _over_ground(table, reference, floats_at(curvatures, count), count, distance, offset, way, reached)
+    return _over_ground(table, reference, floats_at(headings, count), count, distance, offset, way, reached)
 
 
 @kernel(error_model="numpy", forceinline=True, _nrt=False)
-def _over_ground(table, reference, curvature, count, distance, offset, way, reached):
+def _over_ground(table, reference, heading, count, distance, offset, way, reached):
     """Distance after a step that led to `reached` along the reference line, where the way over ground is another."""
-    middle = distance + 0.5 * way
-    shrunk = 1.0 - _between(table, curvature, count, middle, _sample(table, count, middle)) * offset
-    if shrunk < _SHRUNK or abs((reached - distance) * shrunk - way) <= _EXACT * abs(way):
+    if abs(_gone(table, heading, count, distance, offset, reached, math.inf)[1] - abs(way)) <= _EXACT * abs(way):
         return reached
-    goal = min(max(distance + way / shrunk, 0.0), table[count - 1])
+    end = table[count - 1] if way > 0.0 else 0.0
+    goal, _ = _gone(table, heading, count, distance, offset, end, abs(way))
     # Jumps from a lane or a piece of a road to the next take no time, as in esmini.
-    return reached if _jumps(table, reference, count, distance, max(goal, reached)) else goal
+    return reached if _jumps(table, reference, count, min(distance, goal), max(goal, reached)) else goal
+
+
+@kernel(error_model="numpy", _nrt=False)
+def _gone(table, heading, count, begin, offset, end, most):
+    """How far one beside a path gets from a distance towards another, at most so far over ground: where, and how far.
+
+    Beside a corner it turns on the spot where the path bends by more than it lies aside: every cell of the path counts
+    by how far it leads over ground there, backwards too.
+    """
+    gone, place = 0.0, begin
+    sign = 1 if end > begin else -1
+    cell = _cell(table, count, begin)
+    while (end - place) * sign > 0.0:
+        ahead = table[cell + 1] if sign > 0 else table[cell]
+        if cell == (count - 2 if sign > 0 else 0) or (ahead - end) * sign > 0.0:
+            ahead = end
+        rate = abs(1.0 - (heading[cell + 1] - heading[cell]) / (table[cell + 1] - table[cell]) * offset)
+        length = abs(ahead - place) * rate
+        if gone + length >= most:
+            return place + sign * (most - gone) / rate, most
+        gone, place = gone + length, ahead
+        cell = min(max(cell + sign, 0), count - 2)
+    return place, gone
 
 
 @kernel(error_model="numpy", forceinline=True, _nrt=False)
