@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import warnings
+
 import numpy as np
 import pytest
 
@@ -22,6 +24,37 @@ def pieces(aside):
     """A road of 200 m whose pieces of 2 m lie aside of each other, by turns to both sides."""
     geometries = "".join(line(2 * k, 2 * k, aside * (k % 2), 2) for k in range(100))
     return f'<road id="1" length="200" junction="-1"><planView>{geometries}</planView>{LANE}</road>'
+
+
+def two_roads(aside, ahead):
+    """Two roads that are linked, the second of which begins aside of the end of the first, and ahead of it."""
+    onto = '<link><successor elementType="road" elementId="2" contactPoint="start"/></link>'
+    back = '<link><predecessor elementType="road" elementId="1" contactPoint="end"/></link>'
+    first, second = (
+        LANE.replace("<width", f'<link><{end} id="-1"/></link><width') for end in ("successor", "predecessor")
+    )
+    return (
+        f'<road id="1" length="100" junction="-1">{onto}<planView>{line(0, 0, 0, 100)}</planView>{first}</road>'
+        f'<road id="2" length="100" junction="-1">{back}<planView>{line(0, 100 + ahead, aside, 100)}</planView>{second}</road>'
+    )
+
+
+@pytest.mark.parametrize(("aside", "ahead"), [(0.0, 0.0), (0.3, 0.0), (1.5, 0.0), (0.0, 0.9), (0.0, -0.9), (0.5, -0.5)])
+def test_43_nobody_turns_where_roads_do_not_quite_meet(tmp_path, aside, ahead):
+    init = f'<Private entityRef="Ego">{teleport("80")}{speed_action("10")}</Private>'
+    path = scenario_file(tmp_path, init=init)
+    (tmp_path / "road.xodr").write_text(
+        f'<OpenDRIVE><header revMajor="1" revMinor="6"/>{two_roads(aside, ahead)}</OpenDRIVE>', encoding="utf-8"
+    )
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        recording = simulate(path, duration=4.0, time_step=0.01)
+    assert np.abs(recording.heading[0]).max() < 0.01
+    assert recording.y[0, -1] - recording.y[0, 0] == pytest.approx(aside, abs=1e-6)
+    gap = np.hypot(aside, ahead)
+    said = [str(one.message) for one in caught if "adapted: link between the roads 1 and 2" in str(one.message)]
+    assert len(said) == (gap > 0.5)
+    assert all(f"{gap:.3g} m apart" in one for one in said)
 
 
 @pytest.mark.filterwarnings("ignore:adapted:UserWarning")

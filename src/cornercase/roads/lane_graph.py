@@ -14,6 +14,8 @@ from cornercase.roads.lane_path import SHORTEST, STEP, LanePath, jumped_at
 from cornercase.roads.road import Link, Road
 from cornercase.roads.road_graph import GAP, Connection, RoadGraph
 
+# m; lanes of linked roads that are no further apart meet: their widths differ.
+_NOTABLE: Final = 0.5
 # A way that leads back to where it was is followed in circles until it is this long, in m.
 _LONGEST_LOOP: Final = 3000.0
 # A way passes at most so many stretches.
@@ -160,12 +162,22 @@ class LaneGraph:
         """Stretches that follow one in the direction of travel; none where its lane ends."""
         found = []
         for option in self._linked(here):
-            if self._gap(here, option) <= 0.0:
+            meets = self._gap(here, option) <= 0.0
+            if meets:
                 found.append(option)
-            else:
-                pair = min(here.road, option.road), max(here.road, option.road)
-                self.gaps[pair] = max(self.gaps.get(pair, 0.0), self._apart(here, option)[0])
+            apart = 0.0 if here.road == option.road else self._apart(here, option)[0]
+            if not meets or apart > _NOTABLE:
+                pair, known = (
+                    (min(here.road, option.road), max(here.road, option.road)),
+                    self.crossed if meets else self.gaps,
+                )
+                known[pair] = max(known.get(pair, 0.0), apart)
         return found
+
+    @cached_property
+    def crossed(self) -> dict[tuple[int, int], float]:
+        """Indices of roads that are linked and do not quite meet, and how far apart lanes end, as `exits` found."""
+        return {}
 
     @cached_property
     def gaps(self) -> dict[tuple[int, int], float]:

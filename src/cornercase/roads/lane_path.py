@@ -19,7 +19,7 @@ SHORTEST: Final = 1e-5
 # A path that would need more samples has them further apart.
 _MOST_SAMPLES: Final = 1_000_000
 APART: Final = 0.005
-"""m; where pieces of a road lie further apart, it jumps aside: nobody turns there."""
+"""m; where pieces of a line lie further apart, it jumps: nobody turns there."""
 # m along the reference lines, on both sides of a jump, in which points do not tell the heading.
 _AROUND_JUMP: Final = 2.5 * STEP
 KINK: Final = 0.1
@@ -193,8 +193,7 @@ class LanePath:
         if not jumps:
             return self
         near = np.any([np.abs(self.reference - jump) <= _AROUND_JUMP for jump in jumps], axis=0)
-        turns = np.round((self.heading - heading) / (2.0 * np.pi))
-        mended = np.where(near, heading + 2.0 * np.pi * turns, self.heading)
+        mended = np.unwrap(np.where(near, heading, self.heading))
         curvature = np.where(near, np.gradient(mended, self.distance), self.curvature)
         return replace(self, heading=mended, curvature=curvature, jumps=tuple(jumps))
 
@@ -349,6 +348,10 @@ def join(pieces: Sequence[LanePath], asked: int = 0) -> LanePath:
     end = begin + len(own.x) - 1 if asked in kept else begin
     span = travelled[np.minimum([begin, end], len(travelled) - 1)].tolist()
     path = LanePath.of_points(*[*arrays, jumped])
+    # Nobody turns on the way from one road to the next.
+    seams = np.cumsum([len(pieces[k].x) for k in kept])[:-1]
+    apart = np.hypot(np.diff(arrays[0]), np.diff(arrays[1]))[seams - 1] > APART
+    jumps += arrays[7][seams[apart]].tolist()
     headings = np.unwrap(np.concatenate([pieces[k].heading for k in kept]))
     path = path.across_jumps(jumps, np.interp(path.distance, travelled, headings))
     return replace(path, lane_s=own.lane_s, lane_span=(span[0], span[1]), lane_way=float(before[asked]))

@@ -8,7 +8,7 @@ from typing import Final
 import numpy as np
 from lxml import etree
 
-from cornercase._common.ledger import Notice, local_name
+from cornercase._common.ledger import Label, Notice, local_name
 from cornercase._common.recorded_xml import children
 from cornercase.roads.lane import evaluate_polynomials
 from cornercase.roads.ledger import LEDGER
@@ -54,6 +54,14 @@ def name_without_effect(
         for one, other, apart in network.gaps():
             why = f"they lie {apart:.3g} m apart, so that no way leads from one to the other"
             found.append(_notice(f"link between the roads {one} and {other}", why, file, [roads[one], roads[other]]))
+        for one, other, apart in network.crossings():
+            what, lines = (
+                f"link between the roads {one} and {other}",
+                [int(str(roads[k].sourceline)) for k in (one, other)],
+            )
+            why = f"their lanes lie {apart:.3g} m apart; entities get across at once"
+            rule = "lanes of linked roads meet"
+            found.append(Notice((what,), why, file, tuple(sorted({*lines})), Label.ADAPTED, rule))
     return (*(notice for notice in found if notice.lines), *LEDGER.notices(root, file, read))
 
 

@@ -356,6 +356,17 @@ class RoadNetwork:
         found = sorted((*pair, apart) for pair, apart in self._graph.gaps.items())
         return [(self.roads[a].name, self.roads[b].name, apart) for a, b, apart in found]
 
+    def crossings(self) -> list[tuple[str, str, float]]:
+        """Find linked roads that lie apart by more than half a metre, where somebody's path leads across so far.
+
+        Returns
+        -------
+        list of (str, str, float)
+            Their ids, and how far apart their lanes end, in m.
+        """
+        found = sorted((*pair, apart) for pair, apart in self._graph.crossed.items())
+        return [(self.roads[a].name, self.roads[b].name, apart) for a, b, apart in found]
+
     def locate(self, x: FloatArray, y: FloatArray) -> Place:
         """Find where points are on the roads.
 

@@ -55,7 +55,7 @@ def require_sound(road: Road, element: etree._Element, where: str) -> None:
                 " before; make them meet."
             )
         if apart > _MEETING:
-            why = f"begins up to {_APART:g} m away from the end of the one before, and is driven onto straight"
+            why = f"begins up to {_APART:g} m away from the end of the one before, and entities get there at once"
             adapt(_geometry_at(element, other.s), "<geometry>", why, "each <geometry> begins where the one before ends")
     _require_near(road.offsets, road.length, f"{where}: its <laneOffset>")
     for (start, lanes), end in zip(road.sections, road.seams[1:].tolist(), strict=True):
