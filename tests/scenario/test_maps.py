@@ -6,6 +6,7 @@ import os
 import shutil
 import subprocess
 import sys
+import warnings
 from pathlib import Path
 
 import pytest
@@ -15,6 +16,8 @@ from conftest import ROAD, car, moving, scenario_file
 from cornercase import check, convert, explore
 from cornercase import test as run_suite
 from cornercase._common.errors import InputError
+from cornercase.report.data import read_report_data
+from cornercase.report.live.surroundings import Surroundings
 from cornercase.scenario import ConcreteScenario, LogicalScenario, Scenario, ScenarioParcel, write_concrete
 from cornercase.scenario.maps import MAPS_VARIABLE, looking_in
 from cornercase.simulators import EsminiSimulator, WorkerSimulator, simulate
@@ -209,3 +212,35 @@ def test_43_7_convert_leaves_the_name_of_carlas_map(tmp_path, maps):
         made = convert(path, out / "c.xosc", ego="Ego")
     assert 'filepath="Town01"' in made.path.read_text()
     assert not list(out.glob("*.xodr"))
+
+
+def test_43_7_a_road_that_is_not_drawn_is_said_with_the_way_to_the_map(tmp_path, maps):
+    path = town(tmp_path / "s")
+    asked = ("--ego", "Ego", "--other", "B", "--metric", "distance", "--optimizer", "grid", "--duration", "1")
+    study = tmp_path / "s" / "s.db"
+    more = ("--range", "speed=5:10:1", "--budget", "6", "--maps", maps, "-o", study)
+    assert cornercase("explore", path, *asked, *more).returncode == 0
+    for command in (("replay", study, 1), ("report", study)):
+        without = cornercase(*command, "-o", tmp_path / "page.html")
+        said = " ".join(without.stderr.split())
+        assert without.returncode == 0
+        assert "The road is not drawn, as there is no road file Town01 of scenario.xosc; it is a map of CARLA" in said
+        assert "--maps FOLDER" in said
+        assert str(tmp_path) not in (tmp_path / "page.html").read_text()
+        done = cornercase(*command, "--maps", maps, "-o", tmp_path / "page.html")
+        assert done.returncode == 0
+        assert "road is not drawn" not in done.stderr
+
+
+def test_43_7_a_page_that_is_served_says_once_that_the_map_is_missing(tmp_path, maps):
+    path = town(tmp_path / "s")
+    with looking_in([maps]):
+        logical = LogicalScenario.read(path, None, ["speed=5:10"])
+        explore(logical, tmp_path / "s" / "s.db", ego="Ego", other="B", metrics=["distance"], budget=2, duration=1.0)
+    around = Surroundings(None)
+    with Study.open(tmp_path / "s" / "s.db", readonly=True) as study, warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        data = read_report_data(study, figures=False)
+        for _ in range(2):
+            assert "--maps FOLDER" in around.of(study, data)["roads_missing"]
+    assert len([one for one in caught if "--maps FOLDER" in str(one.message)]) == 1

@@ -17,6 +17,7 @@ from markupsafe import Markup
 from cornercase._common import arguments
 from cornercase._common.errors import InputError
 from cornercase._common.files import require_other_file, written_whole
+from cornercase._common.ledger import warn
 from cornercase._common.memory import DEFAULT_MEMORY, MemoryLimit
 from cornercase._common.pending_files import written_together
 from cornercase._common.progress import bars_wanted, step
@@ -27,7 +28,7 @@ from cornercase.report.details import page_details
 from cornercase.report.failures import fill_failures
 from cornercase.report.packing import PackedRecordings, pack_most, tell_left_out
 from cornercase.report.rerun import tell_rerun
-from cornercase.report.roads import find_roads, pack_roads
+from cornercase.report.roads import find_roads, is_of_map, pack_roads
 from cornercase.report.sections.overview import tell_provenance
 from cornercase.report.templates import fill_template
 from cornercase.scenario import Scenario
@@ -156,6 +157,8 @@ def write_report(
             data = read_report_data(opened, figures=folder is not False, memory=limit, tell=tell)
         packed = pack_most(opened, data)
         sketch, missing = find_roads(opened, data.region, scenario, data.rows[0].values)
+        if is_of_map(missing):
+            warn(missing.removesuffix("."))
         rerun = tell_rerun(opened, scenario)
         if not opened.readonly:
             # Kept in the study, so that the page of a study that is only read is the same each time.

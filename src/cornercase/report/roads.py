@@ -13,7 +13,7 @@ from cornercase._common.texts import quoted_name
 from cornercase._common.typing import FloatArray, IntArray
 from cornercase.recordings import Recording
 from cornercase.roads import Region, RoadNetwork, RoadSketch, lane_borders
-from cornercase.scenario import Scenario, Value
+from cornercase.scenario import MAPS_VARIABLE, Scenario, Value, find_scenario, way_to_map, with_roads
 from cornercase.study import Study, explored_scenario
 
 MARGIN: Final = 40.0
@@ -59,7 +59,7 @@ def find_roads(
     except InputError:
         if scenario is not None:
             raise
-        return None, f"The road is not drawn, as the scenario file {name} does not lie beside the study as it was."
+        return None, _why_not_found(study, name)
     if found is None:
         return None, "The road is not drawn, as no scenario file belongs to recordings that were imported."
     try:
@@ -73,6 +73,28 @@ def find_roads(
     except InputError:
         return None, f"The road is not drawn, as the road file of {name} cannot be read."
     return lane_borders(network, region), ""
+
+
+def is_of_map(missing: str) -> bool:
+    """Tell whether a road is missing, as `find_roads` says it, because its file lies in no folder of maps."""
+    return MAPS_VARIABLE in missing
+
+
+def _why_not_found(study: Study, name: str) -> str:
+    meta = study.meta
+    plain = f"The road is not drawn, as the scenario file {name} does not lie beside the study as it was."
+    try:
+        found = find_scenario(meta.file_name, meta.fingerprint, (study.path.parent, Path()), meta.space)
+        if found is None:
+            return plain
+        scenario = with_roads(found if isinstance(found, Scenario) else Scenario.read(found), meta.space)
+        reference = scenario.missing_reference()
+    except InputError:
+        return plain
+    if not reference:
+        return plain
+    road = quoted_name(reference.replace("\\", "/").rpartition("/")[2])
+    return f"The road is not drawn, as there is no road file {road} of {name}; {way_to_map(reference)}."
 
 
 def recorded_region(recordings: Iterable[Recording], margin: float = MARGIN) -> Region | None:

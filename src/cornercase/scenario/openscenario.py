@@ -523,8 +523,13 @@ class Scenario:
         str
             A part of a sentence, without a full stop; empty where all are.
         """
+        reference = self.missing_reference()
+        return self._without_road(reference) if reference else ""
+
+    def missing_reference(self) -> str:
+        """Return the first of its road files that is not there, as the scenario names it; empty where all are."""
         references = (self.road_reference(), *self._roads)
-        return next((self._without_road(one) for one in references if one and not self.road_at(one).exists()), "")
+        return next((one for one in references if one and not self.road_at(one).exists()), "")
 
     def _without_road(self, reference: str) -> str:
         named = self.beside(reference, "road file") if Path(reference).suffix else f"'{reference}'"

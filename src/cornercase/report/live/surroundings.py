@@ -5,9 +5,10 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any, Final
 
+from cornercase._common.ledger import warn
 from cornercase.report.data import ReportData
 from cornercase.report.rerun import tell_rerun
-from cornercase.report.roads import find_roads, pack_roads
+from cornercase.report.roads import find_roads, is_of_map, pack_roads
 from cornercase.roads import Region
 from cornercase.study import Study
 
@@ -29,6 +30,7 @@ class Surroundings:
         self._fingerprint = ""
         self._region: Region | None = None
         self._roads: dict[str, Any] = {}
+        self._said: set[str] = set()
 
     def of(self, study: Study, data: ReportData) -> dict[str, Any]:
         """Give the road and how a scenario is run again.
@@ -51,6 +53,9 @@ class Surroundings:
             region = None if new is None else (new[0] - _MORE, new[1] - _MORE, new[2] + _MORE, new[3] + _MORE)
             sketch, missing = find_roads(study, region, self._scenario, data.rows[0].values)
             self._roads = {"roads": None if sketch is None else pack_roads(sketch), "roads_missing": missing}
+            if is_of_map(missing) and missing not in self._said:
+                self._said.add(missing)
+                warn(missing.removesuffix("."))
             self._fingerprint, self._region = study.meta.fingerprint, region
         return self._roads | {"rerun": tell_rerun(study, self._scenario, whole=False)}
 

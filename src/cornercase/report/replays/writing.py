@@ -15,6 +15,7 @@ from cornercase._common.files import require_other_file, written_whole
 from cornercase._common.progress import ProgressBar
 from cornercase._common.typing import FloatArray
 from cornercase.report.replays.footage import Footage, read_footage
+from cornercase.report.roads import is_of_map
 from cornercase.scenario import Scenario
 from cornercase.study import Study, open_study
 
@@ -106,8 +107,8 @@ def replay(
     with open_study(study, readonly=True, critical=critical) as opened:
         require_other_file(path, opened.path)
         footage = read_footage(opened, ids, scenario)
-    if footage.road_missing and ending != ".html":
-        # The page says it by itself.
+    if footage.road_missing and (ending != ".html" or is_of_map(footage.road_missing)):
+        # The page says it by itself; what an option mends is said at once.
         warnings.warn(footage.road_missing.removesuffix("."), NoticeWarning, stacklevel=2)
     with written_whole(path) as temporary:
         if ending == ".html":
