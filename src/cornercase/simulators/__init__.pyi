@@ -12,8 +12,10 @@ from .cluster import ClusterSimulator as ClusterSimulator
 from .esmini.simulator import EsminiSimulator as EsminiSimulator
 from .notices import RunNotices as RunNotices
 from .notices import warn_if_nobody_drives as warn_if_nobody_drives
+from .outcomes import failure_words as failure_words
 from .outcomes import notices_of as notices_of
 from .outcomes import outcomes_of as outcomes_of
+from .outcomes import refusals_of as refusals_of
 from .outcomes import require_usable as require_usable
 from .outcomes import with_values as with_values
 from .registry import SIMULATORS as SIMULATORS

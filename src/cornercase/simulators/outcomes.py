@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
+from pathlib import Path
 from typing import Final
 
 from cornercase._common.errors import InputError, PartError, SimulationError
@@ -116,6 +117,46 @@ def require_usable(
             simulator.require_means(scenario)
         if concretes:
             simulator.require_runnable(with_values(simulator, concretes))
+
+
+def refusals_of(simulator: Simulator, concretes: Sequence[ConcreteScenario]) -> dict[int, str]:
+    """Find which of several scenario files a simulator cannot run, before anything is run.
+
+    Parameters
+    ----------
+    simulator : Simulator
+    concretes : sequence of ConcreteScenario
+        Each of a file of its own.
+
+    Returns
+    -------
+    dict of int to str
+        Why, as why a scenario failed, by number in the sequence.
+
+    Raises
+    ------
+    InputError
+        It refuses all, as it does the first, or fails.
+    """
+    if len(concretes) == 1:
+        require_usable(simulator, [concretes[0].scenario()], concretes)
+        return {}
+    found: dict[int, InputError] = {}
+    with guarded(f"The simulator '{simulator.name}'", _declared(simulator), "in require_means or require_runnable"):
+        for k, concrete in enumerate(concretes):
+            try:
+                simulator.require_means(concrete.scenario())
+                simulator.require_runnable(with_values(simulator, [concrete]))
+            except InputError as error:
+                found[k] = error
+    if found and len(found) == len(concretes):
+        raise found[0]
+    return {k: failure_words(concretes[k].path, error) for k, error in found.items()}
+
+
+def failure_words(path: Path, error: InputError) -> str:
+    """Say why a scenario failed whose file cannot be used, without the file."""
+    return str(error).removeprefix(str(path)).lstrip(",: ").removesuffix(".")
 
 
 def notices_of(name: str, scenario: Scenario, values: Mapping[str, Value] | None = None) -> tuple[Notice, ...]:

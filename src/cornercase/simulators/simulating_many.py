@@ -19,7 +19,7 @@ from cornercase.drivers import Driver, told_driver
 from cornercase.scenario import FILE_COLUMN, ConcreteScenario, Scenario, Value, read_value_table
 from cornercase.simulators.base import Simulator
 from cornercase.simulators.notices import RunNotices
-from cornercase.simulators.outcomes import notices_of, outcomes_of, require_usable
+from cornercase.simulators.outcomes import failure_words, notices_of, outcomes_of, refusals_of, require_usable
 from cornercase.simulators.recordings_folder import NOTES, TABLE, Planned, RecordingsFolder
 from cornercase.simulators.starting import start_simulator
 from cornercase.simulators.workers import MOST_FAILURES
@@ -155,7 +155,7 @@ def simulate_many(
     simulate : Runs one, and gives its recording.
     """
     many = scenarios if isinstance(scenarios, Sequence) and not isinstance(scenarios, str) else [scenarios]
-    read = [one if isinstance(one, Scenario) else Scenario.read(one) for one in many]
+    read, failures = _readable(many)
     folder = require_folder("folder", folder)
     if folder.suffix.lower() == _CSV:
         raise InputError(f"`folder` {folder}: many recordings go into a folder; name one without '{_CSV}'.")
@@ -183,16 +183,46 @@ def simulate_many(
         max_failures=max_failures,
     )
     with started:
-        require_usable(started, read, [one.concrete for one in planned])
+        if table is None:
+            refused = refusals_of(started, [one.concrete for one in planned])
+            failures |= {planned[k].file: of_file(planned[k].concrete.path, why) for k, why in refused.items()}
+            planned = [one for k, one in enumerate(planned) if k not in refused]
+            read = [one for one in read if any(each.concrete.source is one for each in planned)]
+        else:
+            require_usable(started, read, [one.concrete for one in planned])
         whole = RecordingsFolder(folder, planned, {"simulator": simulator, **started.settings})
         warn_of(distinct(notice for one in read for notice in notices_of(simulator, one, given)))
-        failures = _run(started, whole, [one for one in planned if one.file not in whole.there], len(planned), progress)
+        failures |= _run(
+            started, whole, [one for one in planned if one.file not in whole.there], len(planned), progress
+        )
     done = [one.file for one in planned if one.file not in failures]
     if not done:
         first = next(iter(failures.values()))
-        raise InputError(f"None of {_counted(len(planned))} could be run; the first: {first}.")
+        count = len({*failures, *(one.file for one in planned)})
+        raise InputError(f"None of {_counted(count)} could be run; the first: {first}.")
     whole.write_table(done)
     return SimulatedFolder(folder, len(done), len(whole.there), failures)
+
+
+def _readable(scenarios: Sequence[Path | str | Scenario]) -> tuple[list[Scenario], dict[str, str]]:
+    """Read scenario files, and tell why which recordings cannot be made, where some of several cannot be read."""
+    read, wrong = list[Scenario](), dict[Path, InputError]()
+    for one in scenarios:
+        try:
+            read.append(one if isinstance(one, Scenario) else Scenario.read(one))
+        except InputError as error:
+            path = Path(one.path if isinstance(one, Scenario) else one)
+            if not path.is_file():
+                # A name that was typed wrong is no scenario.
+                raise
+            wrong[path] = error
+    if wrong and not read:
+        raise next(iter(wrong.values()))
+    return read, {_recording_of(path): of_file(path, failure_words(path, error)) for path, error in wrong.items()}
+
+
+def _recording_of(path: Path) -> str:
+    return portable_name(path.stem) + _CSV
 
 
 def _of_files(scenarios: Sequence[Scenario], given: Mapping[str, Value]) -> list[Planned]:
@@ -204,7 +234,7 @@ def _of_files(scenarios: Sequence[Scenario], given: Mapping[str, Value]) -> list
         other = called.setdefault(portable_name(one.path.stem).casefold(), one)
         if other is not one:
             raise InputError(f"{one.path}: its recording would be called like that of {other.path}; rename one.")
-    return [Planned(portable_name(one.path.stem) + _CSV, ConcreteScenario(one.path, given, one)) for one in scenarios]
+    return [Planned(_recording_of(one.path), ConcreteScenario(one.path, given, one)) for one in scenarios]
 
 
 def _of_table(scenarios: Sequence[Scenario], table: Path, given: Mapping[str, Value]) -> list[Planned]:

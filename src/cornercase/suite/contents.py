@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Mapping
+from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+from cornercase._common.errors import InputError
 from cornercase.scenario import ConcreteScenario, ParameterSpace, Scenario, Value
 
 
@@ -31,6 +33,8 @@ class SuiteScenario:
         Why it was kept, in words; empty where it is not known.
     origin : int or None
         Id of the scenario of the study that it was kept from.
+    wrong : str
+        Why its file cannot be run, as why a scenario failed; empty where it can.
     """
 
     file: str
@@ -40,11 +44,30 @@ class SuiteScenario:
     role: str = ""
     why: str = ""
     origin: int | None = None
+    wrong: str = ""
 
     @property
     def concrete(self) -> ConcreteScenario:
         """What a simulator runs: the file as it stands."""
         return ConcreteScenario(self.scenario.path, {}, self.scenario)
+
+    @property
+    def files(self) -> tuple[Path, ...]:
+        """The file and all that it uses; of one that cannot be read only itself."""
+        try:
+            return self.scenario.files()
+        except InputError:
+            return (self.scenario.path,)
+
+    @property
+    def fingerprint(self) -> str:
+        """SHA-256 of all files."""
+        try:
+            return self.scenario.fingerprint()
+        except InputError:
+            with suppress(OSError):
+                return hashlib.sha256(self.scenario.path.read_bytes()).hexdigest()
+            return ""
 
 
 @dataclass(frozen=True)
@@ -93,6 +116,11 @@ class SuiteContents:
     fingerprint: str = ""
 
     @property
+    def usable(self) -> tuple[SuiteScenario, ...]:
+        """Scenarios whose files can be run."""
+        return tuple(one for one in self.scenarios if not one.wrong)
+
+    @property
     def folder(self) -> Path:
         """Where the files lie."""
         return self.place if self.place.is_dir() else self.place.parent
@@ -100,7 +128,7 @@ class SuiteContents:
     @property
     def files(self) -> list[Path]:
         """The manifest, where there is one, and all files of the scenarios."""
-        own = [file for one in self.scenarios for file in one.scenario.files()]
+        own = [file for one in self.scenarios for file in one.files]
         return own if self.place.is_dir() else [self.place, *own]
 
     @property
@@ -108,5 +136,5 @@ class SuiteContents:
         """SHA-256 of all files, and of those that they use."""
         digest = hashlib.sha256()
         for one in self.scenarios:
-            digest.update(f"{one.file}\0{one.scenario.fingerprint()}\0".encode())
+            digest.update(f"{one.file}\0{one.fingerprint}\0".encode())
         return digest.hexdigest()

@@ -43,7 +43,7 @@ def required_by_files(suite: SuiteContents) -> list[Requirement]:
     """
     found: dict[str, list[str]] = {}
     left: dict[str, None] = {}
-    for one in suite.scenarios:
+    for one in suite.usable:
         for criterion in _criteria(one):
             means = _MEANINGS.get(criterion.name)
             meaning = None if means is None else means(criterion.value)
@@ -62,7 +62,7 @@ def required_by_files(suite: SuiteContents) -> list[Requirement]:
         warn(f"not taken as requirements from {suite.place.name}: {', '.join(left)}; {why}")
     texts = []
     for meaning, files in found.items():
-        if len(files) == len(suite.scenarios):
+        if len(files) == len(suite.usable):
             texts.append(meaning)
         else:
             texts += [f"{prefix_for(file)}{meaning}" for file in files]

@@ -160,7 +160,7 @@ def draw_mutants(
         The ego has no driver that could have mutants, or not the same in all files, or a requirement asks a reference.
     """
     _require_no_reference(requirements)
-    driver = driver_of_ego(ego, drivers, [one.scenario for one in suite.scenarios])
+    driver = driver_of_ego(ego, drivers, [one.scenario for one in suite.usable])
     return driver, mutants_of(driver, whole_number("mutants", count, 1), seed)
 
 
@@ -199,15 +199,15 @@ def expose_suite(
     """
     known = list(requirements) or _requirements(())
     failed, exposed = run_mutants(
-        [one.concrete for one in suite.scenarios],
+        [one.concrete for one in suite.usable],
         who,
         drivers,
-        [[each for each in known if each.concerns(one.file, one.kind)] for one in suite.scenarios],
+        [[each for each in known if each.concerns(one.file, one.kind)] for one in suite.usable],
         options,
         client=client,
         progress=progress,
     )
-    ids = tuple(range(1, len(suite.scenarios) + 1))
+    ids = tuple(k for k, one in enumerate(suite.scenarios, start=1) if not one.wrong)
     return Exposure(drivers[0], tuple(one.text for one in known), ids, failed, drivers[1], exposed)
 
 

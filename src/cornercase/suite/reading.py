@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import warnings
-from collections.abc import Mapping, Sequence
+from collections.abc import Container, Mapping, Sequence
 from pathlib import Path
 from typing import Final
 
@@ -20,6 +20,7 @@ from cornercase.scenario import (
     read_declarations,
     typed_value,
 )
+from cornercase.simulators import failure_words
 from cornercase.suite.contents import SuiteContents, SuiteScenario
 from cornercase.suite.manifest import read_manifest
 
@@ -66,17 +67,31 @@ def _of_files(folder: Path, files: Sequence[Path]) -> SuiteContents:
         # Databases and other files hold names as text in UTF-8.
         if (odd := plain_text(file.name).replace("\n", "\\n").encode(errors="replace").decode()) != file.name:
             raise InputError(f"{folder}: the name of its file '{odd}' is not plain text; rename the file.")
-    read = [Scenario(file) for file in files]
-    others = [one.path.name for one in read if _is_of_something_else(one)]
+    read, wrong = list[Scenario](), dict[Path, InputError]()
+    others = []
+    for file in files:
+        try:
+            if _is_of_something_else(Scenario(file)):
+                others.append(file.name)
+                continue
+            read.append(Scenario.read(file))
+        except InputError as error:
+            wrong[file] = error
+            read.append(Scenario(file))
     if others:
         warnings.warn(f"not run, because they are not scenarios: {', '.join(others)}", NoticeWarning, stacklevel=3)
-    scenarios = [Scenario.read(one.path) for one in read if one.path.name not in others]
-    if not scenarios:
+    if not read:
         raise InputError(f"{folder}: holds no scenario; name a folder with .xosc files, or with a manifest.json.")
-    values, space = _varied(scenarios)
+    if len(wrong) == len(read):
+        raise next(iter(wrong.values()))
+    values, space = _varied(read, wrong)
+    words = {path: failure_words(path, error) for path, error in wrong.items()}
     return SuiteContents(
         place=folder,
-        scenarios=tuple(SuiteScenario(one.path.name, one, its) for one, its in zip(scenarios, values, strict=True)),
+        scenarios=tuple(
+            SuiteScenario(one.path.name, one, its, wrong=words.get(one.path, ""))
+            for one, its in zip(read, values, strict=True)
+        ),
         space=space,
     )
 
@@ -86,9 +101,12 @@ def _is_of_something_else(scenario: Scenario) -> bool:
     return root.find("ParameterValueDistribution") is not None or root.find("Catalog") is not None
 
 
-def _varied(scenarios: Sequence[Scenario]) -> tuple[list[dict[str, Value]], ParameterSpace]:
+def _varied(scenarios: Sequence[Scenario], wrong: Container[Path]) -> tuple[list[dict[str, Value]], ParameterSpace]:
     """Parameters that all declare and that differ; where these do not tell all apart, which file it is besides."""
-    declared = [{one.name: one for one in read_declarations(each.root, str(each.path))} for each in scenarios]
+    declared = [
+        {} if each.path in wrong else {one.name: one for one in read_declarations(each.root, str(each.path))}
+        for each in scenarios
+    ]
     names = [
         name
         for name, one in declared[0].items()

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Iterator, Sequence
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import Final
@@ -21,7 +22,7 @@ from cornercase.simulators import (
     Simulator,
     notices_of,
     outcomes_of,
-    require_usable,
+    refusals_of,
     warn_if_nobody_drives,
 )
 from cornercase.study import Row, Study, StudyMeta, begun_study
@@ -31,6 +32,32 @@ _ADVICE: Final = (
     "a driver or the simulator draws random numbers, or keeps something from one run to the next: mend it, or verdicts"
     " may be others the next time"
 )
+
+
+def sort_out(suite: SuiteContents, simulator: Simulator) -> SuiteContents:
+    """Say of the scenarios of a suite which a simulator cannot run.
+
+    Parameters
+    ----------
+    suite : SuiteContents
+    simulator : Simulator
+        Open.
+
+    Returns
+    -------
+    SuiteContents
+
+    Raises
+    ------
+    InputError
+        None of the scenarios can be run.
+    """
+    usable = suite.usable
+    refused = refusals_of(simulator, [one.concrete for one in usable])
+    wrong = {usable[k].file: why for k, why in refused.items()}
+    return replace(
+        suite, scenarios=tuple(replace(one, wrong=wrong.get(one.file, one.wrong)) for one in suite.scenarios)
+    )
 
 
 def run_suite(
@@ -62,7 +89,6 @@ def run_suite(
     InputError
         None of the scenarios can be run, or the study is of something else; it is left as it is.
     """
-    require_usable(simulator, (one.scenario for one in suite.scenarios), [one.concrete for one in suite.scenarios])
     _warn(suite, simulator, meta.ego)
     metrics = [METRICS.create(name) for name in meta.metrics]
     with begun_study(path, meta) as study:
@@ -99,8 +125,8 @@ def _once_more(suite: SuiteContents, simulator: Simulator, row: Row) -> Recordin
 
 def _warn(suite: SuiteContents, simulator: Simulator, ego: str) -> None:
     """Tell what of the files has no effect, what is the same in several once, and that nobody drives the ego."""
-    warn_of(distinct(notice for one in suite.scenarios for notice in notices_of(simulator.name, one.scenario)))
-    warn_if_nobody_drives(simulator, (one.scenario for one in suite.scenarios), ego)
+    warn_of(distinct(notice for one in suite.usable for notice in notices_of(simulator.name, one.scenario)))
+    warn_if_nobody_drives(simulator, (one.scenario for one in suite.usable), ego)
 
 
 def _run(
@@ -116,6 +142,12 @@ def _run(
     pending = [row for row in rows if row.state == "pending"]
     done = len(rows) - len(pending)
     yield done
+    for row in pending:
+        if why := scenarios[row.id - 1].wrong:
+            study.fail(row.id, SimulationError(why))
+            done += 1
+            yield done
+    pending = [row for row in pending if not scenarios[row.id - 1].wrong]
     # A simulator that takes many at once would give nothing back before the last of them has ended.
     takes_batches = SIMULATORS.class_of(simulator.name).takes_batches
     at_once = workers if workers is not None and takes_batches else max(len(pending), 1)

@@ -29,7 +29,7 @@ from cornercase.suite.reading import read_suite
 from cornercase.suite.requirement import Requirement
 from cornercase.suite.requirement_files import read_requirements
 from cornercase.suite.result import ScenarioResult, SuiteResult
-from cornercase.suite.running import run_suite
+from cornercase.suite.running import run_suite, sort_out
 from cornercase.suite.summary import HEADING, write_summary
 from cornercase.suite.verdict import Verdict, worst_state
 from cornercase.suite.verdicts import judge_row
@@ -175,6 +175,7 @@ def test(
         start = partial(start, max_failures=max_failures)
         start = partial(start, workers=workers) if client is None else partial(start, cluster=client)
         with start(options) as started, ExitStack() as stack:
+            contents = sort_out(contents, started)
             references = {one: stack.enter_context(_with_reference(start, options, who[0], one)) for one in asked}
             meta = _meta(contents, who, _metrics(contents, metrics, known), known, name, started.settings, path)
             side_by_side = workers if client is None else None
@@ -256,7 +257,7 @@ def _entities(
         if given is None and not own:
             raise InputError(f"`{role}`: {suite.place} does not say it; name an entity.")
     tested = suite.ego if ego is None else text("ego", ego)
-    known = dict.fromkeys(name for one in suite.scenarios for name in one.scenario.entities)
+    known = dict.fromkeys(name for one in suite.usable for name in one.scenario.entities)
     others = name_others(suite.other if other is None else other, tested, list(known))
     asked = {tested: "ego"} | dict.fromkeys(others, "other")
     if other is not None and EVERYBODY in texts("other", other):
@@ -264,7 +265,7 @@ def _entities(
         asked = {tested: "ego"}
     asked |= {one.entity: "one that must not be touched" for one in requirements if one.entity}
     asked |= dict.fromkeys(by_name("drivers", drivers), "driven entity")
-    for one in suite.scenarios:
+    for one in suite.usable:
         for name, role in asked.items():
             one.scenario.require_entity(name, role)
     for required in requirements:
@@ -341,7 +342,7 @@ def _meta(
     critical = suite.critical if suite.metrics[:1] == metrics[:1] else METRICS.create(metrics[0]).critical
     return StudyMeta(
         scenario=stored_path(suite.folder, study),
-        fingerprint=suite.scenarios[0].scenario.fingerprint(),
+        fingerprint=suite.usable[0].scenario.fingerprint(),
         space=suite.space,
         ego=who[0],
         other=who[1][0] if len(who[1]) == 1 else who[1],
