@@ -7,6 +7,7 @@ import pickle
 import pytest
 
 from conftest import ROAD, scenario_file, teleport
+from cornercase import check
 from cornercase._common.errors import InputError
 from cornercase.scenario import LogicalScenario, Scenario, find_scenario, write_concrete
 from cornercase.simulators import simulate
@@ -117,3 +118,23 @@ def test_a_place_at_the_end_of_the_world_is_none(tmp_path):
     )
     with pytest.warns(UserWarning, match="Ego lies beyond the end of the nearest road"):
         simulate(path, duration=0.1)
+
+
+@pytest.mark.parametrize("other", ["<OpenSCENARIO>", "scenario", "space"])
+def test_43_only_files_that_hold_a_catalog_are_catalogs(tmp_path, other):
+    """A folder of catalogs may be that of the scenario, in which others lie, too."""
+    catalog(tmp_path, "one", "Cars", ("small", 3))
+    path = from_catalogs(tmp_path, "")
+    before = Scenario(path).fingerprint(), check(path).notices
+    text = path.read_text()
+    (tmp_path / "other.xosc").write_text(
+        {"scenario": text, "space": "<OpenSCENARIO><FileHeader/><ParameterValueDistribution/></OpenSCENARIO>"}.get(
+            other, other
+        )
+    )
+    assert Scenario(path).catalog_files() == [tmp_path / "one.xosc"]
+    assert (Scenario(path).fingerprint(), check(path).notices) == before
+    assert simulate(path, duration=0.1).length == [3.0]
+    written = write_concrete(Scenario.read(path), {}, tmp_path / "there" / "out.xosc")
+    assert tmp_path / "there" / "other.xosc" not in written
+    assert "other.xosc" not in [one.name for one in written]

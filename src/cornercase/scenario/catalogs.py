@@ -2,13 +2,24 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterable
 from pathlib import Path
+from typing import Final
 
 from lxml import etree
 
 from cornercase._common.errors import InputError, suggestion
 from cornercase._common.recorded_xml import children
+
+_CATALOG: Final = re.compile(rb"<(?:[A-Za-z_][\w.-]*:)?Catalog[\s/>]")
+# Files in two bytes a character begin so.
+_WIDE: Final = (b"\xff\xfe", b"\xfe\xff")
+
+
+def holds_catalog(content: bytes) -> bool:
+    """Tell whether a file holds a catalog, as far as that shows before it is parsed."""
+    return content.startswith(_WIDE) or _CATALOG.search(content) is not None
 
 
 class Catalogs:

@@ -158,7 +158,8 @@ def _catalogs_beside(scenario: Scenario, root: etree._Element) -> Iterator[tuple
         while taken.setdefault(name, folder) != folder:
             name = f"{plain}-{len(taken) + 1}"
         # The location may be a file itself, as openPASS writes it.
-        for file in [folder] if folder.is_file() else sorted(folder.glob("*.xosc")):
+        held = scenario.catalog_files()
+        for file in [folder] if folder.is_file() else [one for one in sorted(folder.glob("*.xosc")) if one in held]:
             yield file, f"catalogs/{name}/{file.name}", "OpenSCENARIO"
         holder.set(attribute, f"catalogs/{name}")
 

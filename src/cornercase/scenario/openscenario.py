@@ -16,7 +16,7 @@ from cornercase._common.ledger import Label, Notice
 from cornercase._common.places import place_of, placed
 from cornercase._common.recorded_xml import adapt, children, named, unrecorded, was_read
 from cornercase.scenario.axes import left_handed_header
-from cornercase.scenario.catalogs import Catalogs
+from cornercase.scenario.catalogs import Catalogs, holds_catalog
 from cornercase.scenario.dialects import note_version, other_format
 from cornercase.scenario.expressions import names_in
 from cornercase.scenario.maps import find_map, is_network_address, map_name, way_to_map
@@ -408,9 +408,14 @@ class Scenario:
         for directory in self._document.iterfind("CatalogLocations//Directory"):
             with placed(directory, str(self.path)):
                 folder = self.beside(self._parameter_text(directory.get("path", ""), {}), "catalog location")
-            found = sorted(folder.glob("*.xosc")) if folder.is_dir() else [folder]
+            found = self._catalogs_in(folder) if folder.is_dir() else [folder]
             files += [file for file in found if file.is_file() and file not in files]
         return files
+
+    def _catalogs_in(self, folder: Path) -> list[Path]:
+        """Files of a folder that hold a catalog; scenarios may lie there, too."""
+        every = [file for file in sorted(folder.glob("*.xosc")) if file.is_file()]
+        return [file for file in every if holds_catalog(self._files.content(file))]
 
     @cached_property
     def profiles_files(self) -> tuple[Path, ...]:
