@@ -10,9 +10,9 @@ import pytest
 
 from command_line import cornercase
 from conftest import car, moving, scenario_file
-from cornercase import InputError
+from cornercase import InputError, NoticeWarning, analyze, explore, reduce
 from cornercase import test as run_suite
-from cornercase.scenario import Scenario, write_concrete
+from cornercase.scenario import LogicalScenario, Scenario, write_concrete
 from cornercase.suite import Requirement, judge
 from cornercase.suite.judging import find_margin
 from two_cars import met
@@ -51,7 +51,9 @@ def test_43_6_criteria_of_files_become_requirements_and_the_others_are_named(tmp
     done = cornercase("test", tmp_path / "set", *options, "-o", tmp_path / "run.db")
     assert done.returncode == 1, done.stderr
     said = " ".join(done.stderr.split())
-    assert "Not taken as requirements from set: KeepLaneTest; what they ask is not in a recording" in said
+    assert (
+        "Not taken as requirements from the scenarios of set: KeepLaneTest; what they ask is not in a recording" in said
+    )
     told = {one["file"]: one for one in json.loads(done.stdout)["scenarios"]}
     states = {file: {one["requirement"]: one["state"] for one in each["verdicts"]} for file, each in told.items()}
     assert states == {
@@ -113,3 +115,17 @@ def test_43_6_how_far_the_ego_drives_is_judged():
     assert find_margin(Requirement.parse("drive 8.5"), recording, "Ego", ["Other"]) == pytest.approx(-0.5)
     with pytest.raises(InputError, match="is not a distance"):
         Requirement.parse("drive far")
+
+
+def test_43_the_notice_of_a_reduced_set_names_its_scenarios(tmp_path):
+    path = with_criteria(tmp_path, *ALL)
+    logical = LogicalScenario.read(path, None, ["speed=5:20"])
+    explore(logical, tmp_path / "s.db", ego="Ego", other="B", metrics=["distance"], budget=6, duration=4.0)
+    analyze(tmp_path / "s.db", ["distance"])
+    reduce(tmp_path / "s.db", tmp_path / "set", scenario=path)
+    with pytest.warns(NoticeWarning) as told:
+        run_suite(tmp_path / "set", tmp_path / "run.db", require_from_file=True)
+    (said,) = [str(one.message) for one in told if "not taken" in str(one.message)]
+    files = sorted(one.name for one in (tmp_path / "set").glob("*.xosc"))
+    names = files[0] if len(files) == 1 else "the scenarios of set"
+    assert said.startswith(f"not taken as requirements from {names}: KeepLaneTest; ")

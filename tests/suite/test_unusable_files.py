@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -74,6 +75,17 @@ def test_43_where_nothing_can_be_run_the_first_is_refused(folder, tmp_path):
 
 
 def test_43_a_file_that_is_not_there_is_refused_at_once(folder, tmp_path):
-    with pytest.raises(InputError, match=r"e\.xosc: does not exist"):
+    with pytest.raises(InputError, match=r"e\.xosc: cannot be read"):
         simulate_many([folder / "b.xosc", folder / "e.xosc"], tmp_path / "out")
     assert not (tmp_path / "out").exists()
+
+
+def test_43_a_run_of_a_folder_that_has_changed_says_so(folder, tmp_path):
+    asked: dict[str, Any] = {"ego": "Ego", "other": "B", "duration": 1.0}
+    run_suite(folder, tmp_path / "s.db", **asked)
+    (folder / "c.xosc").unlink()
+    with pytest.raises(InputError, match=r"s\.db: is of other scenarios than are there now: files were added"):
+        run_suite(folder, tmp_path / "s.db", **asked)
+    (folder / "a.xosc").write_text((folder / "b.xosc").read_text())
+    with pytest.raises(InputError, match=r"s\.db: is of other scenarios than are there now"):
+        run_suite(folder, tmp_path / "s.db", **asked)

@@ -326,6 +326,11 @@ class StudyMeta:
         InputError
             Something else differs.
         """
+        if self.suite and other.suite and self.suite != other.suite:
+            raise InputError(
+                f"{path}: is of other scenarios than are there now: files were added, taken away or changed since; name"
+                " another study with `study`."
+            )
         for name, words in _DIFFERENT.items():
             mine, given = getattr(self, name), getattr(other, name)
             if name == "scenario" and self.fingerprint == other.fingerprint:

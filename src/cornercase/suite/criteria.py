@@ -55,11 +55,11 @@ def required_by_files(suite: SuiteContents) -> list[Requirement]:
     if not found:
         others = f" (not taken: {', '.join(left)}; {why})" if left else ""
         raise InputError(
-            f"`require_from_file`: {suite.place} holds none of ScenarioRunner's criteria that can be taken as"
+            f"`require_from_file`: {suite.folder} holds none of ScenarioRunner's criteria that can be taken as"
             f" requirements, which are {', '.join(_MEANINGS)}{others}; give requirements yourself."
         )
     if left:
-        warn(f"not taken as requirements from {suite.place.name}: {', '.join(left)}; {why}")
+        warn(f"not taken as requirements from {_sources(suite)}: {', '.join(left)}; {why}")
     texts = []
     for meaning, files in found.items():
         if len(files) == len(suite.usable):
@@ -69,12 +69,19 @@ def required_by_files(suite: SuiteContents) -> list[Requirement]:
     return [_parsed(text, suite) for text in texts]
 
 
+def _sources(suite: SuiteContents) -> str:
+    """Name what the criteria stand in."""
+    if len(suite.usable) == 1:
+        return suite.usable[0].file
+    return f"the scenarios of {suite.folder.resolve().name}"
+
+
 def _parsed(text: str, suite: SuiteContents) -> Requirement:
     try:
         return Requirement.parse(text)
     except InputError as error:
         why = str(error).removeprefix("`require` ")
-        raise InputError(f"`require_from_file`: a criterion in {suite.place} asks for {why}") from error
+        raise InputError(f"`require_from_file`: a criterion in {suite.folder} asks for {why}") from error
 
 
 def _criteria(one: SuiteScenario) -> tuple[Criterion, ...]:
