@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import shlex
 import signal
 import subprocess
 import sys
@@ -13,8 +14,9 @@ import pandas
 import pytest
 
 from command_line import Ended, cornercase
-from conftest import EXAMPLES
+from conftest import EXAMPLES, moving, scenario_file
 from cornercase import InputError, Study
+from openpass_files import of_openpass
 from waiting import until
 
 CUT_IN = EXAMPLES / "r157" / "cut_in.xosc"
@@ -237,3 +239,39 @@ def test_43_12_a_killed_search_goes_on_with_the_same_command(tmp_path):
         assert explored(one, *more).returncode == 0
     pandas.testing.assert_frame_equal(table(study), table(whole))
     assert (study.parent / "s.varied.xosc").read_bytes() == (whole.parent / "s.varied.xosc").read_bytes()
+
+
+def test_43_a_map_is_found_and_the_command_that_is_told_can_be_typed(tmp_path):
+    (tmp_path / "maps").mkdir()
+    path = scenario_file(tmp_path, init=moving("10"))
+    (tmp_path / "road.xodr").rename(tmp_path / "maps" / "Town01.xodr")
+    path.write_text(path.read_text().replace('filepath="road.xodr"', 'filepath="Town01"'))
+    done = cornercase("vary", path)
+    assert done.returncode == 0, done.stderr
+    assert "it is a map of CARLA" in " ".join(done.stderr.split())
+    assert "–" in next(line for line in done.stdout.splitlines() if "Ego.initial.s " in line)
+    output = tmp_path / "v b" / "out.xosc"
+    done = cornercase("vary", path, "--maps", tmp_path / "maps", "--vary", "Ego.initial.s", "-o", output)
+    assert done.returncode == 0, done.stderr
+    command = next(line for line in done.stdout.splitlines() if line.startswith("  cornercase explore"))
+    assert shlex.split(command)[2:5] == [str(output), "--space", str(output.with_suffix(".space.xosc"))]
+
+
+def test_43_explore_copies_what_lies_beside_a_scenario_and_leaves_nothing_where_it_fails(tmp_path):
+    path = of_openpass(tmp_path / "a")
+    asked = ("--vary", "Ego.initial.speed", "--ego", "Ego", "--metric", "distance", "--duration", "1", "--budget", "3")
+    study = tmp_path / "b" / "s.db"
+    failed = cornercase("explore", path, *asked, "--other", "Nobody", "-o", study)
+    assert failed.returncode == 2
+    assert not (tmp_path / "b").exists()
+    text = path.read_text()
+    ego = text[text.index("<ScenarioObject") : text.index("</ScenarioObject>") + len("</ScenarioObject>")]
+    both = moving("10") + moving("60", entity="B")
+    text = text.replace(ego, ego + ego.replace('"Ego"', '"B"')).replace(moving("10"), both)
+    path.write_text(text)
+    done = cornercase("explore", path, *asked, "--other", "B", "-o", study)
+    assert done.returncode == 0, done.stderr
+    assert (tmp_path / "b" / "ProfilesCatalog.xml").read_bytes() == (
+        tmp_path / "a" / "ProfilesCatalog.xml"
+    ).read_bytes()
+    assert cornercase("explore", path, *asked, "--other", "B", "-o", study).returncode == 0

@@ -11,10 +11,11 @@ import pytest
 from lxml import etree
 
 from conftest import EXAMPLES, event, moving, private, scenario_file, speed_action, story_of, time_trigger
-from cornercase import InputError, SimulationError
+from cornercase import InputError, NoticeWarning, SimulationError
 from cornercase.recordings import Recording
 from cornercase.scenario import Scenario, Variable, VariedScenario, variables, vary
 from cornercase.simulators import simulate
+from openpass_files import of_openpass
 
 pytestmark = pytest.mark.filterwarnings("ignore::cornercase.NoticeWarning")
 
@@ -271,7 +272,7 @@ def test_43_12_a_file_is_not_written_over_the_one_that_it_is_made_from(tmp_path:
     path = written(tmp_path)
     for output in (path, tmp_path / "road.xodr"):
         before = output.read_bytes()
-        with pytest.raises(InputError, match="is the file that is read"):
+        with pytest.raises(InputError, match=r"is the file that is read|ends with \.xosc"):
             vary(path, ["Ego.initial.s"], output)
         assert output.read_bytes() == before
 
@@ -284,7 +285,7 @@ def test_43_12_a_road_that_a_parameter_names_is_found_from_another_folder(tmp_pa
     assert simulate(tmp_path / "there" / "out.xosc", duration=1).x[0, 0] == simulate(path, duration=1).x[0, 0]
     path.write_text(path.read_text().replace('filepath="$Road"', """filepath="${'road' + '.xodr'}\""""))
     with pytest.raises(InputError, match=r"line 3: <LogicFile> names a path by an expression.*into the folder"):
-        vary(path, ["Ego.initial.s"], tmp_path / "there" / "other.xosc")
+        vary(path, ["Ego.initial.s=40:60"], tmp_path / "there" / "other.xosc")
 
 
 def test_43_12_a_left_handed_file_stays_left_handed(tmp_path: Path) -> None:
@@ -343,3 +344,75 @@ def test_43_12_each_scenario_of_others_gives_the_same_recording(tmp_path: Path) 
         require_same_recording(path, tmp_path / str(k), 20.0)
         compared += 1
     assert compared > 50
+
+
+def test_43_no_range_is_proposed_along_a_road_that_is_missing(tmp_path: Path) -> None:
+    path = written(tmp_path)
+    assert listed(path)["Ego.initial.s"].proposal
+    (tmp_path / "road.xodr").unlink()
+    with pytest.warns(NoticeWarning, match="no range is proposed for places along a road: there is no road file"):
+        found = listed(path)
+    assert not found["Ego.initial.s"].proposal
+    assert found["Ego.initial.speed"].proposal
+
+
+def test_43_what_is_never_true_is_not_listed(tmp_path: Path) -> None:
+    def held(name: str, parameter: str) -> str:
+        return (
+            f'<Condition name="{name}" delay="1" conditionEdge="none"><ByValueCondition><ParameterCondition'
+            f' parameterRef="{parameter}" value="60" rule="lessThan"/></ByValueCondition></Condition>'
+        )
+
+    known = '<ParameterDeclaration name="p" parameterType="double" value="1"/>'
+    stop = (
+        f"<ConditionGroup>{held('criteria_RunningStopTest', '')}{travelled('30', 'unheard')}</ConditionGroup>"
+        f"<ConditionGroup>{held('criteria_DrivenDistanceTest', 'distance_success')}</ConditionGroup>"
+        f"<ConditionGroup>{held('of nothing', '')}</ConditionGroup>"
+        f"<ConditionGroup>{held('heard', 'p')}{travelled('90', 'far')}</ConditionGroup>"
+    )
+    path = scenario_file(tmp_path, init=moving("10"), stop=stop, parameters=known)
+    assert [name for name in listed(path) if name.startswith("storyboard")] == [
+        "storyboard.stop.heard.delay", "storyboard.stop.far.delay", "storyboard.stop.travelled",
+    ]  # fmt: skip
+
+
+def test_43_rates_below_zero_get_a_range_in_the_right_order(tmp_path: Path) -> None:
+    def rate(value: str) -> Path:
+        return written(tmp_path, event("e", speed_action("2", "linear", "rate", value), time_trigger("1")))
+
+    assert listed(rate("-4"))["e.rate"].proposal == "-5.2:-2.8"
+    assert listed(rate("0"))["e.rate"].proposal == "0:1"
+    vary(rate("-4"), ["e.rate"], tmp_path / "out.xosc")
+
+
+def test_43_where_no_range_is_proposed_that_is_said(tmp_path: Path) -> None:
+    path = scenario_file(tmp_path, init="")
+    with pytest.raises(InputError, match="no range is proposed for any of its numbers; give one with"):
+        vary(path, [], tmp_path / "out.xosc", proposed=True)
+
+
+@pytest.mark.parametrize("name", ["y.xodr", "y", "y.space"])
+def test_43_a_scenario_is_written_into_a_file_of_its_ending_only(tmp_path: Path, name: str) -> None:
+    (tmp_path / "a").mkdir()
+    path = written(tmp_path / "a")
+    with pytest.raises(InputError, match=r"a scenario is written; name a file that ends with \.xosc"):
+        vary(path, ["Ego.initial.speed"], tmp_path / name)
+    assert [one.name for one in tmp_path.iterdir()] == ["a"]
+
+
+@pytest.mark.parametrize("beside", [True, False])
+def test_43_what_lies_beside_a_scenario_is_found_from_another_folder(tmp_path: Path, beside: bool) -> None:
+    path = of_openpass(tmp_path / "a", beside)
+    for _ in range(2):
+        vary(path, ["Ego.initial.speed"], tmp_path / "b" / "out.xosc")
+        after = simulate(tmp_path / "b" / "out.xosc", duration=1)
+        assert content(after, tmp_path) == content(simulate(path, duration=1), tmp_path)
+
+
+def test_43_another_file_beside_a_varied_scenario_is_kept(tmp_path: Path) -> None:
+    path = of_openpass(tmp_path / "a")
+    (tmp_path / "ProfilesCatalog.xml").write_text("<Profiles/>")
+    with pytest.raises(InputError, match=r"is another file than .*choose another folder"):
+        vary(path, ["Ego.initial.speed"], tmp_path / "out.xosc")
+    assert (tmp_path / "ProfilesCatalog.xml").read_text() == "<Profiles/>"
+    assert not (tmp_path / "out.xosc").exists()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 from contextlib import suppress
 from itertools import groupby
 from pathlib import Path
@@ -11,7 +12,7 @@ import typer
 
 from cornercase._common.errors import InputError
 from cornercase._common.texts import shorten
-from cornercase.cli.options import ScenarioFile, Vary, app, out
+from cornercase.cli.options import Maps, ScenarioFile, Vary, app, out
 
 if TYPE_CHECKING:
     from cornercase.scenario import Variable
@@ -33,6 +34,7 @@ def vary_(
             "--output", "-o", metavar="OUT.xosc", help="Scenario to write; the ranges go into OUT.space.xosc beside it."
         ),
     ] = None,
+    maps: Maps = None,
 ) -> None:
     """List the numbers of a scenario that could vary, or make parameters of them.
 
@@ -60,7 +62,8 @@ def vary_(
         out.print(f"varied: {parameter}")
     space = output.with_suffix(".space.xosc")
     out.print(f"Written to {output}, and its ranges to {space}; search them with")
-    out.print(f"  cornercase explore {output} --space {space} …", soft_wrap=True)
+    command = shlex.join(["cornercase", "explore", str(output), "--space", str(space)])
+    out.print(f"  {command} …", soft_wrap=True)
 
 
 def _tell(listed: tuple[Variable, ...]) -> None:

@@ -10,6 +10,7 @@ from pathlib import Path
 from cornercase._common.arguments import texts
 from cornercase._common.errors import InputError
 from cornercase._common.files import read_file, require_other_file, written_whole
+from cornercase._common.pending_files import written_together
 from cornercase.scenario import LogicalScenario, Parameter, ParameterSpace, VariedScenario, value_text
 
 
@@ -52,6 +53,7 @@ def explored_file(
     varied = VariedScenario.read(scenario, asked)
     file = study.with_name(f"{study.stem}.varied.xosc")
     made = [one for one in (file, *file.parents) if not one.exists()]
+    beside = varied.beside(file.parent)
     _write(varied, file, study)
     try:
         every = [*texts("ranges", ranges), *map(_range_text, varied.parameters)]
@@ -61,7 +63,8 @@ def explored_file(
     except BaseException as error:
         if file not in made or study.exists():
             raise
-        file.unlink(missing_ok=True)
+        for one in (file, *beside):
+            one.unlink(missing_ok=True)
         with suppress(OSError):
             for folder in made[1:]:
                 folder.rmdir()
@@ -84,8 +87,10 @@ def _write(varied: VariedScenario, file: Path, study: Path) -> None:
             f"{study}: was begun with another scenario file or other names for `vary` ({file.name} differs); give the"
             " same, or name another study."
         )
-    with written_whole(file) as temporary:
-        temporary.write_bytes(content)
+    with written_together():
+        for path, one_content in {**varied.beside(file.parent), file: content}.items():
+            with written_whole(path) as temporary:
+                temporary.write_bytes(one_content)
 
 
 def _range_text(one: Parameter) -> str:

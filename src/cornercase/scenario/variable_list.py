@@ -13,7 +13,9 @@ from typing import Any, Final
 from lxml import etree
 
 from cornercase._common.errors import InputError
+from cornercase._common.ledger import warn
 from cornercase._common.texts import shorten
+from cornercase.scenario.criteria import is_never_true
 from cornercase.scenario.declared_types import INTEGERS, NUMERIC
 from cornercase.scenario.openscenario import Scenario
 from cornercase.scenario.road_extent import RoadExtent, read_extents
@@ -32,6 +34,8 @@ from cornercase.scenario.xml import parse_xml
 _LONGEST: Final = 24
 _LONGEST_BETWEEN: Final = 16
 _LONGEST_SHOWN: Final = 60
+_BRAKING: Final = ("m/s²", "m/s³")
+_ON_ROADS: Final = ("LanePosition", "RoadPosition")
 
 
 @dataclass(frozen=True)
@@ -252,12 +256,23 @@ class _Listing:
     def _of_trigger(self, trigger: etree._Element | None, base: str, group: str) -> Iterator[_Found]:
         """Numbers of conditions; a condition that stands in several groups of one trigger varies in all of them."""
         alike: dict[Any, list[etree._Element]] = {}
-        for condition in () if trigger is None else trigger.iterfind("ConditionGroup/Condition"):
+        groups = () if trigger is None else trigger.iterfind("ConditionGroup")
+        # What is never true waits for nothing.
+        lasting = (group for group in groups if not self._is_never_true(group))
+        for condition in (one for group in lasting for one in group.iterchildren("Condition")):
             inner = tuple(_content(child) for child in condition.iterchildren("*"))
             alike.setdefault((condition.get("delay", ""), inner), []).append(condition)
         for same in alike.values():
             qualifier = _part(same[0].get("name", ""), longest=_LONGEST_BETWEEN)
             yield from self._below(same[0], base, qualifier, group, same)
+
+    def _is_never_true(self, group: etree._Element) -> bool:
+        """Whether a group holds one of ScenarioRunner's criteria, or another condition that is never true."""
+        for condition in group.iterfind("Condition/ByValueCondition/ParameterCondition"):
+            name = condition.get("parameterRef", "").lstrip("$")
+            if name not in self._declared and is_never_true(condition, name):
+                return True
+        return False
 
     def _below(
         self, top: etree._Element, base: str, qualifier: str, group: str, same: list[etree._Element] | None = None
@@ -290,6 +305,9 @@ class _Listing:
         if value is None or (kind.whole and value != round(value)):
             return
         least, most = kind.least, None
+        if least is not None and value < least and kind.unit in _BRAKING:
+            # As many files write that something brakes.
+            least = None
         inner_least, inner_most, lanes = least, most, frozenset[int]()
         road, lane, s = self._on_road(element)
         if road is not None and attribute in ("s", "laneId"):
@@ -303,6 +321,9 @@ class _Listing:
         # What the file has stays possible.
         least = None if least is not None and value < least else least
         most = None if most is not None and value > most else most
+        if road is None and attribute == "s" and element.tag in _ON_ROADS:
+            # Where the road ends is not known.
+            kind = Kind(kind.unit)
         range_ = _proposed(kind, value, inner_least, inner_most)
         yield _Found(
             base, qualifier, suffix,
@@ -314,13 +335,21 @@ class _Listing:
 
     def _on_road(self, element: etree._Element) -> tuple[RoadExtent | None, int | None, float | None]:
         """The road that a position lies on, and its lane and s, as far as they are known."""
-        if element.tag not in ("LanePosition", "RoadPosition"):
+        if element.tag not in _ON_ROADS:
             return None, None, None
         if self._roads is None:
             self._roads = read_extents(self._scenario.road_file())
+            if missing := self._without_road():
+                warn(f"no range is proposed for places along a road: {missing}")
         lane, s = (_finite(self._text(element.get(name) or "")) for name in ("laneId", "s"))
         whole = None if lane is None or lane != round(lane) else round(lane)
         return self._roads.get(self._text(element.get("roadId", ""))), whole, s
+
+    def _without_road(self) -> str:
+        """Why the road file cannot be looked into; empty where it can."""
+        if "$" in self._scenario.road_reference():
+            return "an expression names the road file"
+        return self._scenario.missing_road()
 
     def _text(self, text: str) -> str:
         """A text, or the value of the parameter that it names."""

@@ -15,6 +15,7 @@ from cornercase._common import arguments
 from cornercase._common.errors import InputError, suggestion
 from cornercase._common.files import require_other_file, written_whole
 from cornercase._common.pending_files import written_together
+from cornercase.scenario.concrete_files import read_beside
 from cornercase.scenario.logical import LogicalScenario
 from cornercase.scenario.openscenario import Scenario
 from cornercase.scenario.parameter import Parameter
@@ -30,6 +31,7 @@ _MOST_LANES: Final = 1000
 _RUNS: Final = "100"
 # A bound that is shown has fewer digits.
 _ROUNDING: Final = 1e-6
+_ENDING: Final = ".xosc"
 _NO_DATE: Final = "1970-01-01T00:00:00"
 # Attributes that name a file or folder from the folder of the scenario.
 _PATHS: Final = {"LogicFile": "filepath", "SceneGraphFile": "filepath", "Directory": "path", "File": "filepath"}
@@ -92,6 +94,11 @@ class VariedScenario:
                 raise InputError(f"`vary` {text}: write it as NAME, NAME=LOW:HIGH or NAME=LOW:HIGH:STEP.")
             given.add(name)
             chosen[name] = range_
+        if not chosen and proposed:
+            raise InputError(
+                f"{source.path}: nothing is varied, since no range is proposed for any of its numbers; give one with"
+                " `vary`, as NAME=LOW:HIGH."
+            )
         if not chosen:
             raise InputError(f"{source.path}: nothing is varied; name what varies with `vary`.")
         parameters = tuple(_parameter(known[name], range_) for name, range_ in chosen.items())
@@ -134,6 +141,37 @@ class VariedScenario:
                 _require_text(path)
                 text.set(numbers[element], attribute, path)
         return text.content()
+
+    def beside(self, folder: Path) -> dict[Path, bytes]:
+        """Give what has to lie beside the file in a folder and does not yet: files that it names without a path.
+
+        Parameters
+        ----------
+        folder : Path
+
+        Returns
+        -------
+        dict of Path to bytes
+
+        Raises
+        ------
+        InputError
+            Another file lies there by the name.
+        """
+        found: dict[Path, bytes] = {}
+        for file in self.source.profiles_files:
+            target = folder / file.name
+            if _is_same_folder(folder, file.parent) or not file.is_file():
+                continue
+            content = read_beside(file, "Profiles")
+            if not target.exists():
+                found[target] = content
+            elif target.read_bytes() != content:
+                raise InputError(
+                    f"{target}: is another file than {file}, which has to lie beside the scenario; choose another"
+                    " folder."
+                )
+        return found
 
     def space_content(self, name: str) -> bytes:
         """Give the content of a file that says what varies in the scenario of a file name beside it.
@@ -234,12 +272,15 @@ def vary(
     """
     output = arguments.path("output", output)
     _require_text(output)
+    if output.suffix.lower() != _ENDING:
+        raise InputError(f"`output` {output}: a scenario is written; name a file that ends with {_ENDING}.")
     varied = VariedScenario.read(scenario, arguments.texts("vary", ranges), arguments.flag("proposed", proposed))
     space = output.with_suffix(".space.xosc")
     for file in varied.source.files():
         require_other_file(output, file)
         require_other_file(space, file)
-    contents = {output: varied.content(output.parent), space: varied.space_content(output.name)}
+    contents = varied.beside(output.parent)
+    contents |= {output: varied.content(output.parent), space: varied.space_content(output.name)}
     with written_together():
         for path, content in contents.items():
             with written_whole(path) as temporary:
@@ -339,6 +380,9 @@ def _moved_paths(source: Scenario, root: etree._Element, folder: Path) -> Iterat
         if path.startswith("$") and path[1:] in declared:
             holder, attribute = declared[path[1:]], "value"
             path = str(holder.get("value") or "").strip()
+        if not path and element.tag == "Directory" and element.get("path") is not None:
+            # The folder of the scenario.
+            path = "."
         if not path or (holder is not element and holder in moved):
             continue
         if path.startswith("$"):
