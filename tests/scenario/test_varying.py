@@ -354,6 +354,14 @@ def test_43_no_range_is_proposed_along_a_road_that_is_missing(tmp_path: Path) ->
         found = listed(path)
     assert not found["Ego.initial.s"].proposal
     assert found["Ego.initial.speed"].proposal
+    world = (
+        '<PrivateAction><TeleportAction><Position><WorldPosition x="50" y="1.75"/></Position></TeleportAction>'
+        "</PrivateAction>"
+    )
+    written(tmp_path, init=private("Ego", world, speed_action("5")))
+    (tmp_path / "road.xodr").unlink()
+    with pytest.warns(NoticeWarning, match="there is no road file"):
+        assert listed(path)["Ego.initial.x"].proposal
 
 
 def test_43_what_is_never_true_is_not_listed(tmp_path: Path) -> None:

@@ -51,6 +51,21 @@ def test_43_mutants_leave_out_what_cannot_be_run(folder, tmp_path):
     assert result.exposure.scenarios == (2, 4)
 
 
+@pytest.mark.parametrize("without", ["B", "name"])
+def test_43_a_file_that_lacks_an_entity_is_one_that_could_not_be_run(folder, tmp_path, without):
+    text = (folder / "b.xosc").read_text()
+    lost = text.replace('name="B"', 'name="C"').replace('entityRef="B"', 'entityRef="C"')
+    (folder / "b.xosc").write_text(
+        lost if without == "B" else text.replace('ScenarioObject name="B"', "ScenarioObject")
+    )
+    result = run_suite(folder, tmp_path / "s.db", ego="Ego", other="B", duration=1.0)
+    assert [one.state for one in result.scenarios] == ["error", "error", "error", "passed"]
+    why = {"B": "has no entity 'B' to be the other", "name": "every <ScenarioObject> needs a name of its own"}[without]
+    assert why in result.scenarios[1].verdicts[0].reason
+    with pytest.raises(InputError, match="has no entity 'D' to be the other"):
+        run_suite(folder, tmp_path / "t.db", ego="Ego", other="D", duration=1.0)
+
+
 def test_43_one_file_that_cannot_be_run_leaves_the_other_recordings(folder, tmp_path):
     for before in ("", ", 2 of which were there before"):
         done = cornercase("simulate", *sorted(folder.glob("*.xosc")), "--duration", "1", "-o", tmp_path / "out")

@@ -6,6 +6,7 @@ import math
 import re
 from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping
+from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, Final
@@ -177,6 +178,10 @@ class _Listing:
 
     def all(self) -> tuple[Variable, ...]:
         """All of them, with names and names of parameters that are unique."""
+        with suppress(InputError):
+            # What names no file of this machine is said where the scenario is run.
+            if missing := self._without_road():
+                warn(f"no range is proposed for places along a road: {missing}")
         found = [*self._of_init(), *self._of_storyboard()]
         several = Counter((one.base, one.suffix) for one in found)
         listed = list(self._of_parameters())
@@ -339,8 +344,6 @@ class _Listing:
             return None, None, None
         if self._roads is None:
             self._roads = read_extents(self._scenario.road_file())
-            if missing := self._without_road():
-                warn(f"no range is proposed for places along a road: {missing}")
         lane, s = (_finite(self._text(element.get(name) or "")) for name in ("laneId", "s"))
         whole = None if lane is None or lane != round(lane) else round(lane)
         return self._roads.get(self._text(element.get("roadId", ""))), whole, s

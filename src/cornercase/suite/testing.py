@@ -17,7 +17,7 @@ from cornercase._common.files import require_apart, require_other_file, require_
 from cornercase._common.texts import plain_text, without_folders
 from cornercase.drivers import Driver, is_driver, told_driver
 from cornercase.metrics import EVERYBODY, METRICS, condition_of, name_others
-from cornercase.simulators import MOST_FAILURES, MOST_WORKERS, Simulator, start_simulator
+from cornercase.simulators import MOST_FAILURES, MOST_WORKERS, Simulator, failure_words, start_simulator
 from cornercase.study import Study, StudyMeta, stored_path
 from cornercase.suite.asking import ask_references
 from cornercase.suite.contents import SuiteContents
@@ -158,7 +158,7 @@ def test(
     for one in read:
         require_other_file(path, one)
     outputs = _outputs(junit, summary, path, read)
-    who = _entities(contents, ego, other, known, drivers or {})
+    contents, who = _entities(contents, ego, other, known, drivers or {})
     workers = whole_number("workers", workers, 1, MOST_WORKERS)
     options = {name: contents.settings.get(name, plain) for name, plain in _PLAIN.items()}
     given = {"time_step": time_step, "duration": duration, "on_collision": on_collision}
@@ -251,12 +251,13 @@ def _entities(
     other: str | Sequence[str] | None,
     requirements: Sequence[Requirement],
     drivers: Mapping[str, object],
-) -> tuple[str, tuple[str, ...]]:
-    """Names of the ego and of the others, once each file was found to have them and all others that are named."""
+) -> tuple[SuiteContents, tuple[str, tuple[str, ...]]]:
+    """Names of the ego and of the others; of files that lack one that is named, but not all do, say that they do."""
     for role, given, own in (("ego", ego, suite.ego), ("other", other, suite.other)):
         if given is None and not own:
             raise InputError(f"`{role}`: {suite.place} does not say it; name an entity.")
     tested = suite.ego if ego is None else text("ego", ego)
+    suite = _only_with(suite, {})
     known = dict.fromkeys(name for one in suite.usable for name in one.scenario.entities)
     others = name_others(suite.other if other is None else other, tested, list(known))
     asked = {tested: "ego"} | dict.fromkeys(others, "other")
@@ -265,15 +266,32 @@ def _entities(
         asked = {tested: "ego"}
     asked |= {one.entity: "one that must not be touched" for one in requirements if one.entity}
     asked |= dict.fromkeys(by_name("drivers", drivers), "driven entity")
-    for one in suite.usable:
-        for name, role in asked.items():
-            one.scenario.require_entity(name, role)
+    suite = _only_with(suite, asked)
     for required in requirements:
         if required.entity == tested:
             raise InputError(f"`require` {required}: is the ego itself; name another entity.")
         if not any(required.concerns(one.file, one.kind) for one in suite.scenarios):
             raise InputError(f"`require` {required}: {_none_concerned(suite, required)}.")
-    return tested, others
+    return suite, (tested, others)
+
+
+def _only_with(suite: SuiteContents, asked: Mapping[str, str]) -> SuiteContents:
+    """Say of the scenarios of a suite which lack an entity, by its role; if all do, the first is refused."""
+    lacking: dict[str, InputError] = {}
+    for one in suite.usable:
+        try:
+            _ = one.scenario.entities
+            for name, role in asked.items():
+                one.scenario.require_entity(name, role)
+        except InputError as error:
+            lacking[one.file] = error
+    if lacking and len(lacking) == len(suite.usable):
+        raise next(iter(lacking.values()))
+    scenarios = tuple(
+        replace(one, wrong=failure_words(one.scenario.path, lacking[one.file])) if one.file in lacking else one
+        for one in suite.scenarios
+    )
+    return replace(suite, scenarios=scenarios)
 
 
 def _none_concerned(suite: SuiteContents, required: Requirement) -> str:
