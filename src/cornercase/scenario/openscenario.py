@@ -532,7 +532,13 @@ class Scenario:
         return self._without_road(reference) if reference else ""
 
     def missing_reference(self) -> str:
-        """Return the first of its road files that is not there, as the scenario names it; empty where all are."""
+        """Return the first of its road files that is not there, as the scenario names it.
+
+        Returns
+        -------
+        str
+            Empty where all are there.
+        """
         references = (self.road_reference(), *self._roads)
         return next((one for one in references if one and not self.road_at(one).exists()), "")
 

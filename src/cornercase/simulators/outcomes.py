@@ -155,7 +155,20 @@ def refusals_of(simulator: Simulator, concretes: Sequence[ConcreteScenario]) -> 
 
 
 def failure_words(path: Path, error: InputError) -> str:
-    """Say why a scenario failed whose file cannot be used, without the file."""
+    """Say why a scenario failed whose file cannot be used.
+
+    Parameters
+    ----------
+    path : Path
+        The file.
+    error : InputError
+        What is wrong with it.
+
+    Returns
+    -------
+    str
+        A part of a sentence, without the file and a full stop.
+    """
     return str(error).removeprefix(str(path)).lstrip(",: ").removesuffix(".")
 
 
