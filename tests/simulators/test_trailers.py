@@ -140,3 +140,58 @@ def test_43_9_what_cannot_be_taken_up_is_said(tmp_path, reference, hitch, said):
         return
     path, _ = taking_up(tmp_path, at("1", CONNECT.format(reference)), hitch=hitch)
     assert any(said in str(notice) for notice in check(path).notices)
+
+
+def written_as_before_1_3(folder, inside, assigned=""):
+    """A car of a catalog with a trailer in a form that files had before OpenSCENARIO 1.3, and a trailer T."""
+
+    def body(entity, name):
+        return entity[entity.index("<Vehicle") : entity.index("</ScenarioObject>")].replace('"car"', f'"{name}"', 1)
+
+    trailer = body(with_parts(car("T"), COUPLER), "trailer")
+    names = "".join(
+        f'<ParameterDeclaration name="{name}" parameterType="string" value=""/>' for name in ("TrailerRef", "Entry")
+    )
+    pulling = body(with_parts(car("Ego"), f"{HITCH}<Trailer>{inside.format(trailer)}</Trailer>"), "car")
+    start = pulling.index(">") + 1
+    pulling = f"{pulling[:start]}<ParameterDeclarations>{names}</ParameterDeclarations>{pulling[start:]}"
+    (folder / "catalogs").mkdir()
+    (folder / "catalogs" / "v.xosc").write_text(
+        '<OpenSCENARIO><FileHeader revMajor="1" revMinor="1" date="2020-01-01T00:00:00" author="a" description="d"/>'
+        f'<Catalog name="V">{pulling}{trailer}</Catalog></OpenSCENARIO>'
+    )
+    assignments = f"<ParameterAssignments>{assigned}</ParameterAssignments>" if assigned else ""
+    reference = f'<CatalogReference catalogName="V" entryName="car">{assignments}</CatalogReference>'
+    entities = f'<ScenarioObject name="Ego">{reference}</ScenarioObject>' + with_parts(car("T"), COUPLER)
+    init = private("Ego", teleport("50"), speed_action("10")) + private("T", teleport("20"))
+    path = scenario_file(folder, init=init, entities=entities)
+    location = '<CatalogLocations><VehicleCatalog><Directory path="catalogs"/></VehicleCatalog></CatalogLocations>'
+    path.write_text(path.read_text().replace("<CatalogLocations/>", location))
+    (recording,) = ran(BuiltinSimulator(duration=2.0), [ConcreteScenario(path)])
+    return path, recording
+
+
+BY_ENTITY = '<EntityRef entityRef="$TrailerRef"/>'
+BY_CATALOG = '<CatalogReference catalogName="V" entryName="$Entry"/>'
+
+
+@pytest.mark.parametrize(
+    ("inside", "assigned", "pulled", "said"),
+    [
+        (BY_ENTITY, 'parameterRef="$TrailerRef" value="T"', "T", "<EntityRef> in <Trailer>"),
+        (BY_ENTITY + BY_CATALOG, 'parameterRef="TrailerRef" value="T"', "T", "<EntityRef> in <Trailer>"),
+        (BY_ENTITY + BY_CATALOG, 'parameterRef="Entry" value="trailer"', "Ego+", "<CatalogReference> in <Trailer>"),
+        ("{}", "", "Ego+", "<Vehicle> in <Trailer>"),
+        (BY_ENTITY + BY_CATALOG, "", None, "<EntityRef> in <Trailer>"),
+    ],
+)
+def test_43_9_trailers_in_the_forms_before_1_3_come_along(tmp_path, inside, assigned, pulled, said):
+    assigned = assigned and f"<ParameterAssignment {assigned}/>"
+    path, found = written_as_before_1_3(tmp_path, inside, assigned)
+    assert found.names == (("Ego", "T", "Ego+") if pulled == "Ego+" else ("Ego", "T"))
+    if pulled is not None:
+        np.testing.assert_allclose(found.x[found.names.index(pulled)], found.x[0] - 5.0)
+    if pulled != "T":
+        np.testing.assert_allclose(found.x[1], 20.0)
+    notices = [notice for notice in check(path).notices if said in str(notice)]
+    assert [str(notice.label) for notice in notices] == ["adapted"]

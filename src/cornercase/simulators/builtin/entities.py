@@ -36,6 +36,7 @@ _SIZES: Final = {
     "pedestrian": (0.6, 0.5, 0.06),
     "misc": (1.0, 1.0, 0.0),
 }
+_TRAILER_RULE: Final = "the <Trailer> of a vehicle holds a <TrailerRef> or a <Trailer>"
 _LIMITS: Final = ("maxSpeed", "maxAcceleration", "maxDeceleration")
 
 
@@ -153,15 +154,38 @@ def _pulled(body: etree._Element, scope: Scope, name: str) -> Iterator[tuple[etr
     """Bodies of the trailers behind a vehicle, from the front; of one that is an entity of its own, the name."""
     for _ in range(MOST_TRAILERS):
         holder = body.find("Trailer")
-        inner = None if holder is None else holder.find("Trailer")
-        reference = None if holder is None else holder.find("TrailerRef")
-        if inner is not None:
-            body, scope = _body(inner, name, scope)
-            yield body, scope
-        else:
-            # A reference to no entity is no trailer.
-            if reference is not None and (other := scope.text(reference, "entityRef", "")):
-                yield other
+        if holder is None:
             return
+        if other := _referred(holder, scope):
+            yield other
+            return
+        inner = _held(holder, scope)
+        if inner is None:
+            return
+        body, scope = _body(inner, name, scope)
+        yield body, scope
     where = place_of(body, scope.source)
     raise InputError(f"{where}: the <Trailer> of the entity '{name}' pulls more than {MOST_TRAILERS} trailers.")
+
+
+def _referred(holder: etree._Element, scope: Scope) -> str:
+    """Name of the entity that is to be the trailer; empty where none is, as a reference to no entity is no trailer."""
+    names = []
+    for element in holder.iterchildren("TrailerRef", "EntityRef"):
+        names.append(scope.text(element, "entityRef", ""))
+        if element.tag == "EntityRef":
+            adapt(element, "<EntityRef> in <Trailer>", "is read as <TrailerRef>", _TRAILER_RULE)
+    return next(filter(None, names), "")
+
+
+def _held(holder: etree._Element, scope: Scope) -> etree._Element | None:
+    """What holds the body of a trailer; None where there is none."""
+    if (inner := holder.find("Trailer")) is not None:
+        return inner
+    for direct in holder.iterchildren("Vehicle", "CatalogReference"):
+        # As in esmini, a reference to no entry is no trailer.
+        if direct.tag == "CatalogReference" and not scope.text(direct, "entryName", ""):
+            return None
+        adapt(direct, f"<{direct.tag}> in <Trailer>", f"is read as <Trailer><{direct.tag}>", _TRAILER_RULE)
+        return holder
+    return None
