@@ -408,3 +408,42 @@ def test_43_8_a_distance_that_is_missing_is_none(tmp_path, relative, needed, at)
         said = [one.why for one in check(path).notices if "missing" in str(one)]
         assert (said == ["is read as 0"]) == (each == "")
     assert found == [at, at]
+
+
+ON = '<ParameterDeclaration name="on" parameterType="boolean" value="true"/>'
+VARIABLE = '<VariableDeclaration name="n" variableType="integer" value="{}"/>'
+BOARD = "<Storyboard><Init><Actions/></Init><StopTrigger/></Storyboard>"
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "said"),
+    [
+        (ON, f"{ON}{ON.replace('true', 'false')}", "<ParameterDeclaration>: 'on' is declared in line 5, too, and in"),
+        (
+            "<CatalogLocations/>",
+            f"<VariableDeclarations>{VARIABLE.format(1)}{VARIABLE.format(2)}</VariableDeclarations><CatalogLocations/>",
+            "<VariableDeclaration>: 'n' is declared a second time; keep one of them",
+        ),
+        ("</Entities>", f"{car('B')}</Entities>", "every <ScenarioObject> needs a name of its own"),
+        ("<CatalogLocations/>", "<CatalogLocations/>\n<CatalogLocations/>", "<CatalogLocations>: is there a second"),
+        ("<Entities>", f"<Entities>{car('C')}</Entities>\n<Entities>", "<Entities>: is there a second time, after"),
+        ("</RoadNetwork>", "</RoadNetwork><RoadNetwork/>", "<RoadNetwork>: is there a second time, after line"),
+        ("</Storyboard>", f"</Storyboard>{BOARD}", "<Storyboard>: is there a second time, after line"),
+        ("</Init>", "</Init><Init><Actions/></Init>", "<Init>: is there a second time, after line"),
+        (
+            "<CatalogLocations/>",
+            f"<ParameterDeclarations>{ON}</ParameterDeclarations><CatalogLocations/>",
+            "<ParameterDeclarations>: is there a second time, after line",
+        ),
+    ],
+)
+def test_43_3_what_a_file_has_once_is_refused_the_second_time(tmp_path, old, new, said):
+    path = written(tmp_path, (old, new))
+    with pytest.raises(InputError, match=rf"^{re.escape(str(path))}, line \d+: {re.escape(said)}"):
+        ran(BuiltinSimulator(duration=0.1), [ConcreteScenario(path)])
+
+
+def test_43_3_a_declaration_that_is_repeated_word_for_word_is_read_once(tmp_path):
+    path = written(tmp_path, (ON, f"{ON}\n{ON}"))
+    assert "'on' is declared in line 5, too, and is read once" in " ".join(map(str, check(path).notices))
+    assert Scenario.read(path).parameters.count("on") == 1

@@ -37,6 +37,11 @@ DRIVER_PROPERTY = "cornercase.driver"
 # Of a file and of a path, in bytes and in characters; no system takes more.
 _LONGEST_NAME = 255
 _LONGEST_PATH = 4000
+# Blocks of which a file has at most one, with what they stand in below the root.
+_ONCE = (
+    ("FileHeader",), ("ParameterDeclarations",), ("VariableDeclarations",), ("CatalogLocations",), ("RoadNetwork",),
+    ("Entities",), ("Storyboard",), ("Storyboard", "Init"), ("RoadNetwork", "LogicFile"),
+)  # fmt: skip
 
 
 class Scenario:
@@ -196,10 +201,23 @@ class Scenario:
             place = f"{place_of(distribution, str(self.path))}: <{distribution.tag}>"
             raise InputError(f"{place}: is a parameter value distribution, not a scenario; give it as `space`.")
         note_version(root)
+        self._refuse_repeated(root)
         for needed in ("Entities", "Storyboard"):
             if root.find(needed) is None:
                 raise InputError(
                     f"{place_of(root, str(self.path))}: <{root.tag}> has no <{needed}>, so there is nothing to run."
+                )
+        # Refuses what has no name of its own.
+        _ = self.entities
+
+    def _refuse_repeated(self, root: etree._Element) -> None:
+        """Refuse the second block of a kind of which a file has one; the first would count for some of its readers."""
+        for *above, tag in _ONCE:
+            blocks = [one for one in unrecorded(root, *above) for one in children(one) if one.tag == tag]
+            if len(blocks) > 1:
+                raise InputError(
+                    f"{place_of(blocks[1], str(self.path))}: <{tag}>: is there a second time, after line"
+                    f" {blocks[0].sourceline}; keep one."
                 )
 
     @property
@@ -241,7 +259,8 @@ class Scenario:
     @cached_property
     def parameters(self) -> tuple[str, ...]:
         """Names of all declared parameters."""
-        return tuple(e.get("name", "") for e in self.root.iterfind("ParameterDeclarations/ParameterDeclaration"))
+        declared = self.root.iterfind("ParameterDeclarations/ParameterDeclaration")
+        return tuple(dict.fromkeys(e.get("name", "") for e in declared))
 
     @cached_property
     def path_parameters(self) -> frozenset[str]:

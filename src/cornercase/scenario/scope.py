@@ -9,7 +9,7 @@ import numpy as np
 from lxml import etree
 
 from cornercase._common.errors import InputError, suggestion
-from cornercase._common.places import file_of, placed
+from cornercase._common.places import file_of, place_of, placed
 from cornercase._common.typing import BoolArray, FloatArray
 from cornercase.scenario.attributes import Attributes
 from cornercase.scenario.axes import TURNED, left_handed_header
@@ -220,13 +220,18 @@ class Scope(Attributes):
         """
         values: dict[str, Any] = {}
         for declaration in root.iterfind(path):
+            if (name := declaration.get("name", "")) in values:
+                raise InputError(
+                    f"{place_of(declaration, self.source)}: <{declaration.tag}>: '{name}' is declared a second time;"
+                    " keep one of them."
+                )
             numeric = declaration.get(kind, "string") in NUMERIC
             if numeric:
-                values[declaration.get("name", "")] = self.number(declaration, "value")
+                values[name] = self.number(declaration, "value")
             else:
                 text = self.text(declaration, "value")
                 text = {"1": "true", "0": "false"}.get(text, text) if declaration.get(kind) == "boolean" else text
-                values[declaration.get("name", "")] = np.full(self.scenarios, text)
+                values[name] = np.full(self.scenarios, text)
         return values
 
     def violations(self, root: etree._Element) -> dict[str, BoolArray]:
