@@ -194,3 +194,17 @@ def test_43_8_a_curve_whose_first_points_coincide_has_a_direction_from_its_begin
     knots = np.array([0.0, 0.0, 0.0, 0.0, 1.0, 2.0, 2.0, 2.0, 2.0])
     heading = nurbs_points(x, y, np.zeros((1, 5)), np.ones(5), knots, 4)[2]
     assert heading[0, 0] == pytest.approx(0.5 * np.pi, abs=0.1)
+
+
+@pytest.mark.parametrize("text", ["1_0", "\u0664"])
+def test_43_8_numbers_that_only_python_takes_are_refused_by_their_line(tmp_path, text):
+    with pytest.raises(InputError, match=f"line 1, road 1: a of <width> is '{text}', not a finite number"):
+        read(edited(tmp_path, 'a="4"', f'a="{text}"'))
+    with pytest.raises(InputError, match=f"line 1, road 1: id of <lane> is '-{text}', not a finite number"):
+        read(edited(tmp_path, 'lane id="-1"', f'lane id="-{text}"'))
+
+
+def test_43_8_a_lane_number_with_decimals_is_the_whole_number(tmp_path):
+    network, notices = read(edited(tmp_path, 'lane id="-1"', 'lane id="-1.0"'))
+    assert end_of(network) == pytest.approx((100.0, -2.0))
+    assert "id of <lane> (road.xodr, line 1): is '-1.0', and is read as -1" in notices

@@ -24,7 +24,7 @@ from conftest import (
     trajectory,
 )
 from cornercase import ConcreteScenario, InputError, LogicalScenario
-from cornercase._common.errors import NoticeWarning
+from cornercase._common.errors import NoticeWarning, SimulationError
 from cornercase._common.ledger import Label
 from cornercase.cli import app
 from cornercase.recordings import Recording
@@ -447,3 +447,45 @@ def test_43_3_a_declaration_that_is_repeated_word_for_word_is_read_once(tmp_path
     path = written(tmp_path, (ON, f"{ON}\n{ON}"))
     assert "'on' is declared in line 5, too, and is read once" in " ".join(map(str, check(path).notices))
     assert Scenario.read(path).parameters.count("on") == 1
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "said"),
+    [
+        ('value="5"', 'value="1_0"', "value of <AbsoluteTargetSpeed> is '1_0', which is not a number"),
+        (
+            'value="5"',
+            'value="\u0661\u0662"',
+            "value of <AbsoluteTargetSpeed> is '\u0661\u0662', which is not a number",
+        ),
+        ('value="5"', 'value="${\u0661+1}"', "value of <AbsoluteTargetSpeed> cannot be evaluated"),
+        ('value="5"', 'value="${1_0}"', "value of <AbsoluteTargetSpeed> cannot be evaluated"),
+        ('Type="double" value="10"', 'Type="double" value="1_0"', "value of <AbsoluteTargetSpeed> is '1_0', which is"),
+    ],
+)
+def test_43_8_what_only_python_takes_as_a_number_is_refused(tmp_path, old, new, said):
+    path = written(tmp_path, (old, new))
+    with pytest.raises(InputError, match=re.escape(said)):
+        ran(BuiltinSimulator(duration=0.1), [ConcreteScenario(path)])
+
+
+def test_43_8_a_value_that_only_python_takes_as_a_number_is_refused(tmp_path):
+    with pytest.raises(SimulationError, match="speed is '1_0', which is not a number"):
+        ran(BuiltinSimulator(duration=0.1), [ConcreteScenario(written(tmp_path), {"speed": "1_0"})])
+
+
+@pytest.mark.parametrize("expression", ["${nobody * 2}", "${speeed * 2}", "$nobody"])
+def test_43_8_a_sentence_on_an_expression_ends_once(tmp_path, expression):
+    path = written(tmp_path, ('value="5"', f'value="{expression}"'))
+    with pytest.raises(InputError) as raised:
+        ran(BuiltinSimulator(duration=0.1), [ConcreteScenario(path)])
+    assert re.search(r"[^.?][.?]$", str(raised.value)), str(raised.value)
+
+
+@pytest.mark.parametrize(("before", "line"), [("", 2), ("<!-- <!DOCTYPE a> -->\n\n", 4)])
+def test_43_8_a_document_type_is_refused_with_its_line(tmp_path, before, line):
+    path = written(tmp_path)
+    _, _, rest = path.read_text().partition("<OpenSCENARIO")
+    path.write_text(f'<?xml version="1.0"?>\n{before}<!DOCTYPE a>\n<OpenSCENARIO{rest}')
+    with pytest.raises(InputError, match=f"scenario.xosc, line {line}: has a document type declaration"):
+        Scenario.read(path)

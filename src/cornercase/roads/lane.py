@@ -214,6 +214,9 @@ def lane_number(element: etree._Element, where: str, name: str = "id") -> int:
             f"{at_line(where, element)}: {name} of <{element.tag}> is '{element.get(name)}'; at most {_MOST_LANES}"
             " lanes are read on each side of a road."
         )
+    if not (text := element.get(name, "").strip()).lstrip("+-").isdigit():
+        what = f"{name} of <{element.tag}>"
+        adapt(element, what, f"is '{text}', and is read as {int(number)}", "the number of a lane is a whole number")
     return int(number)
 
 

@@ -13,6 +13,7 @@ from lxml import etree
 from cornercase._common.errors import InputError, suggestion
 from cornercase._common.geometry import within_half_turn
 from cornercase._common.ledger import local_name
+from cornercase._common.numbers import number_of
 from cornercase._common.places import at_line
 from cornercase._common.recorded_xml import adapt
 from cornercase._common.typing import FloatArray
@@ -264,7 +265,7 @@ def same_word(element: etree._Element, name: str, words: Sequence[str]) -> str |
 def _difference(end: str | None, start: float) -> float | None:
     """How far an end, as a file has it, lies beyond a start; None where it does not."""
     try:
-        return max(float(end or "") - start, 0.0) or None
+        return max(number_of(end or "") - start, 0.0) or None
     except ValueError:
         return None
 
@@ -316,7 +317,7 @@ def read_number(element: etree._Element, name: str, where: str, missing: float |
     if text is None:
         raise InputError(f"{at_line(where, element)}: <{local_name(element)}> has no {name}; give it one.")
     try:
-        number = float(text)
+        number = number_of(text)
     except ValueError:
         number = float("nan")
     if not np.isfinite(number):

@@ -8,6 +8,7 @@ from typing import Final
 
 from lxml import etree
 
+from cornercase._common.numbers import number_of
 from cornercase._common.recorded_xml import adapt
 
 _TYPES: Final = ("boolean", "dateTime", "double", "integer", "string", "unsignedInt", "unsignedShort", "int")
@@ -245,7 +246,7 @@ def _either(known: tuple[str, ...]) -> str:
 
 def _is_number(text: str) -> bool:
     try:
-        float(text)
+        number_of(text)
     except ValueError:
         return False
     return True

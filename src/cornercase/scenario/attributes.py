@@ -11,6 +11,7 @@ import numpy as np
 from lxml import etree
 
 from cornercase._common.errors import InputError
+from cornercase._common.numbers import number_of
 from cornercase._common.recorded_xml import adapt
 from cornercase._common.typing import BoolArray, FloatArray
 from cornercase.scenario.constraints import Declaration
@@ -285,7 +286,7 @@ class Attributes:
             if text.startswith("$"):
                 return evaluate(text, self.values)
         except InputError as error:
-            raise self._error(element, attribute, f"cannot be evaluated. {error}") from None
+            raise self._error(element, attribute, f"cannot be evaluated. {str(error).removesuffix('.')}") from None
         return text
 
     def _note_texts(self, text: str, result: Any, element: _Placed, attribute: str) -> None:
@@ -301,7 +302,7 @@ class Attributes:
 
     def _float(self, text: Value, element: _Placed, attribute: str = "value", endless: bool = False) -> float:
         try:
-            number = float(text)
+            number = number_of(text)
         except ValueError:
             comma = isinstance(text, str) and _literal(text.replace(",", ".", 1)) is not None
             hint = f"; write it with a point, as {text.replace(',', '.', 1)}" if comma and isinstance(text, str) else ""
@@ -312,14 +313,16 @@ class Attributes:
 
     def _error(self, element: _Placed, attribute: str, why: str) -> InputError:
         line = f", line {element.sourceline}" if element.sourceline else ""
-        return InputError(f"{self.source}{line}: {attribute} of <{element.tag}> {why}.")
+        return InputError(
+            f"{self.source}{line}: {attribute} of <{element.tag}> {why}{'' if why.endswith('?') else '.'}"
+        )
 
 
 @lru_cache(4096)
 def _literal(text: str) -> float | None:
     """Finite number that a text is; None for any other text. Files have the same few over and over."""
     try:
-        number = float(text)
+        number = number_of(text)
     except ValueError:
         return None
     return number if math.isfinite(number) else None

@@ -8,6 +8,7 @@ from typing import Final, Protocol
 
 import numpy as np
 
+from cornercase._common.numbers import number_of
 from cornercase._common.typing import FloatArray
 from cornercase.scenario.parameter import Value
 
@@ -48,7 +49,7 @@ def typed_value(value: Value, kind: str) -> Value:
     """
     if kind in NUMERIC:
         try:
-            number = float(value)
+            number = number_of(value)
         except ValueError:
             raise ValueError("which is not a number") from None
         if not math.isfinite(number):

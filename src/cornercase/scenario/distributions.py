@@ -12,6 +12,7 @@ import numpy as np
 from lxml import etree
 
 from cornercase._common.errors import InputError
+from cornercase._common.numbers import number_of
 from cornercase._common.typing import FloatArray
 
 _LEAST_SHARE: Final = 1e-12
@@ -243,7 +244,7 @@ def _weight(element: etree._Element, where: str) -> float:
 
 def _number(text: str | None, where: str) -> float:
     try:
-        number = float(text or "")
+        number = number_of(text or "")
     except ValueError:
         number = float("nan")
     if not np.isfinite(number):

@@ -15,6 +15,7 @@ from typing import Any, Final
 import numpy as np
 
 from cornercase._common.errors import InputError, suggestion
+from cornercase._common.numbers import number_of
 
 Operand = Any  # float, bool or str, or an array of them over concrete scenarios
 
@@ -25,7 +26,7 @@ _MOST_SHOWN: Final = 100
 _REMEMBERED: Final = 1024
 
 _TOKEN: Final = re.compile(
-    r"\s*(?:(?P<number>(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?)|\$?(?P<name>[A-Za-z_][\w.]*)"
+    r"\s*(?:(?P<number>(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][+-]?[0-9]+)?)|\$?(?P<name>[A-Za-z_][\w.]*)"
     r"|(?P<string>\"[^\"]*\"|'[^']*')|(?P<operator><=|>=|==|!=|\*\*|[-+*/%()<>,]))"
 )
 
@@ -104,7 +105,7 @@ def _is_text(value: Operand) -> bool:
 def _number(value: Operand) -> Operand:
     """Number that a text is, of a parameter that is declared as a text; anything else as it is."""
     try:
-        return float(value) if _is_text(value) else value
+        return number_of(value) if _is_text(value) else value
     except ValueError:
         return value
 
@@ -226,7 +227,9 @@ class _Parser:
         self._next += 1
 
     def _error(self, why: str) -> InputError:
-        return InputError(f"The expression '{_shortened(self._expression)}' cannot be read: {why}.")
+        return InputError(
+            f"The expression '{_shortened(self._expression)}' cannot be read: {why}{'' if why[-1] == '?' else '.'}"
+        )
 
 
 def rounded(value: Any) -> Any:

@@ -9,6 +9,7 @@ import numpy as np
 from lxml import etree
 
 from cornercase._common.errors import InputError, suggestion
+from cornercase._common.numbers import number_of
 from cornercase._common.places import file_of, place_of, placed
 from cornercase._common.typing import BoolArray, FloatArray
 from cornercase.scenario.attributes import Attributes
@@ -380,6 +381,6 @@ class Scope(Attributes):
 
 def _is_number(value: Any) -> bool:
     try:
-        return bool(np.isfinite(float(value)))
+        return bool(np.isfinite(number_of(value)))
     except ValueError:
         return False

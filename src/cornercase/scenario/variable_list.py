@@ -15,6 +15,7 @@ from lxml import etree
 
 from cornercase._common.errors import InputError
 from cornercase._common.ledger import warn
+from cornercase._common.numbers import number_of
 from cornercase._common.texts import shorten
 from cornercase.scenario.criteria import is_never_true
 from cornercase.scenario.declared_types import INTEGERS, NUMERIC
@@ -442,7 +443,7 @@ class _Names:
 
 def _finite(text: str) -> float | None:
     try:
-        value = float(text)
+        value = number_of(text)
     except ValueError:
         return None
     return value if math.isfinite(value) else None

@@ -11,6 +11,7 @@ from typing import Any, Final
 import numpy as np
 
 from cornercase._common.errors import InputError
+from cornercase._common.numbers import number_of
 from cornercase._common.places import place_of, placed
 from cornercase._common.recorded_xml import named, unrecorded
 from cornercase.scenario.distributions import read_distribution
@@ -157,7 +158,7 @@ def _read_range(text: str, where: str) -> Parameter:
     for key in ("low", "high", "step"):
         if match[key] is not None:
             try:
-                numbers[key] = float(match[key])
+                numbers[key] = number_of(match[key])
             except ValueError:
                 raise InputError(f"{where}: '{match[key]}' is not a number.") from None
     return _ranged(match["name"].strip(), numbers["low"], numbers["high"], numbers.get("step"), where)
@@ -242,6 +243,6 @@ def _with_unit(parameter: Parameter, distribution: Any) -> Parameter:
 
 def _number(text: str | None, where: str) -> float:
     try:
-        return float(text or "")
+        return number_of(text or "")
     except ValueError:
         raise InputError(f"{where}: '{text}' is not a number.") from None

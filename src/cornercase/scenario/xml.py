@@ -20,6 +20,9 @@ _DEEPEST: Final = 200
 # The declaration of XML, which should stand first, with the white space and comments before it.
 _DECLARATION: Final = re.compile(r"((?>\s+|<!--(?:(?!-->).)*-->)*)<\?xml\s[^>]*\?>", re.DOTALL)
 
+# What may stand before a document type declaration.
+_PROLOGUE: Final = re.compile(r"(?>\ufeff|\s+|<!--.*?-->|<\?.*?\?>)*", re.DOTALL)
+
 
 def read_xml(path: Path | str) -> etree._Element:
     """Root of an XML file; entities are never resolved and nothing is fetched.
@@ -69,7 +72,11 @@ def parse_xml(data: bytes, path: Path | str) -> etree._Element:
             raise InputError(f"{path}, line {error.lineno or 1}: is not well-formed XML ({error.msg}).") from error
         root = mended
     if root.getroottree().docinfo.internalDTD is not None:
-        raise InputError(f"{path}: has a document type declaration, which is not read; remove <!DOCTYPE …>.")
+        text = data.decode(root.getroottree().docinfo.encoding or "utf-8", errors="replace")
+        line = text[: _PROLOGUE.match(text).end()].count("\n") + 1  # type: ignore[union-attr]
+        raise InputError(
+            f"{path}, line {line}: has a document type declaration, which is not read; remove <!DOCTYPE …>."
+        )
     depth = 0
     for event, element in etree.iterwalk(root, events=("start", "end")):
         depth += 1 if event == "start" else -1
