@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from pathlib import Path
 
 import numpy as np
@@ -208,3 +209,61 @@ def test_43_8_a_lane_number_with_decimals_is_the_whole_number(tmp_path):
     network, notices = read(edited(tmp_path, 'lane id="-1"', 'lane id="-1.0"'))
     assert end_of(network) == pytest.approx((100.0, -2.0))
     assert "id of <lane> (road.xodr, line 1): is '-1.0', and is read as -1" in notices
+
+
+CENTER = '<center><lane id="0" type="none"/></center>'
+SECOND = f'<laneSection s="{{}}">{CENTER}<right>{lane(-1, -1, -1, WIDTH.replace("4", "2"))}</right></laneSection>'
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "end", "said"),
+    [
+        ("</lanes>", f"{SECOND.format(0)}</lanes>", -1.0, "<laneSection> at the place of another (road.xodr, line 1): of those that begin at s = 0 m, the last"),
+        ("</lanes>", f"{SECOND.format(120)}</lanes>", -2.0, "<laneSection> beyond the end of its road (road.xodr, line 1): begins at s = 120 m, but the road ends at 100 m"),
+        (WIDTH, WIDTH + WIDTH.replace("4", "2"), -1.0, "<width> at the place of another (road.xodr, line 1): of those that begin at 0 m, the last"),
+        ('sOffset="0"', 'sOffset="50"', -2.0, "first <width> of <lane> (road.xodr, line 1): begins at 50 m of its lane section, and its curve holds before"),
+        ('sOffset="0"', 'sOffset="-50"', -2.0, "first <width> of <lane> (road.xodr, line 1): begins at -50 m of its lane section"),
+        ("</right>", f"{lane(-3)}</right>", -2.0, "number -3 of <lane> (road.xodr, line 1): there is no lane -2, which is taken as 0 m wide"),
+        (CENTER, "", -2.0, "<laneSection> without <center> (road.xodr, line 1): the line from which"),
+        ("</planView>", '<geometry s="100" x="100" y="0" hdg="0" length="-0"><line/></geometry></planView>', -2.0, "<geometry> of 0 m (road.xodr, line 1): is left out"),
+    ],
+)  # fmt: skip
+def test_43_8_what_road_files_have_twice_or_not_is_said(tmp_path, old, new, end, said):
+    network, notices = read(edited(tmp_path, old, new))
+    one = network.roads[0]
+    assert one.at_lane(-1, np.array([99.0]))[1][0] == pytest.approx(end)
+    assert any(notice.startswith(said) for notice in notices), notices
+
+
+def test_43_8_a_sound_road_gives_no_notice(tmp_path):
+    assert read(write(tmp_path, road("1", 100.0, right=lane(-1) + lane(-2), left=lane(1))))[1] == []
+
+
+def test_43_8_sections_of_one_side_may_begin_together(tmp_path):
+    sides = "".join(
+        f'<laneSection s="0" singleSide="true">{CENTER}<{side}>{lane(number)}</{side}></laneSection>'
+        for side, number in (("left", 1), ("right", -1))
+    )
+    network, notices = read(write(tmp_path, road("1", 100.0, sections=sides)))
+    assert notices == []
+    assert sorted(network.roads[0].sections[0][1]) == [-1, 1]
+
+
+@pytest.mark.parametrize(
+    ("number", "said"), [(0, "the lane 0 belongs in <center>"), (1, "lanes on the right have numbers below 0")]
+)
+def test_43_8_a_lane_on_the_wrong_side_is_told_its_place(tmp_path, number, said):
+    with pytest.raises(InputError, match=f"line 1, road 1: the lane {number} stands in <right>; {said}"):
+        read(write(tmp_path, road("1", 100.0, right=lane(number))))
+
+
+def test_43_8_many_lane_sections_are_read_in_a_time_that_grows_with_their_number(tmp_path):
+    def seconds(count: int) -> float:
+        sections = "".join(SECOND.format(k) for k in range(count))
+        root = XmlFiles().root(write(tmp_path, road("1", float(count), sections=sections)))
+        begin = time.process_time()
+        RoadNetwork.of_xml(root, tmp_path / "road.xodr")
+        return time.process_time() - begin
+
+    # The square would be 64 times as long.
+    assert seconds(4000) < 24 * min(seconds(500) for _ in range(3))

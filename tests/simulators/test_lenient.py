@@ -489,3 +489,16 @@ def test_43_8_a_document_type_is_refused_with_its_line(tmp_path, before, line):
     path.write_text(f'<?xml version="1.0"?>\n{before}<!DOCTYPE a>\n<OpenSCENARIO{rest}')
     with pytest.raises(InputError, match=f"scenario.xosc, line {line}: has a document type declaration"):
         Scenario.read(path)
+
+
+def test_43_7_a_condition_group_of_nothing_is_true_at_once_and_said(tmp_path):
+    path = written(tmp_path, (DISTANCE, "<ConditionGroup/>"))
+    assert any(
+        notice.label is Label.ADAPTED and "<ConditionGroup> without a condition" in str(notice)
+        for notice in check(path).notices
+    )
+
+
+def test_43_7_a_start_trigger_of_nothing_breaks_no_rule(tmp_path):
+    path = written(tmp_path, (DISTANCE, ""))
+    assert [str(notice) for notice in check(path).notices if notice.label is Label.ADAPTED] == []

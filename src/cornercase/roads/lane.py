@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from bisect import bisect_left, bisect_right
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from typing import Final, NamedTuple
@@ -11,7 +12,7 @@ from lxml import etree
 
 from cornercase._common.errors import InputError
 from cornercase._common.places import at_line
-from cornercase._common.recorded_xml import adapt
+from cornercase._common.recorded_xml import adapt, unrecorded
 from cornercase._common.typing import FloatArray
 from cornercase.roads.reference_line import note_disorder, read_number, same_word
 
@@ -21,6 +22,8 @@ _MOST_LANES: Final = 200
 _LONGEST_SECTION: Final = 10_000.0
 # m; a first section that begins later leaves a road without lanes.
 _LATE: Final = 0.1
+# m; what is no longer is there because coordinates were rounded.
+_ROUNDING: Final = 1e-6
 _DRIVABLE: Final = (
     "driving", "bidirectional", "entry", "exit", "mwyEntry", "mwyExit", "onRamp", "offRamp", "connectingRamp",
     "slipLane", "bus", "taxi", "HOV",
@@ -109,8 +112,12 @@ def read_sections(
     note_disorder(elements, begins)
     for start, element in sorted(zip(begins, elements, strict=True), key=lambda pair: pair[0]):
         single = element.get("singleSide") in ("true", "1")
+        _note_section(element, start, length)
         for side, found in sides.items():
             if not single or element.find(side) is not None:
+                if found and found[-1].start == start:
+                    why = f"of those that begin at s = {start:g} m, the last one in the file counts"
+                    adapt(element, "<laneSection> at the place of another", why, "each begins after the one before")
                 found.append(_Side(start, _read_lanes(element, side, where)))
     starts = sorted({one.start for found in sides.values() for one in found})
     if starts and abs(starts[0]) > _LATE:
@@ -119,19 +126,41 @@ def read_sections(
     for start, end in zip(starts, [*starts[1:], length], strict=True):
         parts = int(np.ceil((end - start) / _LONGEST_SECTION))
         starts = sorted({*starts, *np.linspace(start, end, parts, endpoint=False).tolist()}) if parts > 1 else starts
+    begun = {side: [one.start for one in found] for side, found in sides.items()}
     return [
-        (start, {number: lane for found in sides.values() for number, lane in _lanes_at(found, starts, k).items()})
+        (
+            start,
+            {
+                number: lane
+                for side, found in sides.items()
+                for number, lane in _lanes_at(found, begun[side], starts, k).items()
+            },
+        )
         for k, start in enumerate(starts)
     ]
 
 
-def _lanes_at(side: list[_Side], starts: list[float], k: int) -> dict[int, Lane]:
-    """Lanes of one side between a start and the next, linked to themselves where no section of the file begins."""
-    begun = [i for i, one in enumerate(side) if one.start <= starts[k]]
-    if not begun:
+def _note_section(section: etree._Element, start: float, length: float) -> None:
+    """Note what a lane section lacks, or where it lies wrong, in m along a road of that length."""
+    if start >= length:
+        why = f"begins at s = {start:g} m, but the road ends at {length:g} m: nobody comes there"
+        adapt(section, "<laneSection> beyond the end of its road", why, "a <laneSection> begins before its road ends")
+    if not unrecorded(section, "center"):
+        why = "the line from which the lanes are counted is taken as its centre"
+        adapt(section, "<laneSection> without <center>", why, "a <laneSection> has a <center> with the lane 0")
+
+
+def _lanes_at(side: list[_Side], begun: list[float], starts: list[float], k: int) -> dict[int, Lane]:
+    """Lanes of one side, whose sections begin there, between a start and the next.
+
+    They are linked to themselves where no section of the file begins.
+    """
+    last = bisect_right(begun, starts[k]) - 1
+    if last < 0:
         return {}
-    one = side[begun[-1]]
-    goes_on = k + 1 < len(starts) and all(starts[k + 1] != other.start for other in side)
+    one = side[last]
+    coming = bisect_left(begun, starts[k + 1]) if k + 1 < len(starts) else len(begun)
+    goes_on = k + 1 < len(starts) and begun[coming : coming + 1] != [starts[k + 1]]
     if one.start == starts[k] and not goes_on:
         return one.lanes
     return {
@@ -151,7 +180,7 @@ def _shifted(polynomials: tuple[Polynomial, ...], by: float) -> tuple[Polynomial
 
 
 def _read_lanes(section: etree._Element, side: str, where: str) -> dict[int, Lane]:
-    found = {}
+    found, elements = {}, {}
     for element in section.iterfind(f"{side}/lane"):
         widths = read_polynomials(element.iterfind("width"), "sOffset", where)
         borders = () if widths else read_polynomials(element.iterfind("border"), "sOffset", where)
@@ -161,7 +190,12 @@ def _read_lanes(section: etree._Element, side: str, where: str) -> dict[int, Lan
             raise InputError(f"{where}: a <laneSection> has two lanes {number}; keep one of them.")
         if number == 0 or (number > 0) != (side == "left"):
             where = at_line(where, element)
-            raise InputError(f"{where}: the lane {number} stands in <{side}>; lanes on the left have numbers above 0.")
+            right = "the lane 0 belongs in <center>" if number == 0 else (
+                f"lanes on the {side} have numbers {'above' if side == 'left' else 'below'} 0"
+            )  # fmt: skip
+            raise InputError(f"{where}: the lane {number} stands in <{side}>; {right}.")
+        elements[number] = element
+        _note_begin(element, widths or borders)
         if not widths and not borders:
             adapt(element, "<lane> without a width", "is 0 m wide", "a lane has a <width> or a <border>")
         found[number] = Lane(
@@ -172,7 +206,22 @@ def _read_lanes(section: etree._Element, side: str, where: str) -> dict[int, Lan
             _linked(element, "link/successor", where),
             element.get("direction") == "reversed",
         )
+    for number, element in elements.items():
+        inner = number + (1 if number < 0 else -1)
+        if inner and inner not in elements:
+            why = f"there is no lane {inner}, which is taken as 0 m wide"
+            adapt(element, f"number {number} of <lane>", why, "lanes are numbered one by one, from the centre on")
     return found
+
+
+def _note_begin(lane: etree._Element, cubics: Sequence[Polynomial]) -> None:
+    """Note where the width of a lane is not given from the begin of its section on."""
+    if cubics and abs(begin := cubics[0][0]) > _ROUNDING:
+        tag = "width" if lane.find("width") is not None else "border"
+        why = f"begins at {begin:g} m of its lane section" + (
+            ", and its curve holds before that, too" if begin > 0 else ""
+        )
+        adapt(lane, f"first <{tag}> of <lane>", why, f"the first <{tag}> begins at the sOffset 0")
 
 
 def _lane_type(lane: etree._Element) -> str:
@@ -234,7 +283,13 @@ def read_polynomials(elements: Iterable[etree._Element], name: str, where: str) 
         start, a, b, c, d = (read_number(e, key, where, 0.0) for key in (name, "a", "b", "c", "d"))
         found.append((start, a, b, c, d))
     note_disorder(elements, [start for start, *_ in found])
-    # Of several that begin at one place the last in the file holds.
+    seen = set[float]()
+    for element, (start, *_) in zip(elements, found, strict=True):
+        if start in seen:
+            why = f"of those that begin at {start:g} m, the last one in the file counts"
+            tag = element.tag
+            adapt(element, f"<{tag}> at the place of another", why, f"each <{tag}> begins after the one before")
+        seen.add(start)
     return tuple(sorted(found, key=lambda one: one[0]))
 
 

@@ -174,6 +174,8 @@ def read_geometry(element: etree._Element, where: str, begin: float = 0.0, end: 
     if length < 0:
         where = at_line(where, element)
         raise InputError(f"{where}: a <geometry> has the length {length:g} m; it must be above 0.")
+    if length == 0:
+        adapt(element, "<geometry> of 0 m", "is left out", "the length of a <geometry> is above 0")
     shape = next(iter(element.iterchildren("line", "arc", "spiral", "poly3", "paramPoly3")), None)
     if shape is None:
         where = at_line(where, element)

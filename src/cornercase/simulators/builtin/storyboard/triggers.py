@@ -280,6 +280,9 @@ def read_trigger(element: etree._Element | None, scope: Scope, world: World, ele
             scope.refuse(item, "delay", "is below 0", delay < 0.0)
             with placed(item, scope.source):
                 conditions.append(Condition(_read_test(item, scope, world, elements), edge, delay))
+        if not conditions:
+            rule = "a <ConditionGroup> holds at least one <Condition>"
+            adapt(group, "<ConditionGroup> without a condition", "is true from the beginning", rule)
         groups.append(conditions)
     return Trigger(groups)
 
