@@ -267,3 +267,9 @@ def test_43_8_many_lane_sections_are_read_in_a_time_that_grows_with_their_number
 
     # The square would be 64 times as long.
     assert seconds(4000) < 24 * min(seconds(500) for _ in range(3))
+
+
+def test_43_8_a_file_without_a_lane_is_refused_by_the_line_of_its_first_road(tmp_path):
+    path = write(tmp_path, "\n\n", road("1", 100.0, sections=f'<laneSection s="0">{CENTER}</laneSection>'))
+    with pytest.raises(InputError, match=r"road.xodr, line 3: <road>: none of the roads has a lane"):
+        read(path)[0].locate(np.zeros(1), np.zeros(1))

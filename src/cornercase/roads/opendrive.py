@@ -46,12 +46,15 @@ class RoadNetwork:
         Junction to its (incoming road, connecting road, contact point, lane links).
     left_out : dict
         Id of each road that cannot be used, to what is wrong with it. Nothing is there.
+    line : int, default 1
+        Where the first road stands in the file, for messages.
     """
 
     path: Path
     roads: tuple[Road, ...]
     connections: dict[str, tuple[Connection, ...]] = field(default_factory=dict)
     left_out: dict[str, str] = field(default_factory=dict)
+    line: int = 1
 
     @classmethod
     def read(cls, path: Path | str) -> RoadNetwork:
@@ -134,7 +137,8 @@ class RoadNetwork:
             name: read_connections(e, f"{place_of(e, str(path))}, junction {name}", by_name, elements)
             for name, e in junctions.items()
         }
-        return cls(path, known, connections, left_out)
+        begin = int(str(elements[known[0].name].sourceline or 1))
+        return cls(path, known, connections, left_out, begin)
 
     @cached_property
     def lengths(self) -> FloatArray:
@@ -440,7 +444,10 @@ class RoadNetwork:
     @cached_property
     def _locator(self) -> Locator:
         if not any(held for road in self.roads for _, held in road.sections):
-            raise InputError(f"{self.path}: none of its roads has a lane, so nothing can be placed on them.")
+            raise InputError(
+                f"{self.path}, line {self.line}: <road>: none of the roads has a lane, so nothing can be placed on"
+                " them; give one of them a <lane>."
+            )
         return Locator(self.roads)
 
     def path_of_lane(
