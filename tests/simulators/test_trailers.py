@@ -195,3 +195,12 @@ def test_43_9_trailers_in_the_forms_before_1_3_come_along(tmp_path, inside, assi
         np.testing.assert_allclose(found.x[1], 20.0)
     notices = [notice for notice in check(path).notices if said in str(notice)]
     assert [str(notice.label) for notice in notices] == ["adapted"]
+
+
+def test_43_9_a_trailer_that_overlaps_its_vehicle_does_not_collide_with_it(tmp_path):
+    # The boxes overlap by 2 m, as those of a semitrailer and its truck; the car behind is run into.
+    near = pulling(with_parts(car("unnamed"), '<TrailerCoupler dx="1"/>'))
+    init = private("Ego", teleport("50"), speed_action("10")) + private("B", teleport("70"))
+    recording = run(tmp_path, near + car("B"), init=init)
+    assert recording.names == ("Ego", "B", "Ego+")
+    assert [set(one.entities) for one in recording.collisions] == [{"Ego", "B"}, {"B", "Ego+"}]

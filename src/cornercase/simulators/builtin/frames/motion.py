@@ -293,7 +293,7 @@ def record(scene, n, first, dt, rest):
     bool
         Whether a collision has begun.
     """
-    f, b, frame = scene.floats[n], scene.flags[n], scene.frames[n]
+    f, b, numbers, frame = scene.floats[n], scene.flags[n], scene.numbers[n], scene.frames[n]
     entities = f.shape[1]
     number, line = frame // PAGE, frame % PAGE
     if line == 0:
@@ -314,7 +314,8 @@ def record(scene, n, first, dt, rest):
                 continue
             touches = overlap(scene, n, one, other)
             # Who overlaps from the start collides in the first row.
-            begins = touches and not (frame > 0 and scene.overlaps[n, one, other])
+            coupled = numbers[PULLED_BY, one] == other or numbers[PULLED_BY, other] == one
+            begins = touches and not coupled and not (frame > 0 and scene.overlaps[n, one, other])
             scene.overlaps[n, one, other] = scene.overlaps[n, other, one] = touches
             if begins:
                 collides = True
