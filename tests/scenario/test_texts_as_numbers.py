@@ -18,14 +18,9 @@ SPEED = (
 
 
 def scenario(folder, value, text, constraint=""):
-    path = scenario_file(folder, init=f'<Private entityRef="Ego">{teleport("5")}{SPEED.format(value=value)}</Private>')
     declaration = f'<ParameterDeclaration name="v" parameterType="string" value="{text}">{constraint}'
-    whole = path.read_text().replace(
-        "<CatalogLocations/>",
-        f"<ParameterDeclarations>{declaration}</ParameterDeclaration></ParameterDeclarations><CatalogLocations/>",
-    )
-    path.write_text(whole)
-    return path
+    init = f'<Private entityRef="Ego">{teleport("5")}{SPEED.format(value=value)}</Private>'
+    return scenario_file(folder, init=init, parameters=f"{declaration}</ParameterDeclaration>")
 
 
 def test_43_8_an_expression_calculates_with_a_text_that_is_a_number(tmp_path):
