@@ -425,6 +425,7 @@ FAST = (
     "esmini/EnvironmentSimulator/Unittest/xosc/brake_by_trajectory_100-0.xosc",
     "esmini/EnvironmentSimulator/Unittest/xosc/traj_use_cases.xosc",
     "esmini/EnvironmentSimulator/Unittest/xosc/direct_junction.xosc",
+    "esmini/EnvironmentSimulator/Unittest/xosc/parameter_overwrite.xosc",
     "esmini/EnvironmentSimulator/Unittest/xosc/emergency_vehicle.xosc",
     "esmini/resources/xosc/lane-change_clothoid_spline_based_trajectory.xosc",
     "esmini/resources/xosc/pedestrian_traj_synch.xosc",

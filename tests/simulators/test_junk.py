@@ -13,6 +13,9 @@ from cornercase.recordings import Recording
 from cornercase.scenario import ConcreteScenario, Scenario
 from cornercase.simulators import BuiltinSimulator
 
+# What junk is read as is said; here it only has to run, or to be refused.
+pytestmark = pytest.mark.filterwarnings("ignore::cornercase._common.errors.NoticeWarning")
+
 JUNK = ("", "nan", "1e999", "-1", "0", "x", "${", "${1/0}", "$nope", "$v", "9" * 400, "1e9", "-1e300", "true", "0.5")
 
 

@@ -418,7 +418,6 @@ BOARD = "<Storyboard><Init><Actions/></Init><StopTrigger/></Storyboard>"
 @pytest.mark.parametrize(
     ("old", "new", "said"),
     [
-        (ON, f"{ON}{ON.replace('true', 'false')}", "<ParameterDeclaration>: 'on' is declared in line 5, too, and in"),
         (
             "<CatalogLocations/>",
             f"<VariableDeclarations>{VARIABLE.format(1)}{VARIABLE.format(2)}</VariableDeclarations><CatalogLocations/>",
@@ -443,9 +442,13 @@ def test_43_3_what_a_file_has_once_is_refused_the_second_time(tmp_path, old, new
         ran(BuiltinSimulator(duration=0.1), [ConcreteScenario(path)])
 
 
-def test_43_3_a_declaration_that_is_repeated_word_for_word_is_read_once(tmp_path):
-    path = written(tmp_path, (ON, f"{ON}\n{ON}"))
-    assert "'on' is declared in line 5, too, and is read once" in " ".join(map(str, check(path).notices))
+@pytest.mark.parametrize("first", ["false", "true"])
+def test_43_3_of_two_declarations_of_a_parameter_the_later_one_counts(tmp_path, first):
+    (once,) = ran(BuiltinSimulator(duration=2.0), [ConcreteScenario(written(tmp_path))])
+    path = written(tmp_path, (ON, f"{ON.replace('true', first)}\n{ON}"))
+    assert "'on' is declared in line 5, too; the later one counts" in " ".join(map(str, check(path).notices))
+    (twice,) = ran(BuiltinSimulator(duration=2.0), [ConcreteScenario(path)])
+    np.testing.assert_array_equal(twice.speed, once.speed)
     assert Scenario.read(path).parameters.count("on") == 1
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, ClassVar, Final
 
@@ -10,7 +10,6 @@ import numpy as np
 from lxml import etree
 
 from cornercase._common.errors import InputError, suggestion
-from cornercase._common.places import place_of
 from cornercase._common.recorded_xml import adapt, made_once
 from cornercase._common.typing import BoolArray
 from cornercase.scenario.declared_types import NUMERIC, typed_value
@@ -144,25 +143,22 @@ def read_declarations(root: etree._Element, source: str) -> tuple[Declaration, .
     Raises
     ------
     InputError
-        A constraint has no rule that exists, or a parameter is declared twice and not alike.
+        A constraint has no rule that exists.
     """
-    return made_once(root, "declarations", lambda: tuple(_read(root, source)))
+    return made_once(root, "declarations", lambda: _read(root, source))
 
 
-def _read(root: etree._Element, source: str) -> Iterator[Declaration]:
-    first: dict[str, Declaration] = {}
+def _read(root: etree._Element, source: str) -> tuple[Declaration, ...]:
+    found: dict[str, Declaration] = {}
     for element in root.iterfind("ParameterDeclarations/ParameterDeclaration"):
         read = Declaration.read(element, source)
-        if (before := first.setdefault(read.name, read)) is read:
-            yield read
-        elif before == read:
-            why = f"'{read.name}' is declared in line {before.sourceline}, too, and is read once"
+        # Its value may refer to parameters that are declared between the two.
+        before = found.pop(read.name, None)
+        if before is not None:
+            why = f"'{read.name}' is declared in line {before.sourceline}, too; the later one counts, as in esmini"
             adapt(element, "repeated <ParameterDeclaration>", why, "a parameter is declared once")
-        else:
-            raise InputError(
-                f"{place_of(element, source)}: <ParameterDeclaration>: '{read.name}' is declared in line"
-                f" {before.sourceline}, too, and in another way; keep one of them."
-            )
+        found[read.name] = read
+    return tuple(found.values())
 
 
 def violations(
