@@ -146,8 +146,8 @@ def test_43_8_a_reference_line_may_jump_by_two_metres(tmp_path, jump, read_so):
     network, notices = read(path)
     assert notices == (
         [
-            "<geometry> (road.xodr, line 1): begins up to 2 m away from the end of the one before, and is driven onto"
-            " straight"
+            "<geometry> (road.xodr, line 1): begins up to 2 m away from the end of the one before, and entities get"
+            " there at once"
         ]
         if jump > 0.1
         else []

@@ -55,8 +55,13 @@ What esmini and CARLA run although it breaks the standard is read, and a notice 
 - a lane of a type that the standard does not know, or of none, is of the type `none`; one without `width` and `border` is 0 m wide;
 - a road, or lane, that is linked to one that is not there ends there, and a `connection` with such a road is left out; a `contactPoint`
   that is missing is that of the nearer end;
-- elements that are not in the order of their places are put in order;
-- where a `geometry` begins up to 2 m away from the end of the one before, the gap is driven straight;
+- elements that are not in the order of their places are put in order; of several `width`, `border`, `laneOffset` or `laneSection` at
+  one place the last one in the file counts;
+- the curve of a first `width` holds before its `sOffset`, too; a lane that is left out between others is 0 m wide, and a number such as
+  `-1.0` is -1; a `laneSection` may lack its `center`, and one beyond the end of the road is on nobody's way;
+- a `geometry` of 0 m is left out;
+- where a `geometry` begins up to 2 m away from the end of the one before, entities get there at once, and none turns; where lanes of
+  linked roads lie more than 0.5 m apart, a notice says so;
 - a road that cannot be used, such as one without `geometry`, or with a larger gap, is left out. The file is refused if it has no
   other, and so is a scenario that places somebody on that road by its id;
 - a `header` may be missing, and words may be in other case: `arclength` is read as `arcLength`.

@@ -376,7 +376,7 @@ def test_a_parcel_has_all_files_wherever_they_lie(tmp_path):
     )
     (tmp_path / "a" / "scenarios" / "x.xosc").write_text(text)
     (tmp_path / "a" / "roads" / "x.xodr").write_bytes(X.with_suffix(".xodr").read_bytes())
-    (tmp_path / "a" / "catalogs" / "c.xosc").write_text("<OpenSCENARIO/>")
+    (tmp_path / "a" / "catalogs" / "c.xosc").write_text('<OpenSCENARIO><Catalog name="c"/></OpenSCENARIO>')
     scenario = Scenario.read(tmp_path / "a" / "scenarios" / "x.xosc")
     parcel = ScenarioParcel.of(scenario)
     assert "catalogs" in text

@@ -165,13 +165,11 @@ class LaneGraph:
             meets = self._gap(here, option) <= 0.0
             if meets:
                 found.append(option)
-            apart = 0.0 if here.road == option.road else self._apart(here, option)[0]
+            apart = self._apart(here, option)[0] if self._at_ends(here, option) else 0.0
             if not meets or apart > _NOTABLE:
-                pair, known = (
-                    (min(here.road, option.road), max(here.road, option.road)),
-                    self.crossed if meets else self.gaps,
-                )
-                known[pair] = max(known.get(pair, 0.0), apart)
+                pair = min(here.road, option.road), max(here.road, option.road)
+                known = self.crossed if meets else self.gaps
+                known[pair] = max(known.get(pair, 0.0), self._apart(here, option)[0])
         return found
 
     @cached_property
@@ -183,6 +181,11 @@ class LaneGraph:
     def gaps(self) -> dict[tuple[int, int], float]:
         """Indices of roads that are linked but do not meet, and how far apart lanes end, in m, as `exits` found."""
         return {}
+
+    def _at_ends(self, here: Stretch, option: Stretch) -> bool:
+        """Whether a way leads from an end of a road to an end of another, not to or from a place along one."""
+        ends = [(self._end(here), self._roads[here.road]), (self._begin(option), self._roads[option.road])]
+        return here.road != option.road and all(s in (0.0, road.length) for s, road in ends)
 
     def _linked(self, here: Stretch) -> list[Stretch]:
         """Stretches that are linked to the end of one, whether they meet it or not."""
