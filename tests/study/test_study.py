@@ -108,6 +108,16 @@ def test_the_disk_is_waited_for_once_a_second(study):
     assert level() == full
 
 
+def test_a_transaction_that_an_interrupt_left_open_does_not_end_the_study(study):
+    before = len(study.done())
+    # As where Ctrl-C comes between the begin of a transaction and its block.
+    study._database.connection.execute("BEGIN IMMEDIATE")
+    study.finish(3, recording(1), courses(1))
+    assert len(study.done()) == before + 1
+    with Study.open(study.path, readonly=True) as reader:
+        assert len(reader.done()) == before + 1
+
+
 def test_the_same_content_gives_the_same_bytes(tmp_path):
     blobs = []
     for name in "ab":

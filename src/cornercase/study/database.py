@@ -354,9 +354,9 @@ class Database:
         if self.connection.in_transaction:
             yield
             return
-        with sentences(self.path):
-            self.connection.execute("BEGIN")
         try:
+            with sentences(self.path):
+                self.connection.execute("BEGIN")
             yield
         finally:
             if self.connection.in_transaction:
@@ -387,6 +387,9 @@ class Database:
         # What was moved is told of afterwards, so that it takes all with it.
         self._require_own(thorough=forces, name=False)
         with sentences(self.path), damage_of(self.path):
+            if self.connection.in_transaction:
+                # An interrupt between the begin of a transaction and its block left it open; nothing is written in it.
+                self.connection.rollback()
             self.connection.execute(f"PRAGMA synchronous = {'FULL' if forces else 'NORMAL'}")
             self.connection.execute("BEGIN IMMEDIATE")
             with self.connection, self._noted():
