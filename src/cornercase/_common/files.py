@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import os
 import re
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Final
 
 from cornercase._common.arguments import path as path_argument
 from cornercase._common.errors import InputError
-from cornercase._common.pending_files import OF_SQLITE, pending_files, unwritten
+from cornercase._common.pending_files import OF_SQLITE, pending_files, unwritten, written_together
 
 # What a file name of Windows must not have in it and what a terminal takes for orders, the names of its devices, and
 # how long a name may be: file systems take 255 bytes, of which an ending and a temporary name need some.
@@ -188,6 +188,24 @@ def require_place(name: str, path: Path) -> None:
     folder = next(one for one in (path.parent, *path.parent.parents) if one.exists())
     if not folder.is_dir() or not os.access(folder, os.W_OK | os.X_OK):
         raise InputError(f"`{name}` {path}: cannot be written into {folder}; choose another place.")
+
+
+def write_files(contents: Mapping[Path, bytes]) -> None:
+    """Write several files, all of them or none.
+
+    Parameters
+    ----------
+    contents : mapping of Path to bytes
+
+    Raises
+    ------
+    InputError
+        As `written_whole`.
+    """
+    with written_together():
+        for path, content in contents.items():
+            with written_whole(path) as temporary:
+                temporary.write_bytes(content)
 
 
 def require_folder(name: str, folder: Path | str) -> Path:

@@ -15,7 +15,8 @@ from typing import Final
 from lxml import etree
 
 from cornercase._common.errors import InputError, NoticeWarning, suggestion
-from cornercase._common.recorded_xml import adaptations, asked_attributes, children, was_read
+from cornercase._common.places import line_of
+from cornercase._common.recorded_xml import adaptations, asked_attributes, below, children, was_read
 
 # More lines, and more things, than this are counted, not named.
 _MOST_LINES: Final = 5
@@ -163,10 +164,9 @@ def adapted(element: etree._Element, file: Path | str) -> tuple[Notice, ...]:
     -------
     tuple of Notice
     """
-    every = etree.ElementBase.iter if isinstance(element, etree.ElementBase) else etree._Element.iter
     return merged(
-        Notice((what,), why, Path(file), (_line(one),), Label.ADAPTED, rule)
-        for one in (*element.iterancestors(), *every(element))
+        Notice((what,), why, Path(file), (line_of(one),), Label.ADAPTED, rule)
+        for one in (*element.iterancestors(), *below(element))
         for what, why, rule in adaptations(one)
     )
 
@@ -284,10 +284,9 @@ class Ledger:
         """
         if not self._refusable:
             return
-        every = etree.ElementBase.iter if isinstance(element, etree.ElementBase) else etree._Element.iter
         # A file has few different paths.
         ended: dict[tuple[str, ...], bool] = {}
-        for one in every(element, *(f"{{*}}{name}" for name in self._refusable)):
+        for one in below(element, *(f"{{*}}{name}" for name in self._refusable)):
             path = _path(one)
             if path not in ended:
                 ended[path] = any(self._ends(path[: k + 1]) for k in range(len(path) - 1))
@@ -295,11 +294,11 @@ class Ledger:
                 continue
             entry = self.entry(path)
             if entry is not None and entry.status is Status.REFUSED:
-                raise InputError(f"{file}, line {_line(one)}: <{path[-1]}> cannot be used; {entry.note}.")
+                raise InputError(f"{file}, line {line_of(one)}: <{path[-1]}> cannot be used; {entry.note}.")
             for name, value in _attributes(one):
                 why = self._objection(path, name, value)
                 if why is not None:
-                    raise InputError(f"{file}, line {_line(one)}: {name} '{value}' of <{path[-1]}> {why}")
+                    raise InputError(f"{file}, line {line_of(one)}: {name} '{value}' of <{path[-1]}> {why}")
 
     def _objection(self, path: tuple[str, ...], name: str, value: str) -> str | None:
         """Why a value of an attribute cannot be used; that of a parameter is not known here."""
@@ -338,7 +337,7 @@ class Ledger:
     def _silent(
         self, element: etree._Element, path: tuple[str, ...], read: bool
     ) -> Iterator[tuple[str, str, int, bool]]:
-        entry, line = self.entry(path), _line(element)
+        entry, line = self.entry(path), line_of(element)
         if entry is None:
             yield _called(element, path), UNKNOWN, line, True
             return
@@ -386,10 +385,6 @@ def _attributes(element: etree._Element) -> list[tuple[str, str]]:
     """Names and values of the attributes, without those of XML itself."""
     pairs = ((str(name), str(value)) for name, value in element.items())
     return [(name, value) for name, value in pairs if not name.startswith(_XML)]
-
-
-def _line(element: etree._Element) -> int:
-    return element.sourceline if isinstance(element.sourceline, int) else 0
 
 
 def _path(element: etree._Element) -> tuple[str, ...]:

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import math
 
-def number_of(value: object) -> float:
+
+def number_of(value: str | float) -> float:
     """Read a number as XML writes it: without the underscores and the digits of other scripts that Python takes.
 
     Parameters
@@ -22,4 +24,13 @@ def number_of(value: object) -> float:
     """
     if isinstance(value, str) and ("_" in value or not value.isascii()):
         raise ValueError(f"'{value}' is not a number")
-    return float(value)  # type: ignore[arg-type]
+    return float(value)
+
+
+def finite_number(text: str) -> float | None:
+    """Finite number that a text is; None for any other text."""
+    try:
+        number = number_of(text)
+    except ValueError:
+        return None
+    return number if math.isfinite(number) else None

@@ -26,6 +26,11 @@ def file_of(element: etree._Element, otherwise: str) -> str:
     return element.getroottree().docinfo.URL or otherwise
 
 
+def line_of(element: etree._Element) -> int:
+    """Line of an element in its file; 0 where that is not known."""
+    return element.sourceline if isinstance(element.sourceline, int) else 0
+
+
 def place_of(element: Placed, source: str) -> str:
     """File and line of an element: ``"a.xosc, line 3"``."""
     return f"{source}, line {element.sourceline}" if element.sourceline else source
@@ -40,7 +45,7 @@ def placed(element: Placed | None, source: str) -> Iterator[None]:
         why = str(error)
         if element is None or not element.sourceline or _WITH_LINE.match(why):
             raise
-        raise type(error)(f"{place_of(element, source)}: <{element.tag}>: {_without(source, why)}") from None
+        raise type(error)(f"{place_of(element, source)}: <{element.tag}>: {without_file(source, why)}") from None
 
 
 def at_line(where: str, element: Placed) -> str:
@@ -55,5 +60,6 @@ def of_file(path: Path | str, why: str) -> str:
     return f"{path}{', ' if why.startswith('line ') else ': '}{why}"
 
 
-def _without(source: str, why: str) -> str:
+def without_file(source: str, why: str) -> str:
+    """Leave out the file at the begin of what is wrong with it."""
     return why.removeprefix(source).lstrip(",: ") if why.startswith((f"{source}:", f"{source},")) else why

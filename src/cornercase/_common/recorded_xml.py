@@ -84,6 +84,12 @@ def children(element: etree._Element) -> Iterator[etree._Element]:
     return _children(element, "*") if isinstance(element, RecordedElement) else element.iterchildren("*")
 
 
+def below(element: etree._Element, *tags: Any) -> Iterator[etree._Element]:
+    """Give an element and all below it, or those of some tags, without recording it."""
+    every = etree.ElementBase.iter if isinstance(element, etree.ElementBase) else etree._Element.iter
+    return iter(every(element, *tags))
+
+
 def unrecorded(element: etree._Element, *tags: str) -> list[etree._Element]:
     """Give the elements that lie below an element, by the tags on the way to them, without recording it."""
     found = [element]

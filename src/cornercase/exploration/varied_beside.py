@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import replace
 from pathlib import Path
 
 from cornercase._common.arguments import texts
 from cornercase._common.errors import InputError
-from cornercase._common.files import read_file, require_other_file, written_whole
-from cornercase._common.pending_files import written_together
+from cornercase._common.files import read_file, require_other_file, write_files
 from cornercase.scenario import LogicalScenario, Parameter, ParameterSpace, VariedScenario, value_text
 
 
@@ -54,7 +53,7 @@ def explored_file(
     file = study.with_name(f"{study.stem}.varied.xosc")
     made = [one for one in (file, *file.parents) if not one.exists()]
     beside = varied.beside(file.parent)
-    _write(varied, file, study)
+    _write(varied, beside, file, study)
     try:
         every = [*texts("ranges", ranges), *map(_range_text, varied.parameters)]
         logical = LogicalScenario.read(file, space, every, continuous)
@@ -74,7 +73,7 @@ def explored_file(
         raise
 
 
-def _write(varied: VariedScenario, file: Path, study: Path) -> None:
+def _write(varied: VariedScenario, beside: Mapping[Path, bytes], file: Path, study: Path) -> None:
     """Write the scenario beside the study; one that is there goes on with the same only."""
     for one in varied.source.files():
         require_other_file(file, one, "study")
@@ -87,10 +86,7 @@ def _write(varied: VariedScenario, file: Path, study: Path) -> None:
             f"{study}: was begun with another scenario file or other names for `vary` ({file.name} differs); give the"
             " same, or name another study."
         )
-    with written_together():
-        for path, one_content in {**varied.beside(file.parent), file: content}.items():
-            with written_whole(path) as temporary:
-                temporary.write_bytes(one_content)
+    write_files({**beside, file: content})
 
 
 def _range_text(one: Parameter) -> str:

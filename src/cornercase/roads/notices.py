@@ -9,6 +9,7 @@ import numpy as np
 from lxml import etree
 
 from cornercase._common.ledger import Label, Notice, local_name
+from cornercase._common.places import line_of
 from cornercase._common.recorded_xml import children
 from cornercase.roads.lane import evaluate_polynomials
 from cornercase.roads.ledger import LEDGER
@@ -57,7 +58,7 @@ def name_without_effect(
         for one, other, apart in network.crossings():
             what, lines = (
                 f"link between the roads {one} and {other}",
-                [int(str(roads[k].sourceline)) for k in (one, other)],
+                [line_of(roads[k]) for k in (one, other)],
             )
             why = f"their lanes lie {apart:.3g} m apart; entities get across at once"
             rule = "lanes of linked roads meet"
@@ -93,7 +94,7 @@ def _narrowest(road: Road, section: int) -> float:
 
 
 def _notice(what: str, why: str, file: Path, where: list[etree._Element]) -> Notice:
-    return Notice((what,), why, file, tuple(sorted({int(str(one.sourceline)) for one in where})))
+    return Notice((what,), why, file, tuple(sorted(set(map(line_of, where)))))
 
 
 def _hilly_roads(root: etree._Element) -> list[etree._Element]:

@@ -9,7 +9,7 @@ from typing import Final
 from lxml import etree
 
 from cornercase._common.numbers import number_of
-from cornercase._common.recorded_xml import adapt
+from cornercase._common.recorded_xml import adapt, below
 
 _TYPES: Final = ("boolean", "dateTime", "double", "integer", "string", "unsignedInt", "unsignedShort", "int")
 _VEHICLES: Final = (
@@ -123,7 +123,7 @@ def adapt_openscenario(root: etree._Element) -> None:
     if root.tag != "OpenSCENARIO":
         root.tag = "OpenSCENARIO"
         _note(root, f"<{name}>", "is read as <OpenSCENARIO>", "the root element is <OpenSCENARIO>")
-    every = list(etree.ElementBase.iter(root, etree.Element))
+    every = list(below(root, etree.Element))
     if not any(element.tag == "FileHeader" for element in etree.ElementBase.iterchildren(root, "FileHeader")):
         why = "the file is read as OpenSCENARIO 1.3, in right-handed axes"
         _note(root, "missing <FileHeader>", why, "a file begins with its <FileHeader>")
@@ -137,7 +137,7 @@ def adapt_openscenario(root: etree._Element) -> None:
 def _adapt_names(root: etree._Element) -> None:
     """Take elements out of a namespace."""
     spaces = set()
-    for element in etree.ElementBase.iter(root, "{*}*"):
+    for element in below(root, "{*}*"):
         qualified = etree.QName(element)
         if qualified.namespace is not None:
             spaces.add(qualified.namespace)

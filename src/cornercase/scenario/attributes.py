@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping
 from functools import lru_cache
 from typing import Any, Final
@@ -11,7 +10,7 @@ import numpy as np
 from lxml import etree
 
 from cornercase._common.errors import InputError
-from cornercase._common.numbers import number_of
+from cornercase._common.numbers import finite_number, number_of
 from cornercase._common.recorded_xml import adapt
 from cornercase._common.typing import BoolArray, FloatArray
 from cornercase.scenario.constraints import Declaration
@@ -25,6 +24,10 @@ _Placed = etree._Element | Declaration
 
 # Whole numbers count lanes and repetitions.
 _MOST: Final = 1e9
+
+
+# Files have the same few over and over.
+_literal = lru_cache(4096)(finite_number)
 
 
 class Attributes:
@@ -316,13 +319,3 @@ class Attributes:
         return InputError(
             f"{self.source}{line}: {attribute} of <{element.tag}> {why}{'' if why.endswith('?') else '.'}"
         )
-
-
-@lru_cache(4096)
-def _literal(text: str) -> float | None:
-    """Finite number that a text is; None for any other text. Files have the same few over and over."""
-    try:
-        number = number_of(text)
-    except ValueError:
-        return None
-    return number if math.isfinite(number) else None

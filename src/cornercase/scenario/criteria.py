@@ -7,7 +7,7 @@ from typing import Final
 
 from lxml import etree
 
-from cornercase._common.recorded_xml import adapt
+from cornercase._common.recorded_xml import adapt, below
 from cornercase.scenario.scope import Scope
 
 # What ScenarioRunner cuts off the name of a condition to get that of a criterion.
@@ -50,10 +50,9 @@ def criteria_in(root: etree._Element, scope: Scope) -> tuple[Criterion, ...]:
     InputError
         The bound of one is not a number.
     """
-    every = etree.ElementBase.iter if isinstance(root, etree.ElementBase) else etree._Element.iter
     found: list[Criterion] = []
-    for trigger in every(root, "StopTrigger"):
-        for asked in every(trigger, "ParameterCondition"):
+    for trigger in below(root, "StopTrigger"):
+        for asked in below(trigger, "ParameterCondition"):
             name = criterion_name(asked)
             if name:
                 # Without the name of an argument, ScenarioRunner gives the criterion no value.

@@ -8,7 +8,8 @@ from typing import Final
 from lxml import etree
 
 from cornercase._common.ledger import Notice
-from cornercase._common.recorded_xml import adapt
+from cornercase._common.places import line_of
+from cornercase._common.recorded_xml import adapt, below
 
 PROFILES_FILE: Final = "ProfilesCatalog.xml"
 """Name of openPASS's file, which lies beside the scenario."""
@@ -22,8 +23,7 @@ def profiles_file(catalog: str) -> str:
 
 def has_profiles(root: etree._Element) -> bool:
     """Whether an entity of a scenario is an agent profile."""
-    every = etree.ElementBase.iter if isinstance(root, etree.ElementBase) else etree._Element.iter
-    return any(profiles_file(str(one.attrib.get("catalogName", ""))) for one in every(root, "CatalogReference"))
+    return any(profiles_file(str(one.attrib.get("catalogName", ""))) for one in below(root, "CatalogReference"))
 
 
 def vehicle_models(profiles: etree._Element, name: str) -> list[str] | None:
@@ -77,8 +77,7 @@ def note_profile(root: etree._Element, entry: str, models: list[str]) -> None:
         f"names the agent profile '{entry}' of openPASS, a vehicle with a driver and sensors; its vehicle model"
         f" '{models[0]}' is read{drawn}, and nothing else of it"
     )
-    every = etree.ElementBase.iter if isinstance(root, etree.ElementBase) else etree._Element.iter
-    for one in every(root, "CatalogReference"):
+    for one in below(root, "CatalogReference"):
         if one.attrib.get("entryName") == entry and profiles_file(str(one.attrib.get("catalogName", ""))):
             adapt(one, "<CatalogReference>", why, _RULE)
 
@@ -100,7 +99,7 @@ def profiles_notice(profiles: etree._Element, file: Path) -> Notice:
         "of the agent profiles of openPASS only vehicle models are read; drivers, sensors and the traffic that openPASS"
         " adds are not"
     )
-    return Notice(("<Profiles>",), why, file, (int(str(profiles.sourceline or 0)),))
+    return Notice(("<Profiles>",), why, file, (line_of(profiles),))
 
 
 def profile_notices(root: etree._Element, file: Path) -> tuple[Notice, ...]:
@@ -116,8 +115,7 @@ def profile_notices(root: etree._Element, file: Path) -> tuple[Notice, ...]:
     -------
     tuple of Notice
     """
-    every = etree.ElementBase.iter if isinstance(root, etree.ElementBase) else etree._Element.iter
-    found = [one for one in every(root, "Property") if one.attrib.get("name") == "AgentProfile"]
+    found = [one for one in below(root, "Property") if one.attrib.get("name") == "AgentProfile"]
     for one in found:
         # It is read, so that nothing else is said of it.
         one.get("name"), one.get("value")
@@ -125,7 +123,7 @@ def profile_notices(root: etree._Element, file: Path) -> tuple[Notice, ...]:
         "names an agent profile of openPASS's ProfilesCatalog.xml, whose driver and sensors are not read; the"
         " storyboard moves the entity, or a driver of cornercase"
     )
-    lines = tuple(int(str(one.sourceline or 0)) for one in found)
+    lines = tuple(map(line_of, found))
     return (Notice(("<Property AgentProfile>",), why, file, lines),) if found else ()
 
 

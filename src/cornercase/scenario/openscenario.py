@@ -13,7 +13,7 @@ from lxml import etree
 from cornercase._common import arguments
 from cornercase._common.errors import InputError, suggestion
 from cornercase._common.ledger import Label, Notice
-from cornercase._common.places import place_of, placed
+from cornercase._common.places import line_of, place_of, placed
 from cornercase._common.recorded_xml import adapt, children, named, unrecorded, was_read
 from cornercase.scenario.axes import left_handed_header
 from cornercase.scenario.catalogs import Catalogs, holds_catalog
@@ -240,20 +240,18 @@ class Scenario:
             " them; they are turned to the axes of the road file, in which recordings are, too"
         )
         rule = "positions are in right-handed axes, x east and y north, with headings counter-clockwise"
-        return (
-            Notice(("signs of y and headings",), why, self.path, (int(str(header.sourceline)),), Label.ADAPTED, rule),
-        )
+        return (Notice(("signs of y and headings",), why, self.path, (line_of(header),), Label.ADAPTED, rule),)
 
     @cached_property
     def entities(self) -> tuple[str, ...]:
         """Names of all entities, in the file's order."""
         objects = list(self.root.iterfind("Entities/ScenarioObject"))
         names = tuple(e.get("name", "") for e in objects)
-        for k, name in enumerate(names):
-            if not name or name in names[:k]:
-                raise InputError(
-                    f"{place_of(objects[k], str(self.path))}: every <ScenarioObject> needs a name of its own."
-                )
+        known: set[str] = {""}
+        for one, name in zip(objects, names, strict=True):
+            if name in known:
+                raise InputError(f"{place_of(one, str(self.path))}: every <ScenarioObject> needs a name of its own.")
+            known.add(name)
         return names
 
     @cached_property

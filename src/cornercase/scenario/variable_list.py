@@ -15,7 +15,8 @@ from lxml import etree
 
 from cornercase._common.errors import InputError
 from cornercase._common.ledger import warn
-from cornercase._common.numbers import number_of
+from cornercase._common.numbers import finite_number
+from cornercase._common.places import line_of
 from cornercase._common.texts import shorten
 from cornercase.scenario.criteria import is_never_true
 from cornercase.scenario.declared_types import INTEGERS, NUMERIC
@@ -204,7 +205,13 @@ class _Listing:
             if kind in NUMERIC:
                 name, text = element.get("name", ""), element.get("value", "")
                 yield Variable(
-                    name, "parameters", text, line=_line(element), whole=kind in INTEGERS, parameter=name, declared=True
+                    name,
+                    "parameters",
+                    text,
+                    line=line_of(element),
+                    whole=kind in INTEGERS,
+                    parameter=name,
+                    declared=True,
                 )
 
     def _of_init(self) -> Iterator[_Found]:
@@ -257,7 +264,9 @@ class _Listing:
                 yield from self._number([element], "value", _part(entry), "", _part(name), kind, group)
         place = shorten(catalog, _LONGEST_SHOWN)
         why = f"its numbers stand in the catalog {place}; copy the maneuver into the scenario to vary them"
-        yield _Found(_part(entry), "", "catalog", Variable("", group, "in a catalog", line=_line(reference), fixed=why))
+        yield _Found(
+            _part(entry), "", "catalog", Variable("", group, "in a catalog", line=line_of(reference), fixed=why)
+        )
 
     def _of_trigger(self, trigger: etree._Element | None, base: str, group: str) -> Iterator[_Found]:
         """Numbers of conditions; a condition that stands in several groups of one trigger varies in all of them."""
@@ -300,14 +309,14 @@ class _Listing:
     ) -> Iterator[_Found]:  # fmt: skip
         element = elements[0]
         text = (element.get(attribute) or "").strip()
-        found = Variable("", group, text, kind.unit, _line(element), whole=kind.whole)
+        found = Variable("", group, text, kind.unit, line_of(element), whole=kind.whole)
         if text.startswith("$"):
             why = f"it is {shorten(text, _LONGEST_SHOWN)}" + (
                 "; vary the parameter" if text[1:] in self._declared else ""
             )
             yield _Found(base, qualifier, suffix, replace(found, fixed=why))
             return
-        value = _finite(text)
+        value = finite_number(text)
         if value is None or (kind.whole and value != round(value)):
             return
         least, most = kind.least, None
@@ -345,7 +354,7 @@ class _Listing:
             return None, None, None
         if self._roads is None:
             self._roads = read_extents(self._scenario.road_file())
-        lane, s = (_finite(self._text(element.get(name) or "")) for name in ("laneId", "s"))
+        lane, s = (finite_number(self._text(element.get(name) or "")) for name in ("laneId", "s"))
         whole = None if lane is None or lane != round(lane) else round(lane)
         return self._roads.get(self._text(element.get("roadId", ""))), whole, s
 
@@ -439,18 +448,6 @@ class _Names:
             found = f"{name}_{self._counts[name]}"
         self._counts[found] = 1
         return found
-
-
-def _finite(text: str) -> float | None:
-    try:
-        value = number_of(text)
-    except ValueError:
-        return None
-    return value if math.isfinite(value) else None
-
-
-def _line(element: etree._Element) -> int:
-    return int(str(element.sourceline or 0))
 
 
 def _plain(value: float) -> str:

@@ -13,8 +13,7 @@ from lxml import etree
 
 from cornercase._common import arguments
 from cornercase._common.errors import InputError, suggestion
-from cornercase._common.files import require_other_file, written_whole
-from cornercase._common.pending_files import written_together
+from cornercase._common.files import require_other_file, write_files
 from cornercase.scenario.concrete_files import read_beside
 from cornercase.scenario.logical import LogicalScenario
 from cornercase.scenario.openscenario import Scenario
@@ -281,10 +280,7 @@ def vary(
         require_other_file(space, file)
     contents = varied.beside(output.parent)
     contents |= {output: varied.content(output.parent), space: varied.space_content(output.name)}
-    with written_together():
-        for path, content in contents.items():
-            with written_whole(path) as temporary:
-                temporary.write_bytes(content)
+    write_files(contents)
     return LogicalScenario.read(output, space)
 
 

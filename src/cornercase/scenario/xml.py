@@ -73,7 +73,9 @@ def parse_xml(data: bytes, path: Path | str) -> etree._Element:
         root = mended
     if root.getroottree().docinfo.internalDTD is not None:
         text = data.decode(root.getroottree().docinfo.encoding or "utf-8", errors="replace")
-        line = text[: _PROLOGUE.match(text).end()].count("\n") + 1  # type: ignore[union-attr]
+        prologue = _PROLOGUE.match(text)
+        assert prologue is not None, "it may be empty"
+        line = prologue[0].count("\n") + 1
         raise InputError(
             f"{path}, line {line}: has a document type declaration, which is not read; remove <!DOCTYPE …>."
         )

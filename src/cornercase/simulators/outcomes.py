@@ -10,6 +10,7 @@ from cornercase._common.errors import InputError, PartError, SimulationError
 from cornercase._common.interrupts import requests_heard
 from cornercase._common.ledger import Notice
 from cornercase._common.parts import failure_of, guarded
+from cornercase._common.places import without_file
 from cornercase.recordings import Recording
 from cornercase.scenario import ConcreteScenario, Scenario, Value
 from cornercase.simulators.base import Simulator
@@ -169,7 +170,7 @@ def failure_words(path: Path, error: InputError) -> str:
     str
         A part of a sentence, without the file and a full stop.
     """
-    return str(error).removeprefix(str(path)).lstrip(",: ").removesuffix(".")
+    return without_file(str(path), str(error)).removesuffix(".")
 
 
 def notices_of(name: str, scenario: Scenario, values: Mapping[str, Value] | None = None) -> tuple[Notice, ...]:

@@ -11,6 +11,7 @@ from typing import Final
 from lxml import etree
 
 from cornercase._common.errors import InputError
+from cornercase._common.places import without_file
 from cornercase.roads import RoadNetwork
 from cornercase.scenario import Declaration, Scenario, Scope, Value, read_declarations, unusable_values, value_text
 
@@ -119,8 +120,7 @@ class PreparedScenario:
                     self._own_error = str(own)
             if self._own_error == str(error):
                 raise error
-        text, path = str(error).removesuffix("."), str(self.scenario.path)
-        return text.removeprefix(path).lstrip(",: ") if text.startswith(path) else text
+        return without_file(str(self.scenario.path), str(error).removesuffix("."))
 
     @cached_property
     def _own_values(self) -> dict[str, str]:

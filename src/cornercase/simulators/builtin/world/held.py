@@ -8,7 +8,7 @@ import numpy as np
 import numpy.typing as npt
 from lxml import etree
 
-from cornercase._common.recorded_xml import adapt
+from cornercase._common.recorded_xml import adapt, below
 from cornercase.scenario import Scope
 
 _TRUTHS: Final = {"true": "true", "1": "true", "false": "false", "0": "false"}
@@ -55,8 +55,8 @@ def nobody_asks(element: etree._Element, *conditions: str) -> bool:
     """
     root = element.getroottree().getroot()
     # Looking through the file does not count as reading it.
-    asked = etree.ElementBase.iter(root, *conditions)
-    groups = etree.ElementBase.iter(root, "ManeuverGroup")
+    asked = below(root, *conditions)
+    groups = below(root, "ManeuverGroup")
     referred = (one for group in groups for one in etree.ElementBase.iterchildren(group, "CatalogReference"))
     stands = etree.ElementBase.find(root, "Storyboard") is not None
     return stands and next(asked, None) is None and next(referred, None) is None
