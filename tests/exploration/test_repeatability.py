@@ -25,7 +25,7 @@ class Dice(Driver):
     """Draws random numbers."""
 
     def acceleration(self, situation):
-        return np.random.default_rng().normal(0.0, 1.0, situation.speed.shape)
+        return np.random.default_rng().uniform(-1.5, 1.5, situation.speed.shape)
 
 
 class Seeded(Driver):
