@@ -243,4 +243,4 @@ def test_a_link_that_leads_to_itself_is_no_output(tmp_path):
         tmp_path / "loop.csv",
     )
     assert (result.returncode, len(result.stderr.splitlines())) == (2, 1)
-    assert "is a link that leads nowhere" in result.stderr
+    assert "is a broken link" in result.stderr

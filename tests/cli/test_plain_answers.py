@@ -58,7 +58,7 @@ def test_a_table_of_another_separator_is_told_so(tmp_path, sign, words):
     simulated = cornercase("simulate", X, "--parameters", table, "-o", tmp_path / "recordings")
     for done in (imported, simulated):
         assert done.returncode == 2
-        assert f"separates its columns by {words}; write commas" in done.stderr
+        assert f"separates its columns by {words}; use commas" in done.stderr
 
 
 def test_tables_are_not_written_below_a_file(explored, tmp_path):

@@ -228,7 +228,7 @@ def test_a_full_disk_keeps_nobody_from_what_is_compiled(caplog, monkeypatch):
     monkeypatch.setattr(compiling._WATCH, "unkept", "")
     assert tripled(2) == 6
     assert "No space left on device" in why_not_kept()
-    assert "What is compiled cannot be kept" in caplog.text
+    assert "Compiled kernels cannot be cached" in caplog.text
 
 
 COMPANION = """

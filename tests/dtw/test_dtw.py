@@ -151,7 +151,7 @@ def test_a_process_that_finds_the_compiled_kernels_gives_the_same(tmp_path):
     expected = [distance_matrix(series, local_cost=cost, window=window).tolist() for cost, window in options]
     assert answers[0][1] == answers[1][1] == expected + expected
     assert [one.stderr for one in ended] == [
-        "Compiling for this machine, kept for the next time; 'cornercase warm-up' does all of it ahead.\n",
+        "Compiling kernels for this machine (cached for later runs); 'cornercase warm-up' compiles all in advance.\n",
         "",
     ]
 

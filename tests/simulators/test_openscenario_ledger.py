@@ -258,7 +258,7 @@ def test_a_controller_of_a_catalog_names_a_driver(tmp_path):
 
 def test_simulate_and_explore_warn_and_the_command_line_prints(tmp_path):
     path = EXAMPLES / "t_intersection" / "t_intersection.xosc"
-    rest = "without effect: 3 parts, which change no position or speed; `check` and -v list them"
+    rest = "without effect: 3 parts, which affect no position or speed; `check` and -v list them"
     with pytest.warns(NoticeWarning, match=rest) as caught:
         cc.simulate(path, duration=0.1)
     assert all(one.filename == __file__ for one in caught)
@@ -269,7 +269,7 @@ def test_simulate_and_explore_warn_and_the_command_line_prints(tmp_path):
         )  # fmt: skip
     printed = cornercase("simulate", path, "--duration", 0.1, "-o", tmp_path / "r.csv")
     assert printed.returncode == 0
-    rest = "Without effect: 3 parts, which change no position or speed; 'cornercase check' and -v list them.\n"
+    rest = "Without effect: 3 parts, which affect no position or speed; 'cornercase check' and -v list them.\n"
     assert rest in printed.stderr
     assert "<Axles>" not in printed.stderr
     printed = cornercase("-v", "simulate", path, "--duration", 0.1, "-o", tmp_path / "r.csv")

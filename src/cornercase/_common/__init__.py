@@ -1,1 +1,1 @@
-"""What all rooms share; it imports none of them."""
+"""Helpers that all rooms share; imports none of them."""

@@ -1,10 +1,9 @@
-"""Arrays that kernels read where they lie, by their addresses.
+"""Arrays that kernels access by memory address.
 
-The types of a kernel must not depend on how many arrays there are, or it is compiled anew for each number. A table of
-addresses is one array, whatever it leads to.
+A kernel is compiled anew for each number of array arguments. One table of addresses replaces them all.
 """
 
-# The part of numba that is used here has no types.
+# numba's extension API has no type hints.
 # mypy: disable-error-code="no-untyped-call, no-untyped-def, misc, untyped-decorator, attr-defined, call-arg"
 
 from __future__ import annotations
@@ -17,24 +16,14 @@ from numba.extending import intrinsic
 
 
 def address_of(array: npt.NDArray[Any]) -> int:
-    """Address of the first element of an array, which must outlive each use of the address.
-
-    Parameters
-    ----------
-    array : ndarray
-        C-contiguous.
-
-    Returns
-    -------
-    int
-    """
+    """Memory address of the first element of a C-contiguous array; the caller keeps the array alive."""
     assert array.flags.c_contiguous
     address: int = array.__array_interface__["data"][0]
     return address
 
 
 def _array_at(context, address, count, dtype):
-    """Array of a type at an address. It counts no references: what it leads to is kept alive by others."""
+    """Typed 1-D view of memory at an address. It is not reference-counted; the caller keeps the memory alive."""
     array = types.Array(dtype, 1, "C")
 
     def generate(context, builder, signature, values):

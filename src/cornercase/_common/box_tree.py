@@ -1,7 +1,7 @@
-"""Which boxes along one way are near a box of another, without a look at each pair.
+"""Binary tree of axis-aligned boxes along a path, to find overlaps without testing each pair.
 
-Boxes that follow each other in time are near each other, so a binary tree over their order packs them as well as one
-that sorts them by place first (STR packing), and gives them in order of time.
+Boxes that follow each other in time are close to each other. A tree over their order is therefore packed as well as
+one sorted by position (STR packing), and it returns boxes in order of time.
 """
 
 # Compiled functions have no static types.
@@ -16,18 +16,10 @@ from cornercase._common.typing import FloatArray
 
 
 def box_tree(bounds: FloatArray) -> FloatArray:
-    """Make a tree of boxes along the axes.
+    """Build the tree, shape (2 k, 4), of boxes with bounds (min x, min y, max x, max y), shape (m, 4).
 
-    Parameters
-    ----------
-    bounds : ndarray of float64, shape (m, 4)
-        Least x and y, and greatest x and y, of each.
-
-    Returns
-    -------
-    ndarray of float64, shape (2 k, 4)
-        Node 1 holds all boxes, nodes 2 i and 2 i + 1 the first and the second half of what node i holds; those from k
-        on are the boxes themselves, where k is the least power of two that is not below m.
+    Node 1 holds all boxes, nodes 2 i and 2 i + 1 the two halves of node i. The nodes from k on are the boxes
+    themselves; k is the smallest power of two that is at least m.
     """
     leaves = 1 << max(len(bounds) - 1, 0).bit_length()
     tree = np.empty((2 * leaves, 4))
@@ -39,7 +31,7 @@ def box_tree(bounds: FloatArray) -> FloatArray:
 
 @kernel(error_model="numpy", _nrt=False)
 def fill_tree(tree):
-    """Bounds of the nodes above the boxes."""
+    """Compute the bounds of the inner nodes from those of the leaves."""
     for node in range(len(tree) // 2 - 1, 0, -1):
         for k in range(2):
             tree[node, k] = min(tree[2 * node, k], tree[2 * node + 1, k])
@@ -48,10 +40,7 @@ def fill_tree(tree):
 
 @kernel(error_model="numpy", _nrt=False)
 def next_near(tree, node, low_x, low_y, high_x, high_y):
-    """Node of the next box that shares a point with some bounds, from a node on; 0 where there is none.
-
-    The first is looked for from node 1 on, the one after a box from `node_after` of it.
-    """
+    """Return the first leaf at or after `node` that overlaps the bounds, or 0. Start at node 1."""
     leaves = len(tree) // 2
     while node > 0:
         box = tree[node]
@@ -66,7 +55,7 @@ def next_near(tree, node, low_x, low_y, high_x, high_y):
 
 @kernel(error_model="numpy", _nrt=False)
 def node_after(node):
-    """First node that holds none of what a node holds, but what comes next; 0 where nothing does."""
+    """Return the node that follows a node's whole subtree, or 0 after the last one."""
     while node & 1:
         node >>= 1
     return node + 1 if node > 0 else 0
@@ -74,7 +63,7 @@ def node_after(node):
 
 @kernel(error_model="numpy")
 def with_run(runs, count, step, other):
-    """Begin one more of the `count` runs, as in `Meetings.runs`; in an array twice as long where it is full."""
+    """Append a run to the first `count` rows of `runs` (see `OverlapRuns.runs`); double the array if it is full."""
     if count == len(runs):
         grown = np.empty((2 * count, 3), dtype=np.int64)
         grown[:count] = runs

@@ -1,6 +1,6 @@
-"""Kernels whose machine code is kept on a machine, also when many processes start together."""
+"""The decorator `kernel`: numba compilation with a cache on disk that concurrent processes share safely."""
 
-# The part of numba that is used here has no types.
+# numba's caching internals have no type hints.
 # mypy: disable-error-code="no-untyped-call, no-untyped-def, misc"
 
 from __future__ import annotations
@@ -26,14 +26,13 @@ _KERNELS: WeakSet[Any] = WeakSet()
 
 
 class _SharedCache(FunctionCache):
-    """numba's cache on disk, one process at a time.
+    """numba's disk cache, used by one process at a time.
 
-    numba reads the index of a function, adds to it and writes it back: of two processes that compile different
-    versions of the function at once, one can end up with the other's machine code under its own key. Files that were
-    cut, when the disk was full or the machine died, count as missing.
+    numba reads the index of a function, adds to it and writes it back. If two processes do so at once, one can end up
+    with the other's machine code under its own key. Truncated files (full disk, crash) count as missing.
 
-    numba keeps machine code as long as the file of the function is the same. Here everything that the machine code
-    holds has to be: the function, what it calls and the constants that it uses, in whatever module they are.
+    numba keeps machine code while the function's file is unchanged. Here the key covers all that the code contains: the
+    function, what it calls and its constants, in whatever module.
     """
 
     def __init__(self, function, options):
@@ -42,7 +41,7 @@ class _SharedCache(FunctionCache):
         self._cache_file._source_stamp = None
 
     def load_overload(self, sig, target_context):
-        # numba would load all that it needs to compile, a third of a second; to load machine code, this is enough.
+        # Loading machine code needs only this; numba would load its whole compiler (a third of a second).
         rtsys.initialize(target_context)
         self._stamp()
         with held_lock(self._lock_path()):
@@ -59,15 +58,15 @@ class _SharedCache(FunctionCache):
             with held_lock(self._lock_path()):
                 super().save_overload(sig, data)
         except OSError as error:
-            # A disk that is full keeps nobody from what has been compiled.
+            # A full disk only prevents caching; the compiled code is used all the same.
             _WATCH.tell_unkept(f"{self.cache_path}: {error.strerror}")
 
     def _index_key(self, sig, codegen):
-        # Machine code takes the fields of a named tuple by their places.
+        # Machine code accesses the fields of a named tuple by position.
         return (*super()._index_key(sig, codegen), tuple(_fields(kind) for kind in sig))
 
     def _stamp(self):
-        # Not when the function is defined, as what it calls may be defined after it.
+        # Not at definition time: functions that it calls may be defined later.
         if self._cache_file._source_stamp is None:
             self._cache_file._source_stamp = contents(self._py_func, self._options)
 
@@ -84,22 +83,11 @@ def _fields(kind: Any) -> tuple[Any, ...]:
 
 
 def kernel(**options: Any) -> Callable[[Callable[..., Any]], Callable[..., Any]]:
-    """Compile a function without Python objects and without the interpreter's lock, and keep its machine code.
-
-    Parameters
-    ----------
-    **options
-        For ``numba.njit``.
-
-    Returns
-    -------
-    callable
-        Decorator.
-    """
+    """Decorator: compile with ``numba.njit(nogil=True, **options)``, and cache the machine code on disk."""
 
     def decorate(function: Callable[..., Any]) -> Callable[..., Any]:
         compiled = njit(nogil=True, **options)(function)
-        # Without a folder to write to, it is compiled in each process.
+        # Without a writable folder, each process compiles anew.
         with suppress(RuntimeError):
             compiled._cache = _SharedCache(function, options)
         _KERNELS.add(compiled)
@@ -109,10 +97,9 @@ def kernel(**options: Any) -> Callable[[Callable[..., Any]], Callable[..., Any]]
 
 
 class _Watch(event.Listener):
-    """Hears of each kernel that numba begins to compile; without anybody else who listens, it says so once.
+    """Listens to numba's compilation. If nobody else listens, it logs one warning that kernels are being compiled.
 
-    The message is a warning of the logger ``cornercase._common.compiling``, which Python shows on standard error where
-    no logging is set up. Worker processes leave the saying to the one that started them.
+    Worker processes leave that to their parent.
     """
 
     def __init__(self) -> None:
@@ -125,47 +112,37 @@ class _Watch(event.Listener):
         kernel = event.data["dispatcher"]
         if kernel not in _KERNELS:
             return
-        kept = isinstance(kernel._cache, _SharedCache)
-        if not kept:
+        cached = isinstance(kernel._cache, _SharedCache)
+        if not cached:
             self.unkept = _NO_FOLDER
-        while kept and self.companions:
+        while cached and self.companions:
             self.companions.pop()()
         for listener in self.listeners:
             listener(f"{kernel.py_func.__module__.removeprefix('cornercase.')}.{kernel.py_func.__name__}")
         if not (self.listeners or self.said):
             self.said = True
-            _LOG.warning(_KEPT if kept else _NOT_KEPT)
+            _LOG.warning(_KEPT if cached else _NOT_KEPT)
 
     def on_end(self, event: Any) -> None:
         pass
 
     def tell_unkept(self, why: str) -> None:
-        """Say once why machine code is not kept, where nobody else listens."""
+        """Log once why machine code is not cached, unless somebody else listens."""
         if not (self.unkept or self.listeners or multiprocessing.parent_process() is not None):
-            _LOG.warning("What is compiled cannot be kept: %s.", why)
+            _LOG.warning("Compiled kernels cannot be cached: %s.", why)
         self.unkept = why
 
 
-_KEPT = "Compiling for this machine, kept for the next time; 'cornercase warm-up' does all of it ahead."
-_NO_FOLDER = "there is no folder that can be written; NUMBA_CACHE_DIR can name one"
-_NOT_KEPT = "Compiling, in each process anew: NUMBA_CACHE_DIR can name a folder to keep it in."
+_KEPT = "Compiling kernels for this machine (cached for later runs); 'cornercase warm-up' compiles all in advance."
+_NO_FOLDER = "no cache folder is writable; set NUMBA_CACHE_DIR to one that is"
+_NOT_KEPT = "Compiling kernels in each process anew; set NUMBA_CACHE_DIR to a writable folder to cache them."
 _WATCH = _Watch()
 event.register("numba:compile", _WATCH)
 
 
 @contextmanager
 def heard_compilation(listener: Callable[[str], None]) -> Iterator[None]:
-    """Tell a listener which kernels are compiled within the block, instead of the user.
-
-    Parameters
-    ----------
-    listener : callable
-        Called with a kernel's module and name whenever numba begins to compile it.
-
-    Yields
-    ------
-    None
-    """
+    """Within the block, call `listener` with module and name of each kernel that numba compiles; log nothing."""
     _WATCH.listeners.append(listener)
     try:
         yield
@@ -175,17 +152,7 @@ def heard_compilation(listener: Callable[[str], None]) -> Iterator[None]:
 
 @contextmanager
 def companion(start: Callable[[], None]) -> Iterator[None]:
-    """Call something once when numba begins to compile within the block, and keeps what it compiles.
-
-    Parameters
-    ----------
-    start : callable
-        Such as what has another process compile what this one needs later.
-
-    Yields
-    ------
-    None
-    """
+    """Within the block, call `start` once, when numba first compiles a kernel that will be cached."""
     _WATCH.companions.append(start)
     try:
         yield
@@ -195,23 +162,11 @@ def companion(start: Callable[[], None]) -> Iterator[None]:
 
 
 def count_kernels() -> tuple[int, int]:
-    """Count the kernels of the modules that have been imported.
-
-    Returns
-    -------
-    tuple of (int, int)
-        Those that are ready to run, compiled or read from the disk, and all.
-    """
+    """Return how many of the imported kernels are ready to run, and how many there are."""
     known = list(_KERNELS)
     return sum(bool(one.signatures) for one in known), len(known)
 
 
 def why_not_kept() -> str:
-    """Say why machine code that this process has compiled could not be kept.
-
-    Returns
-    -------
-    str
-        Empty where it was, or where nothing was compiled.
-    """
+    """Reason why compiled machine code could not be cached; empty if it was, or if nothing was compiled."""
     return _WATCH.unkept

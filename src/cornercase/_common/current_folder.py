@@ -1,4 +1,4 @@
-"""The current folder may be a stranger's: none of its modules is run, and no library takes its settings from there."""
+"""The current folder is not trusted: no module of it is run unasked, and no library reads its settings from there."""
 
 from __future__ import annotations
 
@@ -13,14 +13,14 @@ from pathlib import Path
 from types import FrameType, ModuleType
 from typing import Any, Final
 
-# What libraries look for in the current folder, by the module that does so as it is loaded.
+# Settings file that a library looks for in the current folder, by the module that loads it.
 _SETTINGS: Final = {"numba.core.config": ".numba_config.yaml", "matplotlib": "matplotlibrc"}
-# The packages of which Python's way to import consists.
+# Packages that implement Python's import system.
 _IMPORTING: Final = ("importlib", "_frozen_importlib", "_frozen_importlib_external")
 
 
 class _Shared:
-    """A context that the first who asks for it enters and the last one leaves, in whatever thread."""
+    """A context manager that the first user enters and the last one leaves, in any thread."""
 
     def __init__(self, make: Callable[[], AbstractContextManager[None]]) -> None:
         self._make, self._lock, self._asked = make, threading.Lock(), 0
@@ -45,7 +45,7 @@ class _Shared:
 def _hidden_settings() -> Iterator[None]:
     path: Any = os.path
     exists = path.exists
-    # Moving to another folder meanwhile would move all threads of a user's program.
+    # Changing the working directory would affect all threads of a user's program.
     path.exists = lambda given: given not in _SETTINGS.values() and exists(given)
     try:
         yield
@@ -57,15 +57,15 @@ _HIDDEN: Final = _Shared(_hidden_settings)
 
 
 class _Finder:
-    """Finds modules as all others do, but has those loaded without the current folder that take settings from it."""
+    """Import hook: modules that read settings from the current folder are loaded with those files hidden."""
 
     def find_spec(
         self, name: str, path: Sequence[str] | None, target: ModuleType | None = None, /
     ) -> ModuleSpec | None:
         if name not in _SETTINGS:
             return None
-        others = (one for one in sys.meta_path if one is not self)
-        spec = next(filter(None, (one.find_spec(name, path, target) for one in others)), None)
+        others = (finder for finder in sys.meta_path if finder is not self)
+        spec = next(filter(None, (finder.find_spec(name, path, target) for finder in others)), None)
         if spec is not None and spec.loader is not None:
             loader: Any = spec.loader
             loader.exec_module = _loading_without(loader.exec_module)
@@ -82,28 +82,31 @@ def _loading_without(load: Callable[[ModuleType], None]) -> Callable[[ModuleType
 
 
 def _settle(module: ModuleType) -> None:
-    """Have numba, which looks again whenever it compiles, look beside itself."""
+    """Point numba, which reads its settings at each compilation, to its own folder instead."""
     name = str(vars(module).get("_config_fname"))
     if name in _SETTINGS.values() and module.__file__ is not None:
         vars(module)["_config_fname"] = str(Path(module.__file__).with_name(name))
 
 
 def take_no_settings() -> None:
-    """Keep the libraries that this process loads from now on from taking settings from the current folder."""
-    if not any(isinstance(one, _Finder) for one in sys.meta_path):
+    """Keep libraries that are imported from now on from reading settings in the current folder."""
+    if not any(isinstance(finder, _Finder) for finder in sys.meta_path):
         sys.meta_path.insert(0, _Finder())
         for name in _SETTINGS.keys() & sys.modules.keys():
             _settle(sys.modules[name])
 
 
 class _Here:
-    """Finds modules of the current folder, after all others: what a person has named there, and what that imports."""
+    """Import hook for modules of the current folder, after all other hooks.
+
+    It serves the module that a person named, and what that module imports.
+    """
 
     def __init__(self) -> None:
         self._folder = os.getcwd()
-        # Top-level modules that were found so, by their names.
+        # Names of the top-level modules that were found here.
         self.found: set[str] = set()
-        # Whether what a person has named is being imported; later only what was found here may import from here.
+        # True while the named module is being imported; afterwards, only modules found here may import from here.
         self.is_open = True
 
     def find_spec(
@@ -117,7 +120,7 @@ class _Here:
         return spec
 
     def _is_asked(self) -> bool:
-        """Whether this module imports it, or one that was found here; others also try what need not be there."""
+        """Whether this module imports it, or a module that was found here. Others also try optional imports."""
         frame: FrameType | None = sys._getframe(2)
         while frame is not None and (name := _package_of(frame)) in _IMPORTING:
             frame = frame.f_back
@@ -139,38 +142,19 @@ def _found_here() -> Iterator[None]:
         yield
     finally:
         finder.is_open = False
-        # What was found may import more as it runs.
+        # Modules found here may import more while they run.
         if not finder.found:
             sys.meta_path.remove(finder)
 
 
 def import_here(name: str) -> ModuleType:
-    """Import a module that a person has named, which may lie in the current folder; it hides no other one there.
-
-    Parameters
-    ----------
-    name : str
-
-    Returns
-    -------
-    module
-    """
+    """Import a module that a person named, which may be in the current folder. It hides no other module."""
     with _found_here():
         return importlib.import_module(name)
 
 
 def unpickle_here(content: bytes) -> Any:
-    """Unpickle what a person has made, whose modules may lie in the current folder.
-
-    Parameters
-    ----------
-    content : bytes
-        Of a process that this one belongs to.
-
-    Returns
-    -------
-    object
-    """
+    """Unpickle what a user made in a process of this program; its modules may be in the current folder."""
     import pickle
 
     with _found_here():
@@ -184,7 +168,7 @@ def _safe_starts() -> Iterator[None]:
     parts: tuple[Any, Any] = spawn, util
     data, arguments = parts[0].get_preparation_data, parts[1]._args_from_interpreter_flags
     parts[0].get_preparation_data = lambda name: {**data(name), "sys_path": _path_of_children()}
-    # Else Python itself puts the current folder first, as it gets what to run on its command line.
+    # Without -P, Python puts the current folder first, as its code is given on the command line.
     parts[1]._args_from_interpreter_flags = lambda: [*arguments(), "-P"]
     try:
         yield
@@ -196,19 +180,12 @@ _SAFE: Final = _Shared(_safe_starts)
 
 
 def kept_from_children() -> AbstractContextManager[None]:
-    """Keep the current folder off the path of what `multiprocessing` starts within the block, in any thread.
-
-    Blocks may overlap.
-
-    Returns
-    -------
-    context manager
-    """
+    """Within the block, children of `multiprocessing` start without the current folder on `sys.path`. May overlap."""
     return _SAFE()
 
 
 def _main_folder() -> str | None:
-    """Folder from which the program was started: that of a script, or that of the package of a module."""
+    """Folder from which the program was started: of a script, or of the top package of a module."""
     main = sys.modules.get("__main__")
     file, spec = getattr(main, "__file__", None), getattr(main, "__spec__", None)
     if file is None:
@@ -218,10 +195,14 @@ def _main_folder() -> str | None:
 
 
 def _path_of_children() -> list[str]:
-    here = os.path.realpath(os.getcwd())
-    # A script that was started in its folder is loaded again by its children, with what lies beside it. Nobody else,
-    # such as a notebook, needs the folder; an empty path stands for it, too.
-    last = [one for one in sys.path if one and os.path.realpath(one) == here] if _main_folder() == here else []
-    places = [one for one in sys.path if one and os.path.realpath(one) != here] + last
+    current = os.path.realpath(os.getcwd())
+    # Children load the main script again with its neighbours if it was started from its own folder. Other programs,
+    # such as a notebook, do not need the folder; an empty path stands for it, too.
+    own_folder = (
+        [entry for entry in sys.path if entry and os.path.realpath(entry) == current]
+        if _main_folder() == current
+        else []
+    )
+    entries = [entry for entry in sys.path if entry and os.path.realpath(entry) != current] + own_folder
     package = str(Path(__file__).parents[2])
-    return places if package in places else [*places, package]
+    return entries if package in entries else [*entries, package]

@@ -1,4 +1,4 @@
-"""Connections with a Dask cluster."""
+"""Connect to a Dask cluster, wait for its workers, and fetch results of its tasks."""
 
 from __future__ import annotations
 
@@ -27,35 +27,21 @@ if TYPE_CHECKING:
 LOCAL: Final = "local"
 """The cluster that is started on this machine."""
 
-# s in which a scheduler has to answer, for which a cluster may be without workers, and between two looks at both.
+# Seconds: timeout of a scheduler's answer, time that a cluster may have no workers, interval between checks.
 _ANSWERS, _FIRST_WORKER, _LOOKS = 20.0, 120.0, 1.0
-# s for which one says goodbye to a scheduler that may be cut off.
+# Seconds to close a connection to a scheduler that may be unreachable.
 _CLOSES: Final = 10.0
-# How often a local cluster is started whose workers are ended meanwhile.
+# Attempts to start a local cluster whose workers die.
 _STARTS: Final = 5
-# Those of clusters whose start was interrupted.
+# Reapers of clusters whose start was interrupted.
 _UNENDED: Final[list[Guardian]] = []
-# What has to be closed after the connection with a local cluster.
+# What to close after the connection to a local cluster.
 _HELD: Final[WeakKeyDictionary[Any, ExitStack]] = WeakKeyDictionary()
 
 
 def cluster_argument(cluster: object) -> str | Client:
-    """Take a cluster that was given as an argument.
-
-    Parameters
-    ----------
-    cluster : object
-
-    Returns
-    -------
-    str or distributed.Client
-
-    Raises
-    ------
-    InputError
-        It is neither.
-    """
-    # Who has a client has loaded Dask.
+    """Return the argument `cluster` as address, file name or client; `InputError` for anything else."""
+    # A client can exist only if Dask was imported.
     dask = sys.modules.get("distributed")
     if dask is not None and isinstance(cluster, dask.Client):
         client: Client = cluster
@@ -64,40 +50,15 @@ def cluster_argument(cluster: object) -> str | Client:
 
 
 def require_client(client: object) -> None:
-    """Refuse what is no connection with a Dask cluster.
-
-    Parameters
-    ----------
-    client : object
-
-    Raises
-    ------
-    InputError
-        It is none.
-    """
+    """Raise `InputError` unless the argument is a `distributed.Client`."""
     if isinstance(cluster_argument(client), str):
         raise InputError(f"`client` {client}: give a distributed.Client, of pip install 'cornercase[cluster]'.")
 
 
 def connect(cluster: str | Client, workers: int = 1) -> Client:
-    """Connect with a Dask cluster.
+    """Connect to a Dask cluster: ``"local"`` (started here), an address, a scheduler file, or a client.
 
-    Parameters
-    ----------
-    cluster : str or distributed.Client
-        ``"local"``, the address of a scheduler, the file that a scheduler wrote, or a connection that there is already.
-    workers : int, default 1
-        Processes of a local cluster; any other has its own.
-
-    Returns
-    -------
-    distributed.Client
-        To be left with `leave`, unless it is the one that was given.
-
-    Raises
-    ------
-    InputError
-        Dask is not installed, no scheduler answers, or `workers` are given for a cluster that has its own.
+    `InputError` if Dask is missing, no scheduler answers, or `workers` are given for a cluster that is not local.
     """
     cluster = cluster_argument(cluster)
     if workers > 1 and cluster != LOCAL:
@@ -108,26 +69,26 @@ def connect(cluster: str | Client, workers: int = 1) -> Client:
         from distributed import Client
     except ImportError as error:
         raise InputError("Dask is not installed; it comes with pip install 'cornercase[cluster]'.") from error
-    there = Path(cluster).is_file()
-    if cluster != LOCAL and not there and ":" not in cluster:
+    is_file = Path(cluster).is_file()
+    if cluster != LOCAL and not is_file and ":" not in cluster:
         raise InputError(
-            f"`cluster` {cluster}: there is no such file, so no scheduler answers there; give 'local', an address such"
+            f"`cluster` {cluster}: is no file, and no scheduler answers there; give 'local', an address such"
             " as tcp://host:8786, or the file that a scheduler wrote."
         )
-    # What of it concerns a user is told by cornercase.
+    # cornercase reports what users have to know.
     for name in ("distributed", "distributed.client"):
         logging.getLogger(name).setLevel(logging.CRITICAL)
     logging.getLogger("asyncio").addFilter(_concerns_others)
     if cluster == LOCAL:
         return _begin_here(workers)
     try:
-        address = str(json.loads(read_file(cluster))["address"] if there else cluster)
+        address = str(json.loads(read_file(cluster))["address"] if is_file else cluster)
         _require_certificates(cluster, address)
         _require_answer(address)
         return Client(address, timeout=_ANSWERS)
     except InputError:
         raise
-    # Another program's answer is taken for the length of a message.
+    # An answer of another program may be read as the length of a message.
     except (OSError, ValueError, TypeError, KeyError, RecursionError, MemoryError) as error:
         raise InputError(
             f"`cluster` {cluster}: no scheduler answers there ({type(error).__name__}); give 'local', an address such"
@@ -140,13 +101,13 @@ def _require_certificates(cluster: str, address: str) -> None:
 
     if address.startswith("tls://") and Security().get_connection_args("client")["ssl_context"] is None:
         raise InputError(
-            f"`cluster` {cluster}: its scheduler asks for a certificate; name yours by the environment variables"
+            f"`cluster` {cluster}: its scheduler requires a certificate; set the environment variables"
             " DASK_DISTRIBUTED__COMM__TLS__CA_FILE, …__TLS__CLIENT__CERT and …__TLS__CLIENT__KEY."
         )
 
 
 def _require_answer(address: str) -> None:
-    """Wait for the first words of a scheduler; a client would wait without end for those of another program."""
+    """Wait for the scheduler's handshake; a client would wait forever if another program listens there."""
     from distributed.comm.core import connect as greet
     from distributed.security import Security
     from distributed.utils import LoopRunner, sync
@@ -164,41 +125,40 @@ def _require_answer(address: str) -> None:
 
 
 def _concerns_others(record: logging.LogRecord) -> bool:
-    """Whether a record of asyncio is of something else than a connection of Dask that was lost."""
+    """Logging filter: drop asyncio's records about lost Dask connections."""
     from distributed.comm.core import CommClosedError
 
     return not (record.exc_info and isinstance(record.exc_info[1], CommClosedError))
 
 
 def _begin_here(workers: int) -> Client:
-    """Start a cluster of processes on this machine, and connect with it."""
+    """Start a cluster of processes on this machine, and connect to it."""
     import dask
     from distributed import Client
 
-    # A worker that is being started anew as this time is over would be given up for good.
+    # A worker that is being restarted when this time is over would be given up for good.
     dask.config.set({"distributed.deploy.lost-worker-timeout": "1 day"})
     guardian = Guardian()
     with ExitStack() as stack:
         stack.push(lambda kind, *_: _leave_guardian(guardian, kind))
-        # Simulators may run in processes of their own, which daemons cannot have, nor may a worker that is started
-        # again be one.
-        own = {"distributed.worker.daemon": False, "temporary-directory": str(guardian.new_folder())}
-        stack.enter_context(dask.config.set(own))
+        # Simulators may have child processes, which daemons cannot have; a worker may be restarted, so it is no daemon.
+        settings = {"distributed.worker.daemon": False, "temporary-directory": str(guardian.new_folder())}
+        stack.enter_context(dask.config.set(settings))
         with interrupts_kept():
             cluster = _started_cluster(workers, guardian)
-            begun = stack.enter_context(ExitStack())
-            begun.callback(cluster.close)
+            connection = stack.enter_context(ExitStack())
+            connection.callback(cluster.close)
             client = Client(cluster)
-            begun.callback(client.close)
+            connection.callback(client.close)
         _register(client, _part_of_this_process())
-        begun.pop_all()
+        connection.pop_all()
         _HELD[client] = stack.pop_all()
     return client
 
 
 def _leave_guardian(guardian: Guardian, kind: type[BaseException] | None) -> None:
     if kind is not None and not issubclass(kind, Exception):
-        # Threads of Dask go on with what they had begun until this process ends, and so does the guardian.
+        # Dask's threads continue until this process ends, and so does the reaper.
         _UNENDED.append(guardian)
     else:
         guardian.close()
@@ -207,35 +167,35 @@ def _leave_guardian(guardian: Guardian, kind: type[BaseException] | None) -> Non
 def _started_cluster(workers: int, guardian: Guardian) -> SpecCluster:
     from cornercase._common.local_cluster import start
 
-    for tries in range(_STARTS):
+    for attempt in range(_STARTS):
         try:
             return start(workers, guardian)
         except KeyboardInterrupt:
-            # What was being started fails now, one by one, which asyncio would tell.
+            # asyncio would log that each pending start fails.
             logging.getLogger("asyncio").setLevel(logging.CRITICAL)
             raise
         except RuntimeError as error:
-            if tries + 1 == _STARTS:
+            if attempt + 1 == _STARTS:
                 raise InputError(
-                    f"`cluster` {LOCAL}: its workers end as they start ({error}); fix the cause, and run"
+                    f"`cluster` {LOCAL}: its workers die while they start ({error}); fix the cause, and run"
                     " the same command again."
                 ) from error
     raise AssertionError
 
 
 def _register(client: Client, plugin: WorkerPlugin) -> None:
-    for tries in range(_STARTS):
+    for attempt in range(_STARTS):
         try:
             client.register_plugin(plugin)
             return
         except OSError as error:
-            # Also where only a worker was ended while it was told.
-            if tries + 1 == _STARTS or client.status != "running":
+            # Also raised if only a worker was killed meanwhile.
+            if attempt + 1 == _STARTS or client.status != "running":
                 raise disconnected(client) from error
 
 
 def _part_of_this_process() -> WorkerPlugin:
-    """What makes workers leave Ctrl-C to the process that ends them, and temporary files where it removes them."""
+    """Plugin: workers ignore Ctrl-C, and put temporary files into a folder that the parent removes."""
     from distributed import WorkerPlugin
 
     class PartOfAnotherProcess(WorkerPlugin):
@@ -249,47 +209,26 @@ def _part_of_this_process() -> WorkerPlugin:
 
 
 def leave(client: Client) -> None:
-    """Close a connection; a local cluster ends with it.
-
-    Parameters
-    ----------
-    client : distributed.Client
-    """
-    local: Any = client.cluster
+    """Close a connection, with a local cluster if it has one."""
+    local_cluster: Any = client.cluster
     with ExitStack() as stack:
-        if local is not None:
-            # What is interrupted while it ends Dask waits for in vain, for 10 s, when this process ends.
+        if local_cluster is not None:
+            # If an interrupt stops the shutdown, Dask waits for it in vain, for 10 s, when this process ends.
             stack.enter_context(interrupts_kept())
-        # One that is lost has nothing to be closed.
+        # A lost connection needs no closing.
         with suppress(OSError, TimeoutError):
             client.close(timeout=_CLOSES)
-        if local is not None:
-            local.close()
-        if (held := _HELD.pop(client, None)) is not None:
-            held.close()
+        if local_cluster is not None:
+            local_cluster.close()
+        if (resources := _HELD.pop(client, None)) is not None:
+            resources.close()
 
 
 @contextmanager
 def connected(cluster: str | Client | None, workers: int = 1, *, else_none: bool = False) -> Iterator[Client | None]:
-    """Be connected with a Dask cluster for as long as the block lasts.
+    """Connect to a Dask cluster for the block, or yield None without `cluster`. A client that is given stays open.
 
-    Parameters
-    ----------
-    cluster : str, distributed.Client or None
-        As `connect` takes it; None for no cluster. A connection that is given stays open.
-    workers : int, default 1
-        Processes of a local cluster.
-    else_none : bool, default False
-        Whether there are no such processes without a cluster, so that saying how many is a mistake.
-
-    Yields
-    ------
-    distributed.Client or None
-
-    Raises
-    ------
-    InputError
-        As by `connect`.
+    With `else_none`, more than one worker without a cluster is an `InputError`.
     """
     if cluster is None:
         if else_none and workers > 1:
@@ -305,50 +244,23 @@ def connected(cluster: str | Client | None, workers: int = 1, *, else_none: bool
 
 
 def name_cluster(client: Client) -> str:
-    """Say in messages which cluster it is.
-
-    Parameters
-    ----------
-    client : distributed.Client
-
-    Returns
-    -------
-    str
-        ``"tcp://10.0.0.1:8786"``, or ``"local"``.
-    """
+    """Name of the cluster in messages: its address, or ``"local"``."""
     if client.cluster is not None:
         return LOCAL
-    known: Any = client.scheduler
-    return str(known.address) if known is not None else "of Dask"
+    scheduler: Any = client.scheduler
+    return str(scheduler.address) if scheduler is not None else "of Dask"
 
 
 def workers_of(client: Client, resource: str | None = None) -> list[dict[str, Any]]:
-    """Wait until a cluster has workers, and tell of them.
-
-    Parameters
-    ----------
-    client : distributed.Client
-    resource : str, optional
-        Only workers that offer it.
-
-    Returns
-    -------
-    list of dict
-        At least one, as `distributed.Client.scheduler_info` tells of them: ``"nthreads"``, ``"resources"``, and more.
-
-    Raises
-    ------
-    InputError
-        There are none for two minutes, or the scheduler is lost.
-    """
-    since = time.monotonic()
-    while time.monotonic() - since <= _FIRST_WORKER:
+    """Wait up to two minutes for workers that offer `resource`; return their entries in `Client.scheduler_info`."""
+    start = time.monotonic()
+    while time.monotonic() - start <= _FIRST_WORKER:
         try:
             with suppress(TimeoutError):
                 client.wait_for_workers(1, timeout=_FIRST_WORKER)
-            # One that has come may be lost before it is told of.
-            if found := _offering(client, resource):
-                return found
+            # A worker may be lost again before it is listed.
+            if workers := _offering(client, resource):
+                return workers
         except OSError as error:
             raise disconnected(client) from error
         time.sleep(_LOOKS)
@@ -356,72 +268,35 @@ def workers_of(client: Client, resource: str | None = None) -> list[dict[str, An
 
 
 def _offering(client: Client, resource: str | None) -> list[dict[str, Any]]:
-    found: list[dict[str, Any]] = list(client.scheduler_info(n_workers=-1)["workers"].values())
-    return [one for one in found if resource is None or one["resources"].get(resource, 0.0) >= 1.0]
+    workers: list[dict[str, Any]] = list(client.scheduler_info(n_workers=-1)["workers"].values())
+    return [worker for worker in workers if resource is None or worker["resources"].get(resource, 0.0) >= 1.0]
 
 
 def ended(client: Client, running: Collection[Future[Any]], resource: str | None = None) -> list[Future[Any]]:
-    """Wait for the first tasks that have ended.
-
-    Parameters
-    ----------
-    client : distributed.Client
-    running : collection of distributed.Future
-        At least one.
-    resource : str, optional
-        What of a worker each of them takes.
-
-    Returns
-    -------
-    list of distributed.Future
-        At least one, with a result or an error.
-
-    Raises
-    ------
-    InputError
-        The scheduler is lost, or there are no workers for two minutes.
-    """
+    """Wait until at least one task has ended, and return those that have; `InputError` without workers or scheduler."""
     from distributed import wait
 
-    since = time.monotonic()
+    last_seen = time.monotonic()
     while True:
-        # What was lost after it had ended is run again by Dask.
-        found = [one for one in running if one.status not in ("pending", "lost")]
-        if client.status != "running" or any(one.status == "cancelled" for one in found):
+        # Dask reruns tasks whose finished result was lost.
+        finished = [future for future in running if future.status not in ("pending", "lost")]
+        if client.status != "running" or any(future.status == "cancelled" for future in finished):
             raise disconnected(client)
-        if found:
-            return found
+        if finished:
+            return finished
         try:
             wait(list(running), timeout=_LOOKS, return_when="FIRST_COMPLETED")
         except TimeoutError:
             if _offering(client, resource):
-                since = time.monotonic()
-            elif time.monotonic() - since > _FIRST_WORKER:
+                last_seen = time.monotonic()
+            elif time.monotonic() - last_seen > _FIRST_WORKER:
                 raise _without_workers(client, resource) from None
 
 
 def take(client: Client, future: Future[Any]) -> tuple[Any, Exception | None]:
-    """Take what came of a task, and let go of it.
+    """Return result and exception of a finished task (one is None), and release it.
 
-    Dask runs a task again whose result was on a lost worker, for as long as somebody asks for it.
-
-    Parameters
-    ----------
-    client : distributed.Client
-    future : distributed.Future
-        One that has ended.
-
-    Returns
-    -------
-    result : object
-        None where there is an error.
-    error : Exception or None
-        Raised by the task, or `distributed.scheduler.KilledWorker`.
-
-    Raises
-    ------
-    InputError
-        The scheduler is lost.
+    Dask would otherwise rerun a task whose result was on a worker that died.
     """
     try:
         return future.result(), None
@@ -443,17 +318,7 @@ def _without_workers(client: Client, resource: str | None) -> InputError:
 
 
 def disconnected(client: Client) -> InputError:
-    """Say that a scheduler is gone.
-
-    Parameters
-    ----------
-    client : distributed.Client
-
-    Returns
-    -------
-    InputError
-        To be raised.
-    """
+    """The error that the connection to the scheduler is lost."""
     return InputError(
         f"`cluster` {name_cluster(client)}: the connection to its scheduler is lost; run the same command again to go"
         " on."

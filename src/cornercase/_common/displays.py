@@ -1,4 +1,4 @@
-"""How notebooks show what early rooms make, where a later room knows how."""
+"""Registry of HTML renderers for notebooks: early rooms' objects are shown by a later room."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The kinds of failure that a user of cornercase meets."""
+"""Exceptions and warnings that users meet."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from typing import Final
 
-# What an OSError says where the machine is at fault.
+# errno values that mean that the machine is at fault.
 _OF_THE_MACHINE: Final = {
     errno.ENOSPC, errno.EDQUOT, errno.EMFILE, errno.ENFILE, errno.ENOMEM, errno.EAGAIN, errno.EIO, errno.EROFS,
 }  # fmt: skip
@@ -17,9 +17,9 @@ _OF_THE_MACHINE: Final = {
 class InputError(ValueError):
     """Input that cannot be used.
 
-    The message is one sentence that names the file, the element and the fix. A parameter of a public function
-    stands in it between backticks (```stop_when```), where the command line puts its option (``--stop-when``). The
-    command line prints the message and ends with exit code 2.
+    The message is one sentence that names the file, the element and the fix. It puts a parameter of a public function
+    between backticks (```stop_when```), which the command line replaces by its option (``--stop-when``). The command
+    line prints the message and exits with code 2.
     """
 
 
@@ -32,36 +32,26 @@ class SimulatorError(SimulationError):
 
 
 class PartError(SimulationError):
-    """A driver, a simulator or a metric raised an exception, or gave no usable result, in one concrete scenario."""
+    """A user's driver, simulator or metric raised an exception or gave an unusable result in one scenario."""
 
 
 class StudyLostError(RuntimeError):
-    """The study that is written is gone, was replaced, or was taken over by another process.
+    """The study that is being written was removed, replaced, or taken over by another process.
 
-    The command line prints the message and ends with exit code 1.
+    The command line prints the message and exits with code 1.
     """
 
 
 class LostError(SimulatorError):
-    """Something outside ended a run: a signal, a lack of memory or of disk. The scenario may be run again."""
+    """Something outside ended a run: a signal, lack of memory or a full disk. The scenario may be run again."""
 
 
 class NoticeWarning(UserWarning):
-    """Something has no effect, or is not what it is said to be."""
+    """Something in the input has no effect, or is not read as it is written."""
 
 
 def is_of_the_machine(error: BaseException | None) -> bool:
-    """Tell whether an error, or what caused it, is one of the machine, and not of what it was at.
-
-    Parameters
-    ----------
-    error : BaseException or None
-
-    Returns
-    -------
-    bool
-        True for a full or broken disk, and for want of memory or handles.
-    """
+    """Whether an error, or its cause, is due to a full or broken disk, or lack of memory or file handles."""
     while error is not None:
         if isinstance(error, MemoryError) or (isinstance(error, OSError) and error.errno in _OF_THE_MACHINE):
             return True
@@ -71,19 +61,7 @@ def is_of_the_machine(error: BaseException | None) -> bool:
 
 @contextmanager
 def left_out_if_too_little() -> Iterator[None]:
-    """Go on after a block that ends in a `ValueError`, as there are too few numbers to say something.
-
-    An `InputError` is none of these, although it is a `ValueError`: that a study is damaged is not left out.
-
-    Yields
-    ------
-    None
-
-    Raises
-    ------
-    InputError
-        The block raised it.
-    """
+    """Suppress a `ValueError` of the block (too few numbers for a statement), but not an `InputError`."""
     try:
         yield
     except InputError:
@@ -93,25 +71,12 @@ def left_out_if_too_little() -> Iterator[None]:
 
 
 def suggestion(word: str, known: Iterable[str]) -> str:
-    """Say what could have been meant by an unknown name.
-
-    Parameters
-    ----------
-    word : str
-        The name that is not known.
-    known : iterable of str
-        The names that are.
-
-    Returns
-    -------
-    str
-        ``"did you mean 'wttc'?"`` where one is close, else ``"known are: …"``.
-    """
+    """``"did you mean 'wttc'?"`` if a known name is similar, else ``"known are: …"``."""
     names = sorted(known)
-    # Names are told apart by case; who does not know that means the same.
-    alike = {name.casefold(): name for name in reversed(names)}
+    # Names are case-sensitive; a different case is probably the same name.
+    by_casefold = {name.casefold(): name for name in reversed(names)}
     close = difflib.get_close_matches(word, names, n=1) or [
-        alike[one] for one in difflib.get_close_matches(word.casefold(), alike, n=1)
+        by_casefold[folded] for folded in difflib.get_close_matches(word.casefold(), by_casefold, n=1)
     ]
     if close:
         return f"did you mean '{close[0]}'?"

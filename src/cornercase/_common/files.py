@@ -1,4 +1,4 @@
-"""Writing files so that none is ever half there."""
+"""Read files; write files atomically; check output paths before work begins."""
 
 from __future__ import annotations
 
@@ -13,8 +13,8 @@ from cornercase._common.arguments import path as path_argument
 from cornercase._common.errors import InputError
 from cornercase._common.pending_files import OF_SQLITE, pending_files, unwritten, written_together
 
-# What a file name of Windows must not have in it and what a terminal takes for orders, the names of its devices, and
-# how long a name may be: file systems take 255 bytes, of which an ending and a temporary name need some.
+# Characters that Windows refuses or that control a terminal; device names; maximum length: file systems allow 255
+# bytes, and a suffix and a temporary name need some of them.
 _REFUSED: Final = re.compile(r'[<>:"/\\|?*\x00-\x1f\x7f-\x9f\u200b-\u200f\u2028-\u202e\u2066-\u2069\ud800-\udfff]+')
 _DEVICES: Final = re.compile(r"(con|prn|aux|nul|conin\$|conout\$|com[\d¹²³]|lpt[\d¹²³])\s*(\.|$)", re.IGNORECASE)
 _LONGEST: Final = 150
@@ -24,20 +24,8 @@ LARGEST: Final = 200_000_000
 
 
 def portable_name(text: str) -> str:
-    """Return a text as the name of a file that every platform takes.
+    """Turn a text into a file name that is valid on every platform, cut to 150 bytes, neither hidden nor a folder.
 
-    Parameters
-    ----------
-    text : str
-
-    Returns
-    -------
-    str
-        The same for all platforms; characters that one of them refuses become hyphens, and what is beyond 150 bytes is
-        cut off. It names neither a folder nor a hidden file.
-
-    Examples
-    --------
     >>> portable_name("criticality-ttc:accelerating=true")
     'criticality-ttc-accelerating=true'
     """
@@ -46,36 +34,19 @@ def portable_name(text: str) -> str:
 
 
 def read_file(path: Path | str, largest: int = LARGEST) -> bytes:
-    """Content of a file.
-
-    Parameters
-    ----------
-    path : path
-        A regular file of at most 200 MB.
-    largest : int, optional
-        Bytes that it may have instead.
-
-    Returns
-    -------
-    bytes
-
-    Raises
-    ------
-    InputError
-        The file cannot be read, or is too large.
-    """
+    """Content of a regular file; `InputError` if it cannot be read or has more than `largest` bytes."""
     path = Path(path)
-    # No system has such a name.
+    # No file system allows it.
     if "\0" in str(path):
         raise InputError(f"{path}: is not a valid file name.")
-    # A device or a pipe may never end.
+    # Reading a device or a pipe may never end.
     if path.exists() and not path.is_file():
         raise InputError(f"{path}: is not a file.")
     try:
         with open(path, "rb") as file:
-            # To ask for the largest would take its memory, whatever the size.
+            # Requesting the maximum would allocate it, whatever the size.
             content = file.read(min(os.fstat(file.fileno()).st_size, largest) + 1)
-            # Some files of the system say that they are empty.
+            # Some system files report size 0.
             while len(content) <= largest and (more := file.read(_AT_ONCE)):
                 content += more
     except OSError as error:
@@ -87,26 +58,10 @@ def read_file(path: Path | str, largest: int = LARGEST) -> bytes:
 
 @contextmanager
 def written_whole(path: Path | str) -> Iterator[Path]:
-    """Give a temporary name beside `path`, and rename it to `path` when the block ends well.
+    """Yield a temporary path next to `path`, and rename it to `path` when the block succeeds.
 
-    The content is on the disk before that, so that a power cut leaves what was there or what is new. Within
-    `cornercase._common.pending_files.written_together` it is renamed at the end of that block.
-
-    Parameters
-    ----------
-    path : path
-        Where the file is to be. Missing folders are made.
-
-    Yields
-    ------
-    Path
-        The temporary name.
-
-    Raises
-    ------
-    InputError
-        The folder is not writable, the disk is full, or something that is no file has the name; nothing is left
-        behind.
+    The content is synced to disk first, so that a power cut leaves either the old or the new file. Within
+    `atomic_write_group`, files are renamed at the end of that block. `InputError` if it fails; nothing is left behind.
     """
     path = Path(path)
     with pending_files() as files:
@@ -117,25 +72,12 @@ def written_whole(path: Path | str) -> Iterator[Path]:
             raise unwritten(path, error) from error
 
 
-# What SQLite and the lock of a study of earlier versions add to its name.
+# Suffixes of SQLite's files, and of the lock file of earlier versions.
 _BESIDE: Final = (*OF_SQLITE, ".lock")
 
 
 def require_other_file(output: Path | str, source: Path | str, name: str = "output") -> None:
-    """Refuse to write a file over the one that it is made from.
-
-    Parameters
-    ----------
-    output, source : path
-        What will be written, and what it is made from.
-    name : str, default "output"
-        Parameter that the former was given for.
-
-    Raises
-    ------
-    InputError
-        Both are the same file, by whatever names, or the output is one that a database keeps beside itself.
-    """
+    """Raise `InputError` if `output` is the source file (also by another name) or one of SQLite's side files."""
     output, source = Path(output), Path(source)
     if output.exists() and source.exists() and output.samefile(source):
         raise InputError(f"`{name}` {output}: is the file that is read; choose another name.")
@@ -144,64 +86,28 @@ def require_other_file(output: Path | str, source: Path | str, name: str = "outp
 
 
 def require_apart(output: Path, study: Path, name: str) -> None:
-    """Refuse to write a file over a study that is written too.
-
-    Parameters
-    ----------
-    output, study : Path
-        What will be written, and the study.
-    name : str
-        Parameter that the former was given for.
-
-    Raises
-    ------
-    InputError
-        Both are the same file, or the output is one that a database keeps beside itself.
-    """
+    """Raise `InputError` if `output` is the study that is being written, or one of its side files."""
     if os.path.realpath(output) == os.path.realpath(study) or _is_beside(output, study):
         raise InputError(f"`{name}` {output}: is the study, or belongs to it; choose another name.")
 
 
 def _is_beside(output: Path, database: Path) -> bool:
-    # A link that leads to itself is left as it is, and refused when it is written.
-    whole, written = os.path.realpath(database), os.path.realpath(output)
-    return written in {whole + ending for ending in _BESIDE}
+    # A circular link is left as it is; writing to it is refused later.
+    database_path, output_path = os.path.realpath(database), os.path.realpath(output)
+    return output_path in {database_path + ending for ending in _BESIDE}
 
 
 def require_place(name: str, path: Path) -> None:
-    """Refuse a file that could not be written, before what takes time.
-
-    Parameters
-    ----------
-    name : str
-        Parameter that it was given for.
-    path : Path
-        What will be written.
-
-    Raises
-    ------
-    InputError
-        Something that is no file has its name, or its folder is none or not writable.
-    """
+    """Raise `InputError`, before the work begins, if a file could not be written to `path`."""
     if path.exists() and not path.is_file():
         raise InputError(f"`{name}` {path}: is not a file; choose another name.")
-    folder = next(one for one in (path.parent, *path.parent.parents) if one.exists())
+    folder = next(parent for parent in (path.parent, *path.parent.parents) if parent.exists())
     if not folder.is_dir() or not os.access(folder, os.W_OK | os.X_OK):
         raise InputError(f"`{name}` {path}: cannot be written into {folder}; choose another place.")
 
 
 def write_files(contents: Mapping[Path, bytes]) -> None:
-    """Write several files, all of them or none.
-
-    Parameters
-    ----------
-    contents : mapping of Path to bytes
-
-    Raises
-    ------
-    InputError
-        As `written_whole`.
-    """
+    """Write several files, all or none."""
     with written_together():
         for path, content in contents.items():
             with written_whole(path) as temporary:
@@ -209,29 +115,11 @@ def write_files(contents: Mapping[Path, bytes]) -> None:
 
 
 def require_folder(name: str, folder: Path | str) -> Path:
-    """Refuse a folder that cannot be made because a file is in its way.
-
-    Parameters
-    ----------
-    name : str
-        Parameter that it was given for.
-    folder : path
-        That is there or will be made.
-
-    Returns
-    -------
-    Path
-        The folder.
-
-    Raises
-    ------
-    InputError
-        It, or one that it lies in, is no folder, or it is no path.
-    """
+    """Return the folder's path; `InputError` if it cannot be made because a file is in its place."""
     folder = path_argument(name, folder)
-    for one in (folder, *folder.parents):
-        if one.is_dir():
+    for parent in (folder, *folder.parents):
+        if parent.is_dir():
             break
-        if one.exists():
-            raise InputError(f"`{name}` {folder}: {one} is a file, not a folder; choose another name.")
+        if parent.exists():
+            raise InputError(f"`{name}` {folder}: {parent} is a file, not a folder; choose another name.")
     return folder

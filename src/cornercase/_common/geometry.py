@@ -1,4 +1,4 @@
-"""Angles and oriented boxes in the plane, vectorised over any leading axes."""
+"""Angles and oriented boxes in the plane, vectorized over any leading axes."""
 
 from __future__ import annotations
 
@@ -23,33 +23,12 @@ _SIGNS_ACROSS = np.array([-1.0, 1.0, 1.0, -1.0])
 
 
 def within_half_turn(angle: npt.ArrayLike) -> FloatArray:
-    """Angles as they are between directions: whole turns apart, and from -π up to π.
-
-    Parameters
-    ----------
-    angle : array_like of float, shape (...)
-        rad.
-
-    Returns
-    -------
-    ndarray of float64, shape (...)
-        rad.
-    """
+    """Angles in rad, wrapped to [-π, π)."""
     return np.asarray((np.asarray(angle, dtype=np.float64) + np.pi) % (2 * np.pi) - np.pi)
 
 
 def looks_ahead(angle: npt.ArrayLike) -> BoolArray:
-    """Whether who is turned by an angle still looks ahead rather than back; straight across counts as ahead.
-
-    Parameters
-    ----------
-    angle : array_like of float, shape (...)
-        rad.
-
-    Returns
-    -------
-    ndarray of bool, shape (...)
-    """
+    """Whether a relative heading (rad) points forward rather than backward; exactly sideways counts as forward."""
     return np.asarray(np.cos(angle) > -ACROSS)
 
 
@@ -60,20 +39,9 @@ def box_corners(
     length: npt.ArrayLike,
     width: npt.ArrayLike,
 ) -> FloatArray:
-    """Corners of boxes, counter-clockwise from the front right.
+    """Corners of boxes, shape (..., 4, 2), counter-clockwise from the front right.
 
-    Parameters
-    ----------
-    x, y : array_like of float, shape (...)
-        Box centres in m.
-    heading : array_like of float, shape (...)
-        Direction of the boxes' length in rad, counter-clockwise from +x.
-    length, width : array_like of float, shape (...)
-        Full sizes in m.
-
-    Returns
-    -------
-    ndarray of float64, shape (..., 4, 2)
+    Centres and full sizes in m, `heading` of the length axis in rad counter-clockwise from +x.
     """
     x, y, heading, length, width = np.broadcast_arrays(*map(np.asarray, (x, y, heading, length, width)))
     along = 0.5 * length[..., None] * _SIGNS_ALONG
@@ -84,17 +52,7 @@ def box_corners(
 
 
 def boxes_overlap(a: FloatArray, b: FloatArray) -> BoolArray:
-    """Whether boxes share a point (separating axes).
-
-    Parameters
-    ----------
-    a, b : ndarray of float64, shape (..., 4, 2)
-        Corners as in `box_corners`; leading axes broadcast. A box with a NaN corner overlaps nothing.
-
-    Returns
-    -------
-    ndarray of bool, shape (...)
-    """
+    """Whether boxes share a point (separating axes); corners as in `box_corners`. A NaN corner overlaps nothing."""
     overlap = np.ones(np.broadcast_shapes(a.shape[:-2], b.shape[:-2]), dtype=np.bool_)
     for box in (a, b):
         for first, second in ((0, 1), (1, 2)):
@@ -106,20 +64,10 @@ def boxes_overlap(a: FloatArray, b: FloatArray) -> BoolArray:
 
 
 def box_distance(a: FloatArray, b: FloatArray) -> FloatArray:
-    """Gap between boxes, 0 where they overlap.
+    """Distance in m between boxes with corners (..., 4, 2); 0 if they overlap, NaN if a corner is NaN.
 
-    Two convex shapes apart are nearest at a corner of one of them, so the gap is the smallest distance of a
-    corner to the other box.
-
-    Parameters
-    ----------
-    a, b : ndarray of float64, shape (..., 4, 2)
-        Corners as in `box_corners`; leading axes broadcast.
-
-    Returns
-    -------
-    ndarray of float64, shape (...)
-        m; NaN where a corner is NaN.
+    Two separate convex shapes are nearest at a corner of one of them: the smallest distance from a corner to the other
+    box.
     """
     of_a, of_b = box_axes(a), box_axes(b)
     nearest = np.minimum(_corner_distance(a, b, of_b), _corner_distance(b, a, of_a))
@@ -140,17 +88,9 @@ def _middle(values: FloatArray) -> FloatArray:
 
 
 def box_axes(box: FloatArray) -> FloatArray:
-    """Directions along and across boxes.
+    """Unit vectors along and across boxes, shape (..., 2, 2).
 
-    Parameters
-    ----------
-    box : ndarray of float64, shape (..., 4, 2)
-        Corners as in `box_corners`. Boxes without width or length keep both directions, points get +x and +y.
-
-    Returns
-    -------
-    ndarray of float64, shape (..., 2, 2)
-        Axes, then coordinates.
+    Boxes without width or length keep both directions; points get +x and +y.
     """
     across, along = box[..., 1, :] - box[..., 0, :], box[..., 1, :] - box[..., 2, :]
     turned = np.stack([across[..., 1], -across[..., 0]], -1)
@@ -165,36 +105,15 @@ def _unit(vectors: FloatArray) -> FloatArray:
 
 
 def project(axes: FloatArray, points: FloatArray) -> FloatArray:
-    """Coordinates of points along directions.
-
-    Parameters
-    ----------
-    axes : ndarray of float64, shape (..., n, 2)
-    points : ndarray of float64, shape (..., m, 2)
-
-    Returns
-    -------
-    ndarray of float64, shape (..., n, m)
-    """
+    """Coordinates (..., n, m) of m points along n directions."""
     projected: FloatArray = (axes[..., :, None, :] * points[..., None, :, :]).sum(-1)
     return projected
 
 
 def separation(a: FloatArray, axes_of_a: FloatArray, b: FloatArray, axes_of_b: FloatArray) -> FloatArray:
-    """Widest gap between two convex shapes along any of their axes (separating axes).
+    """Widest gap in m between two convex shapes along any of their axes (separating axes).
 
-    Parameters
-    ----------
-    a, b : ndarray of float64, shape (..., n, 2) and (..., m, 2)
-        Corners; leading axes broadcast.
-    axes_of_a, axes_of_b : ndarray of float64, shape (..., k, 2) and (..., l, 2)
-        Unit vectors square to the shapes' edges.
-
-    Returns
-    -------
-    ndarray of float64, shape (...)
-        m; above 0 where the shapes are apart, then a lower bound of their distance; NaN where a corner is
-        NaN.
+    Positive if they are apart, and then a lower bound of their distance; NaN if a corner is NaN.
     """
     return np.maximum(_widest_gap(axes_of_a, a, b), _widest_gap(axes_of_b, a, b))
 
@@ -206,16 +125,16 @@ def _widest_gap(axes: FloatArray, a: FloatArray, b: FloatArray) -> FloatArray:
 
 
 def _free_shift(axes: FloatArray, a: FloatArray, b: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Range of shifts of `b` along each axis under which the two projections share a point."""
+    """Range of shifts of `b` along each axis for which the projections share a point."""
     low_a, high_a = _range(axes, a)
     low_b, high_b = _range(axes, b)
     return low_a - high_b, high_a - low_b
 
 
 def _range(axes: FloatArray, points: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Least and greatest coordinate of the points along each axis."""
+    """Smallest and largest coordinate of the points along each axis."""
     x, y = np.ascontiguousarray(axes[..., 0]), np.ascontiguousarray(axes[..., 1])
-    # One point after the other: reducing over a last axis of four takes several times as long.
+    # Point by point: reducing over a last axis of four is several times slower.
     low = high = x * points[..., 0, None, 0] + y * points[..., 0, None, 1]
     for i in range(1, points.shape[-2]):
         on_axis = x * points[..., i, None, 0] + y * points[..., i, None, 1]
@@ -230,26 +149,11 @@ def first_contact(
     acceleration: FloatArray | None = None,
     horizon: npt.ArrayLike = np.inf,
 ) -> FloatArray:
-    """When a box that moves without turning first shares a point with a box at rest, exactly.
+    """Time in s at which a box that moves without turning first touches a resting box; exact.
 
-    Along each separating axis the projections overlap while low <= v t + a t²/2 <= high, which holds in at
-    most two intervals of time; the boxes touch when one interval of every axis is open.
-
-    Parameters
-    ----------
-    a, b : ndarray of float64, shape (..., 4, 2)
-        Corners at time 0 as in `box_corners`; leading axes broadcast.
-    velocity : ndarray of float64, shape (..., 2)
-        Of `b` relative to `a` at time 0, in m/s.
-    acceleration : ndarray of float64, shape (..., 2), optional
-        Of `b` relative to `a`, in m/s²; none by default.
-    horizon : array_like of float, shape (...), optional
-        Last time of interest in s.
-
-    Returns
-    -------
-    ndarray of float64, shape (...)
-        s; 0 where they touch now, inf where never up to the horizon, NaN where an input is.
+    `velocity` and `acceleration` are those of `b` relative to `a`. 0 if they touch now, inf if not within `horizon`,
+    NaN for NaN inputs. Along each separating axis the projections overlap while low <= v t + a t²/2 <= high, which
+    holds in at most two time intervals; the boxes touch when one interval of every axis is open.
     """
     axes = np.concatenate(np.broadcast_arrays(box_axes(a), box_axes(b)), -2)
     low, high = _free_shift(axes, a, b)
@@ -260,20 +164,20 @@ def first_contact(
         starts, ends = _open_linear(low - _CONTACT, high + _CONTACT, speed)
         exact, starts, ends = exact[..., None], starts[..., None], ends[..., None]
     else:
-        gain = np.broadcast_to(project(axes, acceleration[..., None, :])[..., 0], low.shape)
-        gain = np.where(np.abs(gain) <= _STEADY, 0.0, gain)
-        exact, _ = _open_quadratic(low, high, speed, gain)
-        starts, ends = _open_quadratic(low - _CONTACT, high + _CONTACT, speed, gain)
-    # The tolerance only decides whether there is a contact, not when: where there is an exact time, that one is taken.
-    # Along an axis without motion both times are infinite.
+        relative_acceleration = np.broadcast_to(project(axes, acceleration[..., None, :])[..., 0], low.shape)
+        relative_acceleration = np.where(np.abs(relative_acceleration) <= _STEADY, 0.0, relative_acceleration)
+        exact, _ = _open_quadratic(low, high, speed, relative_acceleration)
+        starts, ends = _open_quadratic(low - _CONTACT, high + _CONTACT, speed, relative_acceleration)
+    # The tolerance only decides whether there is a contact; its time is the exact one if there is one. Along an axis
+    # without motion both are infinite.
     with np.errstate(invalid="ignore"):
         starts = np.where((exact >= starts) & (exact - starts <= 1e-3), exact, starts)
     horizon = np.asarray(horizon, dtype=np.float64)
     first = np.full(np.broadcast_shapes(low.shape[:-1], horizon.shape), np.inf)
     for choice in itertools.product(range(starts.shape[-1]), repeat=4):
-        picked = (..., np.arange(4), np.array(choice))
-        begin = np.maximum(starts[picked].max(-1), 0.0)
-        meets = begin <= np.minimum(ends[picked].min(-1), horizon)
+        index = (..., np.arange(4), np.array(choice))
+        begin = np.maximum(starts[index].max(-1), 0.0)
+        meets = begin <= np.minimum(ends[index].min(-1), horizon)
         first = np.where(meets & (begin < first), begin, first)
     unknown: BoolArray = np.isnan(low).any(-1) | np.isnan(speed).any(-1) | np.isnan(horizon)
     if acceleration is not None:
@@ -282,7 +186,7 @@ def first_contact(
 
 
 def _open_linear(low: FloatArray, high: FloatArray, speed: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Interval of time in which low <= speed t <= high; where there is none it begins after it ends."""
+    """Time interval in which low <= speed t <= high; if there is none, its start is after its end."""
     moves = speed != 0.0
     divisor = np.where(moves, speed, 1.0)
     with np.errstate(over="ignore"):
@@ -295,7 +199,7 @@ def _open_linear(low: FloatArray, high: FloatArray, speed: FloatArray) -> tuple[
 def _open_quadratic(
     low: FloatArray, high: FloatArray, speed: FloatArray, gain: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
-    """Both intervals of time, on a new last axis, in which low <= speed t + gain t²/2 <= high."""
+    """Both time intervals, on a new last axis, in which low <= speed t + gain t²/2 <= high."""
     down = gain < 0.0
     low, high = np.where(down, -high, low), np.where(down, -low, high)
     speed, gain = np.where(down, -speed, speed), np.abs(gain)
@@ -313,12 +217,12 @@ def _open_quadratic(
 
 
 def _roots(gain: FloatArray, speed: FloatArray, offset: FloatArray) -> tuple[FloatArray, FloatArray, BoolArray]:
-    """Ordered roots of gain t²/2 + speed t + offset for gain > 0, and whether there are any."""
+    """Sorted roots of gain t²/2 + speed t + offset for gain > 0, and whether there are any."""
     discriminant = speed * speed - 2.0 * gain * offset
-    # The sum has no cancellation, so the smaller root keeps its digits when the acceleration is small.
+    # This sum has no cancellation, so the smaller root keeps its digits when the acceleration is small.
     q = -(speed + np.copysign(np.sqrt(np.maximum(discriminant, 0.0)), speed))
     with np.errstate(over="ignore"):
-        one = q / gain
-        two = np.where(q == 0.0, one, 2.0 * offset / np.where(q == 0.0, 1.0, q))
-    # Motion that turns back exactly at a place has reached it.
-    return np.minimum(one, two), np.maximum(one, two), discriminant >= -1e-14 * speed * speed
+        first = q / gain
+        second = np.where(q == 0.0, first, 2.0 * offset / np.where(q == 0.0, 1.0, q))
+    # Motion that turns around exactly at the offset has reached it.
+    return np.minimum(first, second), np.maximum(first, second), discriminant >= -1e-14 * speed * speed

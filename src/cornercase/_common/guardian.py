@@ -1,8 +1,7 @@
-"""A small process that outlives this one, to end what it has started and to remove its temporary folders.
+"""A small child process that ends this process's children and removes its temporary folders after it died.
 
-A process that is killed can clear up nothing, and those that it has started may be inside compiled code that never
-looks whether it is still there. So somebody else has to look: the guardian, which ends when its input does, however
-that comes about.
+A process that is killed cannot clean up, and its children may be in compiled code that never checks their parent. The
+reaper process exits when its stdin closes, however the parent died, and then cleans up.
 """
 
 from __future__ import annotations
@@ -28,23 +27,21 @@ from cornercase._common.platform import ending_signals, process_tree, started_ap
 if TYPE_CHECKING:
     from psutil import Process
 
-# s that processes have to end by themselves once the one that has started them is gone, between two looks at them, and
-# for which it is tried to remove a folder in which one of them may still write.
+# Seconds: processes have to end by themselves after their parent; interval between checks; time to remove a folder in
+# which one of them may still write.
 _GRACE, _LOOKS, _REMOVES = 2.5, 0.1, 1.0
-# The environment variable of those that are started within `Guardian.watch_all`.
+# Environment variable of processes that are started within `Reaper.watch_new_processes`.
 _MARK: Final = "CORNERCASE_GUARDIAN"
 _ENVIRONMENT: Final = threading.Lock()
-# It finds the package where this process did.
+# Finds the package where this process found it.
 _PROGRAM: Final = "import sys; sys.path.insert(0, sys.argv[1]); from cornercase._common.guardian import guard; guard()"
 
 
 class Guardian:
-    """Ends processes and removes folders once this process has ended, however it does.
+    """Ends processes and removes folders once this process has ended, however it ended.
 
-    Its own process is started when there is first something to guard.
+    The reaper process is started with the first thing to guard.
 
-    Examples
-    --------
     >>> with Guardian() as guardian:
     ...     folder = guardian.new_folder()
     ...     folder.is_dir()
@@ -57,41 +54,22 @@ class Guardian:
         self._process: subprocess.Popen[bytes] | None = None
         self._guarded: set[tuple[str, str]] = set()
         self._mark, self._watching = secrets.token_hex(12), 0
-        # Threads of their own start the workers of a search without rounds.
+        # Asynchronous exploration starts workers from several threads.
         self._lock = threading.Lock()
 
     def watch(self, number: int) -> None:
-        """Have a process, and all that it starts, ended.
-
-        Parameters
-        ----------
-        number : int
-            Of the process.
-        """
+        """End this process, and its children, when the parent dies."""
         self._tell("process", str(number), guarded=True)
 
     def release(self, number: int) -> None:
-        """Say that a process has ended.
-
-        Parameters
-        ----------
-        number : int
-            Of the process.
-        """
+        """Forget a process that has ended."""
         self._tell("process", str(number), guarded=False)
 
     @contextmanager
     def watch_all(self) -> Iterator[None]:
-        """Have all processes ended, and all that they start, that are started within the block, in any thread.
-
-        Blocks may overlap.
-
-        Yields
-        ------
-        None
-        """
+        """End all processes, with their children, that any thread starts within the block. Blocks may overlap."""
         self._tell("mark", self._mark, guarded=True)
-        # They are known by it whatever becomes of who has started them.
+        # Processes inherit the mark, even if their parent dies.
         self._count_watching(1)
         try:
             yield
@@ -101,50 +79,35 @@ class Guardian:
     def _count_watching(self, change: int) -> None:
         with _ENVIRONMENT:
             self._watching += change
-            others = [one for one in os.environ.get(_MARK, "").split() if one != self._mark]
+            others = [mark for mark in os.environ.get(_MARK, "").split() if mark != self._mark]
             if marks := others + [self._mark] * bool(self._watching):
                 os.environ[_MARK] = " ".join(marks)
             else:
                 del os.environ[_MARK]
 
     def new_folder(self) -> Path:
-        """Make a temporary folder.
-
-        Returns
-        -------
-        Path
-
-        Raises
-        ------
-        InputError
-            There is no place for temporary files, or it is full.
-        """
+        """Make a temporary folder; `InputError` if it cannot be made."""
         try:
             path = Path(tempfile.gettempdir(), f"cornercase-{secrets.token_hex(6)}").absolute()
-            # First, so that it is there at no instant without being guarded.
+            # Announced first, so that it never exists without being guarded.
             self._tell("folder", str(path), guarded=True)
             path.mkdir(mode=0o700)
         except OSError as error:
             raise InputError(
-                f"No temporary folder can be made ({error.strerror or error}); free some space, or name another place"
-                " by the environment variable TMPDIR."
+                f"No temporary folder can be created ({error.strerror or error}); free some space, or set"
+                " the environment variable TMPDIR to another folder."
             ) from error
         return path
 
     def remove(self, folder: Path) -> None:
-        """Remove a folder that `new_folder` has made.
-
-        Parameters
-        ----------
-        folder : Path
-        """
+        """Remove a folder of `new_folder`."""
         shutil.rmtree(folder, ignore_errors=True)
-        # What could not be removed now may be so when all has ended.
+        # If it cannot be removed now, the reaper may succeed when all processes have ended.
         if not folder.exists():
             self._tell("folder", str(folder), guarded=False)
 
     def close(self) -> None:
-        """Remove what is left, and end the guardian's process."""
+        """Remove all remaining folders, and end the reaper process."""
         for kind, name in sorted(self._guarded):
             if kind == "folder":
                 self.remove(Path(name))
@@ -169,7 +132,7 @@ class Guardian:
                     _write(self._process, kind, name, guarded=guarded)
                     return
                 except OSError:
-                    # It was killed; another one takes over.
+                    # The reaper was killed; start another one.
                     _dismiss(self._process)
             self._start()
 
@@ -179,18 +142,18 @@ class Guardian:
             stdin=subprocess.PIPE,
             stdout=subprocess.DEVNULL,
             stderr=subprocess.DEVNULL,
-            # It holds no folder that somebody may want to remove.
+            # A working directory that nobody wants to remove.
             cwd=Path(sys.executable).anchor or None,
             **started_apart(),
         )
-        # If it is killed at once, what is told next finds out.
+        # If it is killed at once, the next message fails, and starts another one.
         with suppress(OSError):
             for kind, name in self._guarded:
                 _write(self._process, kind, name, guarded=True)
 
 
 def _dismiss(process: subprocess.Popen[bytes]) -> None:
-    """Let a guardian end, which may have been killed."""
+    """End a reaper process, which may have been killed."""
     assert process.stdin is not None
     with suppress(OSError):
         process.stdin.close()
@@ -204,14 +167,14 @@ def _write(process: subprocess.Popen[bytes], kind: str, name: str, *, guarded: b
 
 
 def guard() -> None:
-    """Be the guardian: read what is to be guarded until the input ends, and clear up what is left then."""
+    """Main function of the reaper process: read what to guard until stdin closes, then clean up."""
     for number in (signal.SIGINT, *ending_signals()):
         signal.signal(number, signal.SIG_IGN)
     guarded = _listen(sys.stdin.buffer)
-    numbers = [int(name) for kind, name in guarded if kind == "process"]
-    numbers += _marked({name for kind, name in guarded if kind == "mark"})
-    if numbers:
-        _end(numbers)
+    process_ids = [int(name) for kind, name in guarded if kind == "process"]
+    process_ids += _marked({name for kind, name in guarded if kind == "mark"})
+    if process_ids:
+        _end(process_ids)
     deadline = time.monotonic() + _REMOVES
     for folder in [name for kind, name in guarded if kind == "folder"]:
         while os.path.lexists(folder):
@@ -222,48 +185,48 @@ def guard() -> None:
 
 
 def _listen(source: IO[bytes]) -> set[tuple[str, str]]:
-    """What is still guarded as the input ends."""
+    """Read messages until the input ends, and return what is still guarded."""
     guarded: set[tuple[str, str]] = set()
     for line in source:
-        # The last one may be cut.
+        # The last line may be truncated.
         with suppress(ValueError):
-            kind, name, wanted = json.loads(line)
-            (guarded.add if wanted else guarded.discard)((kind, name))
+            category, name, is_guarded = json.loads(line)
+            (guarded.add if is_guarded else guarded.discard)((category, name))
     return guarded
 
 
 def _marked(marks: set[str]) -> list[int]:
-    """Numbers of the processes with one of these marks."""
+    """Process ids with one of these marks in their environment."""
     import psutil
 
-    found = []
-    for one in psutil.process_iter() if marks else ():
-        # Those of other users do not tell.
+    process_ids = []
+    for process in psutil.process_iter() if marks else ():
+        # Environments of other users' processes are not readable.
         with suppress(psutil.Error, OSError):
-            if one.pid != os.getpid() and marks.intersection(one.environ().get(_MARK, "").split()):
-                found.append(one.pid)
-    return found
+            if process.pid != os.getpid() and marks.intersection(process.environ().get(_MARK, "").split()):
+                process_ids.append(process.pid)
+    return process_ids
 
 
 def _end(numbers: list[int]) -> None:
-    """End processes and what they have started, by force those that do not end by themselves."""
+    """End processes and their children; kill those that do not end in time."""
     import psutil
 
-    found = {one for number in numbers for one in process_tree(number)}
+    processes = {process for number in numbers for process in process_tree(number)}
     deadline = time.monotonic() + _GRACE
     while True:
-        for one in list(found):
+        for process in list(processes):
             with suppress(psutil.Error):
-                found.update(one.children(recursive=True))
-        running = [one for one in found if _is_running(one)]
+                processes.update(process.children(recursive=True))
+        running = [process for process in processes if _is_running(process)]
         if not running:
             return
         if time.monotonic() > deadline:
             break
         time.sleep(_LOOKS)
-    for one in running:
+    for process in running:
         with suppress(psutil.Error):
-            one.kill()
+            process.kill()
     psutil.wait_procs(running, _REMOVES)
 
 
@@ -271,7 +234,7 @@ def _is_running(process: Process) -> bool:
     import psutil
 
     try:
-        # A number that was given again is that of another process.
+        # The process id may have been reused.
         return process.is_running() and process.status() != psutil.STATUS_ZOMBIE
     except psutil.Error:
         return False

@@ -1,4 +1,7 @@
-"""Ctrl-C and other requests to end, of which none is lost in compiled code or where Python ignores exceptions."""
+"""Deliver Ctrl-C and termination requests reliably.
+
+Also from compiled code, and from callbacks that swallow exceptions.
+"""
 
 from __future__ import annotations
 
@@ -15,20 +18,19 @@ from typing import Any, Final
 from cornercase._common.platform import ending_signals
 
 _last: int = signal.SIGINT
-# Requests that handlers of this module have heard so far, and whether Ctrl-C is among them by now.
+# Termination requests received by handlers of this module, and whether Ctrl-C is counted now.
 _heard = 0
 _counting = False
-# Whether an interrupt was lost, and is to come again; s after which it does.
+# Whether an interrupt was lost and has to be delivered again; seconds until then.
 _owed = False
 _AGAIN: Final = 0.005
 
 
 def hear_requests() -> None:
-    """Take what asks a program to end as it takes Ctrl-C: as `KeyboardInterrupt`, so that it clears up.
+    """Turn termination signals into `KeyboardInterrupt`, like Ctrl-C. Call in the main thread of a program.
 
-    One that falls where Python ignores exceptions, as into the clearing up of an object, comes again, and so does one
-    that compiled code prints and puts another error in the place of, as NumPy does while it is loaded. What is ignored
-    here, as by ``nohup``, stays so. To be called in the main thread of a program.
+    An interrupt comes again if Python ignored it (as in a destructor) or compiled code replaced it by another error (as
+    NumPy does while it is imported). Signals that are ignored, as by ``nohup``, stay ignored.
     """
     for name in ("unraisablehook", "excepthook"):
         if not isinstance(usual := getattr(sys, name), _HookForLostInterrupts):
@@ -39,35 +41,20 @@ def hear_requests() -> None:
 
 
 def last_request() -> signal.Signals:
-    """Tell which signal the last `KeyboardInterrupt` was of.
-
-    Returns
-    -------
-    signal.Signals
-        That of Ctrl-C where there was no other.
-    """
+    """The signal of the last `KeyboardInterrupt`; SIGINT by default."""
     return signal.Signals(_last)
 
 
 def requests_heard() -> int:
-    """Count the requests to end that this process has heard so far, as far as it counts them: see `is_request`."""
+    """Number of termination requests received so far, as far as they are counted: see `is_request`."""
     return _heard
 
 
 def is_request(error: BaseException, heard: int) -> bool:
-    """Tell whether somebody asked the program to end, or the code itself raised the exception.
+    """Whether an exception of foreign code came from a termination request, and not from the code itself.
 
-    Parameters
-    ----------
-    error : BaseException
-        Raised by code of somebody else, which may have caught a `KeyboardInterrupt` and raised another error.
-    heard : int
-        `requests_heard` before that code ran.
-
-    Returns
-    -------
-    bool
-        True too for a `KeyboardInterrupt` if nobody counts requests here, as outside `noted_interrupts`.
+    `heard` is `count_requests` before that code ran; the code may have replaced a `KeyboardInterrupt` by another error.
+    If nobody counts requests (outside `collect_interrupts`), every `KeyboardInterrupt` is a request.
     """
     if threading.current_thread() is not threading.main_thread():
         return False
@@ -84,7 +71,7 @@ def _interrupt(number: int, frame: FrameType | None) -> None:
 
 
 class _HookForLostInterrupts:
-    """Has an interrupt come again that Python ignored or only printed, and tells of other exceptions as before."""
+    """Exception hook that re-raises an interrupt that Python ignored or only printed."""
 
     def __init__(self, usual: Callable[..., object]) -> None:
         self._usual = usual
@@ -99,26 +86,20 @@ class _HookForLostInterrupts:
 def _lose() -> None:
     global _owed
     _owed = True
-    # Raised here, it would be ignored again. `threading` is not used, as the main thread may hold its locks here.
+    # Raised here, it would be ignored again. `threading` is avoided, as the main thread may hold its locks here.
     with suppress(RuntimeError):
         _thread.start_new_thread(_come_again, ())
 
 
 def _come_again() -> None:
     time.sleep(_AGAIN)
-    # Meanwhile it may have been heard.
+    # It may have been handled meanwhile.
     if _owed:
         _thread.interrupt_main(last_request())
 
 
 def take_lost_interrupt() -> bool:
-    """Tell whether an interrupt was lost and is to come again; who asks handles it.
-
-    Returns
-    -------
-    bool
-        Whether what has gone wrong may come of it.
-    """
+    """Whether an interrupt was lost and would come again; the caller handles it instead."""
     global _owed
     lost, _owed = _owed, False
     return lost
@@ -128,69 +109,64 @@ def take_lost_interrupt() -> bool:
 def noted_interrupts() -> Iterator[Callable[[], None]]:
     """Remember an interrupt whose exception falls into a callback of compiled code, where it would be lost.
 
-    Yields
-    ------
-    callable
-        Raises `KeyboardInterrupt` where there was one since it was last called; to be called now and then. Outside the
-        main thread, and where the program handles the signal itself, it never does.
+    Yields a function to call now and then: it raises `KeyboardInterrupt` if there was one since the last call. It never
+    does so outside the main thread, or if the program handles the signal itself.
     """
     global _counting
-    usual = {signal.SIGINT: signal.default_int_handler, **dict.fromkeys(ending_signals(), _interrupt)}
-    noted = False
+    usual_handlers = {signal.SIGINT: signal.default_int_handler, **dict.fromkeys(ending_signals(), _interrupt)}
+    pending = False
 
     def note(number: int, frame: FrameType | None) -> None:
         global _heard
-        nonlocal noted
-        noted, _heard = True, _heard + 1
-        usual[signal.Signals(number)](number, frame)
+        nonlocal pending
+        pending, _heard = True, _heard + 1
+        usual_handlers[signal.Signals(number)](number, frame)
 
     def check() -> None:
         global _owed
-        nonlocal noted
-        if noted:
-            noted = _owed = False
+        nonlocal pending
+        if pending:
+            pending = _owed = False
             raise KeyboardInterrupt
 
-    alone = threading.current_thread() is threading.main_thread()
-    ours = [number for number, handler in usual.items() if alone and signal.getsignal(number) is handler]
+    in_main_thread = threading.current_thread() is threading.main_thread()
+    replaced = [
+        number for number, handler in usual_handlers.items() if in_main_thread and signal.getsignal(number) is handler
+    ]
     counted_before = _counting
-    _counting = _counting or signal.SIGINT in ours
-    for number in ours:
+    _counting = _counting or signal.SIGINT in replaced
+    for number in replaced:
         signal.signal(number, note)
     try:
         yield check
     except Exception as error:
-        # Compiled code may put an error of its own in the place of the interrupt.
-        if noted:
+        # Compiled code may replace the interrupt by its own error.
+        if pending:
             raise KeyboardInterrupt from error
         raise
     finally:
         _counting = counted_before
-        for number in ours:
-            signal.signal(number, usual[number])
+        for number in replaced:
+            signal.signal(number, usual_handlers[number])
 
 
 @contextmanager
 def held_interrupts() -> Iterator[None]:
-    """Let interrupts come at the end of the block.
+    """Defer interrupts to the end of the block.
 
-    A mask of signals alone does not do that: the system gives a signal to any thread that lets it through, and Python
-    raises it in the main thread.
-
-    Yields
-    ------
-    None
+    A signal mask alone is not enough: the system hands the signal to any thread that accepts it, and Python raises it
+    in the main thread.
     """
-    held: list[int] = []
-    alone = threading.current_thread() is threading.main_thread()
-    usual = {number: signal.getsignal(number) for number in (signal.SIGINT, *ending_signals()) if alone}
-    ours = {number: handler for number, handler in usual.items() if callable(handler)}
-    for number in ours:
-        signal.signal(number, lambda number, frame: held.append(number))
+    deferred: list[int] = []
+    in_main_thread = threading.current_thread() is threading.main_thread()
+    handlers = {number: signal.getsignal(number) for number in (signal.SIGINT, *ending_signals()) if in_main_thread}
+    replaced = {number: handler for number, handler in handlers.items() if callable(handler)}
+    for number in replaced:
+        signal.signal(number, lambda number, frame: deferred.append(number))
     try:
         yield
     finally:
-        for number, handler in ours.items():
+        for number, handler in replaced.items():
             signal.signal(number, handler)
-        for one in held[:1]:
-            signal.raise_signal(one)
+        for first in deferred[:1]:
+            signal.raise_signal(first)

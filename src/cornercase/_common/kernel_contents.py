@@ -1,4 +1,4 @@
-"""What the machine code of a kernel depends on: its own code, all that it calls, and the constants that it uses."""
+"""Cache key of a kernel: a digest of its code, of all that it calls, and of the constants it uses."""
 
 from __future__ import annotations
 
@@ -15,26 +15,9 @@ from numba.core.dispatcher import Dispatcher
 
 
 def contents(function: Callable[..., Any], options: dict[str, Any]) -> str:
-    """Digest of all that the machine code of a function is made from.
+    """Digest of everything the machine code of a function depends on, in whatever module.
 
-    What its closure holds is left out; numba tells versions of a function by it.
-
-    Parameters
-    ----------
-    function : function
-        As it is before it is compiled; what it calls has been defined.
-    options : dict
-        With which it is compiled.
-
-    Returns
-    -------
-    str
-        Another one whenever the function, what it calls or a constant of theirs has changed, in whatever module.
-
-    Raises
-    ------
-    TypeError
-        The function uses a global of which no digest can be made.
+    Closure variables are left out; numba distinguishes versions by them. Raises TypeError for a global of unknown kind.
     """
     digest = hashlib.sha256(repr(sorted(options.items())).encode())
     for part in _Parts().of(function, frozenset()):
@@ -42,19 +25,19 @@ def contents(function: Callable[..., Any], options: dict[str, Any]) -> str:
     return digest.hexdigest()
 
 
-# Of what these define only the name counts: numba keeps nothing of another version of itself, and knows the functions
-# of the others by their names.
+# Only names count for these packages: numba discards the cache of its other versions, and refers to functions of the
+# others by name.
 _FOREIGN = sys.stdlib_module_names | {"numba", "numpy"}
 
 
 class _Parts:
-    """Walk through a function and what it uses; each function counts once, as they may call one another."""
+    """Walks through a function and what it uses. Each function is visited once, as functions may call one another."""
 
     def __init__(self) -> None:
         self.seen: set[Any] = set()
 
     def of(self, value: Any, names: frozenset[str]) -> Iterator[bytes]:
-        """Yield what a value consists of; of a module, what it holds of `names`."""
+        """Yield the bytes that identify a value; of a module, only its attributes in `names`."""
         if isinstance(value, Dispatcher):
             yield repr(sorted(value.targetoptions.items())).encode()
             value = value.py_func
@@ -62,8 +45,8 @@ class _Parts:
             yield f"{type(value).__name__} {value!r}".encode()
         elif isinstance(value, tuple):
             yield f"{type(value).__name__} {len(value)}".encode()
-            for one in value:
-                yield from self.of(one, names)
+            for item in value:
+                yield from self.of(item, names)
         elif isinstance(value, np.ndarray):
             yield f"{value.dtype.str} {value.shape}".encode() + value.tobytes()
         elif isinstance(value, enum.EnumMeta):
@@ -92,7 +75,7 @@ class _Parts:
         yield repr(function.__defaults__).encode()
 
     def _file(self, module: str) -> Iterator[bytes]:
-        """Yield the module of what is compiled in a way of its own, as numba's intrinsics are."""
+        """Yield the source file of a module whose objects have no bytecode, such as numba's intrinsics."""
         if module not in self.seen:
             self.seen.add(module)
             yield Path(str(sys.modules[module].__file__)).read_bytes()
@@ -103,7 +86,7 @@ def _foreign(module: str) -> bool:
 
 
 def _code(code: CodeType, names: set[str]) -> Iterator[bytes]:
-    """Yield instructions and constants, and add the names that occur; not where they stand in a file."""
+    """Yield instructions and constants (no line numbers), and add the names that occur to `names`."""
     names.update(code.co_names)
     yield f"{code.co_varnames} {code.co_freevars} {code.co_names} {code.co_argcount}".encode()
     yield code.co_code + code.co_exceptiontable

@@ -1,4 +1,4 @@
-"""A ledger of a file format: what happens with each of its elements and attributes."""
+"""Support table of a file format: whether each element and attribute is used, has no effect, or is refused."""
 
 from __future__ import annotations
 
@@ -18,19 +18,19 @@ from cornercase._common.errors import InputError, NoticeWarning, suggestion
 from cornercase._common.places import line_of
 from cornercase._common.recorded_xml import adaptations, asked_attributes, below, children, was_read
 
-# More lines, and more things, than this are counted, not named.
+# Further lines and parts are counted, not listed.
 _MOST_LINES: Final = 5
 _MOST_NAMES: Final = 8
 
 UNKNOWN: Final = "is not known here"
 """Why something has no effect that no ledger knows."""
 
-# Attributes of XML itself, such as where a schema lies.
+# XML's own attributes, such as the location of a schema.
 _XML: Final = "{http://www.w3.org/"
 
 
 class Status(StrEnum):
-    """What happens with a part of a file."""
+    """Support of a part of a file."""
 
     USED = "used"
     WITHOUT_EFFECT = "without effect"
@@ -39,26 +39,12 @@ class Status(StrEnum):
 
 @dataclass(frozen=True)
 class Entry:
-    """What happens with an element, or with an attribute.
+    """Support of an element, or of an attribute (`attribute` is empty for the element itself).
 
-    Attributes
-    ----------
-    element : str
-        Name of the element; where one name means different things, with those above it: ``"Init/Actions"``.
-    attribute : str
-        Empty for the element itself.
-    status : Status
-    unless : tuple of str
-        Values of the attribute that change nothing, so that nothing is said about them; numbers count as equal
-        however they are written. With ``"*"`` nothing is ever said: what has no effect is not meant to have one, and
-        what is used need not be.
-    values : tuple of str
-        Those that the attribute may have, where they are a few words; any other is refused.
-    note : str
-        What happens instead, or what to do instead: without a capital at its beginning or a full stop at its end.
-    matters : bool
-        Whether a simulator that used it could give other positions, speeds or verdicts; of what is used, whether that
-        holds where nobody reads it.
+    `element` may name parents: ``"Init/Actions"``. `unless` lists values that change nothing and need no notice
+    (numbers are compared as numbers; ``"*"``: never a notice). `values` lists the only values accepted, if there are
+    few. `note` says what happens or what to do instead, without capital and full stop. `matters`: a simulator that used
+    it could give other positions, speeds or verdicts; of what is used, whether that is so if nobody reads it.
     """
 
     element: str
@@ -70,12 +56,12 @@ class Entry:
     matters: bool = True
 
     def is_silent(self, value: str) -> bool:
-        """Whether a value of the attribute changes nothing."""
+        """Whether this value of the attribute changes nothing."""
         return any(one in ("*", value) or _same_number(value, one) for one in self.unless)
 
 
 class Label(StrEnum):
-    """What a notice says of parts of a file."""
+    """Kind of a notice."""
 
     WITHOUT_EFFECT = "without effect"
     ADAPTED = "adapted"
@@ -83,20 +69,20 @@ class Label(StrEnum):
 
 @dataclass(frozen=True)
 class Notice:
-    """Parts of a file that have no effect, or are not read as they stand there, all for one reason.
+    """Parts of a file that have no effect, or are not read as they are written, all for one reason.
 
     Attributes
     ----------
     what : tuple of str
         Elements, and attributes with their elements: ``("<Axles>", "mass of <Vehicle>")``.
     why : str
-        What happens instead, in plain words; without a capital at its beginning or a full stop at its end.
+        What happens instead, without a capital at the beginning and a full stop at the end.
     file : Path
     lines : tuple of int
-        Where they stand, in order.
+        Line numbers in the file, sorted.
     label : Label
     rule : str
-        What the standard says of parts that are adapted; empty for others.
+        What the standard says about parts that are adapted; empty for others.
     matters : bool
         Whether a simulator that used the parts could give other positions, speeds or verdicts.
     """
@@ -115,88 +101,74 @@ class Notice:
         return f"{self.label}: {self}"
 
     def __str__(self) -> str:
-        named = ", ".join(map(str, self.lines[:_MOST_LINES]))
+        lines = ", ".join(map(str, self.lines[:_MOST_LINES]))
         more = len(self.lines) - _MOST_LINES
-        named += f" and {more} more" if more > 0 else ""
-        place = f"{self.file.name}, line{'s' if len(self.lines) > 1 else ''} {named}" if self.lines else self.file.name
-        what = ", ".join(self.what[:_MOST_NAMES])
-        others = len(self.what) - _MOST_NAMES
-        what += f" and {others} more" if others > 0 else ""
-        return f"{what} ({place}): {self.why}"
+        lines += f" and {more} more" if more > 0 else ""
+        location = (
+            f"{self.file.name}, line{'s' if len(self.lines) > 1 else ''} {lines}" if self.lines else self.file.name
+        )
+        parts = ", ".join(self.what[:_MOST_NAMES])
+        n_more = len(self.what) - _MOST_NAMES
+        parts += f" and {n_more} more" if n_more > 0 else ""
+        return f"{parts} ({location}): {self.why}"
 
 
 def merged(notices: Iterable[Notice]) -> tuple[Notice, ...]:
-    """Notices of which those of one file and for one reason are one."""
-    found: dict[tuple[Path, str, Label, str, bool], tuple[dict[str, None], set[int]]] = {}
+    """Merge notices of the same file and reason."""
+    groups: dict[tuple[Path, str, Label, str, bool], tuple[dict[str, None], set[int]]] = {}
     for notice in notices:
         key = (notice.file, notice.why, notice.label, notice.rule, notice.matters)
-        names, lines = found.setdefault(key, ({}, set()))
+        names, lines = groups.setdefault(key, ({}, set()))
         names.update(dict.fromkeys(notice.what))
         lines.update(notice.lines)
     return tuple(
         Notice(tuple(names), why, file, tuple(sorted(lines)), label, rule, matters)
-        for (file, why, label, rule, matters), (names, lines) in found.items()
+        for (file, why, label, rule, matters), (names, lines) in groups.items()
     )
 
 
 def distinct(notices: Iterable[Notice]) -> tuple[Notice, ...]:
-    """Notices of which those of the same parts for one reason are one, that of the first file."""
-    found: dict[tuple[tuple[str, ...], str], Notice] = {}
+    """Drop notices that repeat the parts and the reason of an earlier file."""
+    notices_by_key: dict[tuple[tuple[str, ...], str], Notice] = {}
     for notice in notices:
-        found.setdefault((notice.what, notice.why), notice)
-    return tuple(found.values())
+        notices_by_key.setdefault((notice.what, notice.why), notice)
+    return tuple(notices_by_key.values())
 
 
 def ranked(notices: Iterable[Notice]) -> tuple[Notice, ...]:
-    """Notices of what is read otherwise first, then of what can change the result, then the rest; else in order."""
-    return tuple(sorted(notices, key=lambda one: (one.label is not Label.ADAPTED, not one.matters)))
+    """Sort notices: adapted parts first, then what can change the result, then the rest."""
+    return tuple(sorted(notices, key=lambda notice: (notice.label is not Label.ADAPTED, not notice.matters)))
 
 
 def adapted(element: etree._Element, file: Path | str) -> tuple[Notice, ...]:
-    """Name what breaks the standard and was read all the same: in an element, below and above, once the file was read.
-
-    Parameters
-    ----------
-    element : lxml element
-    file : path
-
-    Returns
-    -------
-    tuple of Notice
-    """
+    """Notices about parts that violate the standard but were read: in an element, its descendants and its ancestors."""
     return merged(
-        Notice((what,), why, Path(file), (line_of(one),), Label.ADAPTED, rule)
-        for one in (*element.iterancestors(), *below(element))
-        for what, why, rule in adaptations(one)
+        Notice((what,), why, Path(file), (line_of(part),), Label.ADAPTED, rule)
+        for part in (*element.iterancestors(), *below(element))
+        for what, why, rule in adaptations(part)
     )
 
 
 def warn_of(notices: Iterable[Notice]) -> None:
-    """Give the notices that matter as a `NoticeWarning` each of whoever called cornercase, and count the others.
+    """Issue a `NoticeWarning` for each notice that matters, and one with the number of the others.
 
-    With ``--verbose`` each is given.
+    With ``--verbose`` each is issued.
     """
-    # It loads rich, which takes a while.
+    # Imported late, as it loads rich, which is slow.
     from cornercase._common.progress import loudness
 
-    every = ranked(notices)
-    given = every if loudness.get() == "verbose" else [one for one in every if one.matters]
-    for notice in given:
+    sorted_notices = ranked(notices)
+    shown = sorted_notices if loudness.get() == "verbose" else [one for one in sorted_notices if one.matters]
+    for notice in shown:
         warn(notice.sentence)
-    if count := sum(len(one.what) for one in every) - sum(len(one.what) for one in given):
-        more, parts = " more" if given else "", "parts" if count > 1 else "part"
-        what = f"{count}{more} {parts}, which change{'' if count > 1 else 's'} no position or speed"
+    if count := sum(len(one.what) for one in sorted_notices) - sum(len(one.what) for one in shown):
+        more, parts = " more" if shown else "", "parts" if count > 1 else "part"
+        what = f"{count}{more} {parts}, which affect{'' if count > 1 else 's'} no position or speed"
         warn(f"{Label.WITHOUT_EFFECT}: {what}; `check` and -v list {'them' if count > 1 else 'it'}")
 
 
 def warn(sentence: str) -> None:
-    """Give a sentence as a `NoticeWarning` of whoever called cornercase.
-
-    Parameters
-    ----------
-    sentence : str
-        Without a full stop.
-    """
+    """Issue a sentence as `NoticeWarning` at the code that called cornercase."""
     level, frame = 1, sys._getframe()
     while frame.f_back is not None and frame.f_globals.get("__name__", "").startswith("cornercase."):
         level, frame = level + 1, frame.f_back
@@ -204,36 +176,30 @@ def warn(sentence: str) -> None:
 
 
 class Ledger:
-    """What happens with each element and attribute of a file format.
+    """Support of each element and attribute of a file format.
 
-    An element that is without effect, or refused, says so for all that it holds: its attributes and what lies below
-    it need no entries.
-
-    Parameters
-    ----------
-    entries : iterable of Entry
+    An element without effect, or refused, stands for its attributes and descendants, which need no entries.
     """
 
     def __init__(self, entries: Iterable[Entry]) -> None:
         self.entries = tuple(entries)
         self._by_name: dict[tuple[str, str], list[tuple[tuple[str, ...], Entry]]] = {}
         for entry in self.entries:
-            *above, name = entry.element.split("/")
+            *parents, name = entry.element.split("/")
             known = self._by_name.setdefault((name, entry.attribute), [])
-            known.append((tuple(above), entry))
-            known.sort(key=lambda one: -len(one[0]))
-        # Elements of which something may be refused.
+            known.append((tuple(parents), entry))
+            known.sort(key=lambda item: -len(item[0]))
+        # Elements that may be refused, or have an attribute that may.
         self._refusable = tuple(
             {e.element.split("/")[-1] for e in self.entries if e.status is Status.REFUSED or e.values}
         )
 
     @classmethod
     def read(cls, package: str, file: str) -> Ledger:
-        """Read a ledger that ships with a package.
+        """Read the table from a CSV file of a package.
 
-        It is a CSV with the columns element, attribute, status, unless, values, note and matters. What stands in unless
-        and in values is parted by bars: ``0|false``. All that is without effect says in matters whether a simulator
-        that used it could give another result: yes or no; what is used may leave it out, which is yes.
+        Its columns are element, attribute, status, unless, values, note and matters. Several values are separated by
+        bars: ``0|false``. `matters` is yes or no; for what is used, the default is yes.
         """
         text = (resources.files(package) / file).read_text(encoding="utf-8")
         return cls(
@@ -250,58 +216,34 @@ class Ledger:
         )
 
     def entry(self, path: tuple[str, ...], attribute: str = "") -> Entry | None:
-        """Find the entry of an element or attribute: the one that names most of what stands above it.
-
-        Parameters
-        ----------
-        path : tuple of str
-            Names of the elements from the root on.
-        attribute : str, optional
-
-        Returns
-        -------
-        Entry or None
-            None where the ledger does not know it.
-        """
-        for above, entry in self._by_name.get((path[-1], attribute), ()):
-            if path[len(path) - 1 - len(above) : -1] == above:
+        """Find the entry of an element or attribute; the one with the most matching parents wins."""
+        for parents, entry in self._by_name.get((path[-1], attribute), ()):
+            if path[len(path) - 1 - len(parents) : -1] == parents:
                 return entry
         return None
 
     def refuse(self, element: etree._Element, file: Path | str) -> None:
-        """Refuse what cannot be used, below an element and in it.
-
-        Parameters
-        ----------
-        element : lxml element
-        file : path
-            For the message.
-
-        Raises
-        ------
-        InputError
-            Names the first such element or attribute, its line, and what to do instead.
-        """
+        """Raise `InputError` for the first element or attribute, in or below an element, that is refused."""
         if not self._refusable:
             return
-        # A file has few different paths.
-        ended: dict[tuple[str, ...], bool] = {}
-        for one in below(element, *(f"{{*}}{name}" for name in self._refusable)):
-            path = _path(one)
-            if path not in ended:
-                ended[path] = any(self._ends(path[: k + 1]) for k in range(len(path) - 1))
-            if ended[path]:
+        # A file has few distinct paths.
+        is_covered: dict[tuple[str, ...], bool] = {}
+        for descendant in below(element, *(f"{{*}}{name}" for name in self._refusable)):
+            path = _path(descendant)
+            if path not in is_covered:
+                is_covered[path] = any(self._ends(path[: k + 1]) for k in range(len(path) - 1))
+            if is_covered[path]:
                 continue
             entry = self.entry(path)
             if entry is not None and entry.status is Status.REFUSED:
-                raise InputError(f"{file}, line {line_of(one)}: <{path[-1]}> cannot be used; {entry.note}.")
-            for name, value in _attributes(one):
-                why = self._objection(path, name, value)
-                if why is not None:
-                    raise InputError(f"{file}, line {line_of(one)}: {name} '{value}' of <{path[-1]}> {why}")
+                raise InputError(f"{file}, line {line_of(descendant)}: <{path[-1]}> cannot be used; {entry.note}.")
+            for name, value in _attributes(descendant):
+                reason = self._objection(path, name, value)
+                if reason is not None:
+                    raise InputError(f"{file}, line {line_of(descendant)}: {name} '{value}' of <{path[-1]}> {reason}")
 
     def _objection(self, path: tuple[str, ...], name: str, value: str) -> str | None:
-        """Why a value of an attribute cannot be used; that of a parameter is not known here."""
+        """Why a value of an attribute is refused, or None. References to parameters are not checked here."""
         entry = self.entry(path, name)
         if entry is None or value.startswith("$"):
             return None
@@ -316,20 +258,9 @@ class Ledger:
         return entry is not None and entry.status is not Status.USED
 
     def notices(self, element: etree._Element, file: Path | str, read: bool = True) -> tuple[Notice, ...]:
-        """Name what has no effect, below an element and in it, after the file was read.
+        """Notices about unused, unknown and unread parts of an element and its descendants, once the file was read.
 
-        Parameters
-        ----------
-        element : lxml element
-        file : path
-        read : bool, default True
-            Whether the file was read to its end; otherwise it is not said what nobody read.
-
-        Returns
-        -------
-        tuple of Notice
-            Parts without effect by the ledger, parts that the ledger does not know, and parts that it calls used but
-            that nobody read; one for each reason.
+        With `read` False, the file was not read to its end, and what was not read is not reported.
         """
         silent = self._silent(element, _path(element), read)
         return merged(Notice((what,), why, Path(file), (line,), matters=matters) for what, why, line, matters in silent)
@@ -350,7 +281,7 @@ class Ledger:
         if read and len(path) > 1 and not _anything_read(element) and not entry.is_silent(""):
             yield _called(element, path), _unread(entry), line, entry.matters
             return
-        asked = asked_attributes(element) if read else None
+        read_attributes = asked_attributes(element) if read else None
         for name, value in _attributes(element):
             entry = self.entry(path, name)
             if entry is None:
@@ -358,14 +289,19 @@ class Ledger:
             elif entry.status is Status.WITHOUT_EFFECT:
                 if not entry.is_silent(value):
                     yield f"{name} of <{path[-1]}>", entry.note, line, entry.matters
-            elif entry.status is Status.USED and asked is not None and name not in asked and not entry.is_silent(value):
+            elif (
+                entry.status is Status.USED
+                and read_attributes is not None
+                and name not in read_attributes
+                and not entry.is_silent(value)
+            ):
                 yield f"{name} of <{path[-1]}>", _unread(entry), line, entry.matters
         for child in children(element):
             yield from self._silent(child, (*path, local_name(child)), read)
 
 
 def _called(element: etree._Element, path: tuple[str, ...]) -> str:
-    """Tag of an element, with its name or with the element that holds it."""
+    """Tag of an element, with its name or its parent."""
     name = element.attrib.get("name")
     if name:
         return f"<{path[-1]} {name}>"
@@ -377,22 +313,22 @@ def _unread(entry: Entry) -> str:
 
 
 def local_name(element: etree._Element) -> str:
-    """Name of an element without its namespace."""
+    """Tag of an element without its namespace."""
     return str(element.tag).rpartition("}")[2]
 
 
 def _attributes(element: etree._Element) -> list[tuple[str, str]]:
-    """Names and values of the attributes, without those of XML itself."""
+    """Names and values of the attributes, without XML's own."""
     pairs = ((str(name), str(value)) for name, value in element.items())
     return [(name, value) for name, value in pairs if not name.startswith(_XML)]
 
 
 def _path(element: etree._Element) -> tuple[str, ...]:
     names = [local_name(element)]
-    above = element.getparent()
-    while above is not None:
-        names.append(local_name(above))
-        above = above.getparent()
+    parent = element.getparent()
+    while parent is not None:
+        names.append(local_name(parent))
+        parent = parent.getparent()
     return tuple(reversed(names))
 
 

@@ -1,4 +1,4 @@
-"""A process that ends when the one that has started it does."""
+"""Let a child process die with its parent."""
 
 from __future__ import annotations
 
@@ -16,27 +16,24 @@ from typing import Final
 
 from cornercase._common.platform import process_tree, signal_main_thread
 
-# s that this process has to end what it has started and to clear up.
+# Seconds for this process to end its children and clean up.
 _GRACE: Final = 2.0
 
 
 def end_with_parent() -> None:
-    """End this process, which `multiprocessing` has started, soon after its parent has ended.
+    """Exit this process of `multiprocessing` soon after its parent has died. Call in the main thread.
 
-    What it does ends by `SystemExit` where Python can raise it. Else, and where that does not end it, it is ended two
-    seconds later with all that it has started. Inside compiled code that lets no other thread run, that is left to the
-    parent's `Guardian`.
-
-    To be called in the main thread.
+    It gets `SystemExit` where Python can raise it. If that does not end it within two seconds, it is killed with all
+    its children. Compiled code that lets no other thread run is left to the parent's `Reaper`.
     """
     parent = parent_process()
     assert parent is not None
-    lost = threading.Event()
+    parent_died = threading.Event()
 
     def end(number: int, frame: FrameType | None) -> None:
-        if lost.is_set():
+        if parent_died.is_set():
             raise SystemExit(128 + number)
-        # Of anybody else it ends this process as it always does.
+        # A SIGTERM from anybody else ends this process as usual.
         signal.signal(number, signal.SIG_DFL)
         signal.raise_signal(number)
 
@@ -44,7 +41,7 @@ def end_with_parent() -> None:
 
     def watch() -> None:
         wait([parent.sentinel])
-        lost.set()
+        parent_died.set()
         signal_main_thread(signal.SIGTERM)
         time.sleep(_GRACE)
         _end_all()
@@ -53,7 +50,7 @@ def end_with_parent() -> None:
 
 
 def end_with_input() -> None:
-    """End this process at once when its standard input does, as it does with the process at its other end."""
+    """Exit this process as soon as its standard input closes, as it does when the process at the other end dies."""
 
     def watch() -> None:
         with suppress(OSError):
@@ -67,20 +64,15 @@ def end_with_input() -> None:
 def _end_all() -> None:
     import psutil
 
-    for one in process_tree(os.getpid()):
+    for process in process_tree(os.getpid()):
         with suppress(psutil.Error):
-            if one.pid != os.getpid():
-                one.kill()
+            if process.pid != os.getpid():
+                process.kill()
     os._exit(1)
 
 
 def keep_temporary_files_in(folder: Path) -> None:
-    """Have this process, and all that it starts, put their temporary files into a folder.
-
-    Parameters
-    ----------
-    folder : Path
-    """
+    """Make this process and its children use `folder` for temporary files."""
     tempfile.tempdir = str(folder)
     for name in ("TMPDIR", "TEMP", "TMP"):
         os.environ[name] = str(folder)

@@ -1,4 +1,4 @@
-"""A Dask cluster on this machine, to which nobody else can connect."""
+"""A Dask cluster on this machine that no other user can connect to."""
 
 from __future__ import annotations
 
@@ -17,46 +17,29 @@ _HOST: Final = "127.0.0.1"
 
 
 class _WithoutPages:
-    """Has none of the pages that Dask otherwise serves to everybody on the machine, not even an empty one."""
+    """Mixin: serve none of Dask's web pages."""
 
     def start_http_server(self, *_: object, **__: object) -> None:
         pass
 
 
 class LocalScheduler(_WithoutPages, Scheduler):
-    """Gives tasks to the workers of a local cluster."""
+    """Scheduler of a local cluster."""
 
 
 class LocalWorker(_WithoutPages, Worker):
-    """Runs tasks of a local cluster."""
+    """Worker of a local cluster."""
 
 
 def start(workers: int, guardian: Guardian) -> SpecCluster:
-    """Start a scheduler in this process, and workers in others.
+    """Start a scheduler in this process and workers in others, which `guardian` ends with this process.
 
-    They, and the client of this process, accept only each other: by a certificate that is made here, and known to
-    nobody else.
-
-    Parameters
-    ----------
-    workers : int
-    guardian : Guardian
-        Ends the workers with this process.
-
-    Returns
-    -------
-    distributed.SpecCluster
-
-    Raises
-    ------
-    InputError
-        The package is missing that makes certificates.
-    RuntimeError
-        A worker was ended as it started.
+    They and this process's client accept only each other, by a temporary certificate. RuntimeError if a worker died
+    while it started.
     """
 
     class GuardedNanny(Nanny):
-        """Starts a worker, and another one where it was ended, which are ended with this process."""
+        """Starts a worker, and restarts it if it dies; ended with this process."""
 
         async def instantiate(self) -> Any:
             with guardian.watch_all(), kept_from_children():
@@ -68,22 +51,22 @@ def start(workers: int, guardian: Guardian) -> SpecCluster:
         raise InputError(
             "`cluster` local: needs the package cryptography; it comes with pip install 'cornercase[cluster]'."
         ) from error
-    common = {"host": _HOST, "protocol": "tls://", "security": security}
-    memory = parse_memory_limit("auto", 1, workers, logger=logging.getLogger(__name__))
+    shared_options = {"host": _HOST, "protocol": "tls://", "security": security}
+    memory_limit = parse_memory_limit("auto", 1, workers, logger=logging.getLogger(__name__))
     worker = {
         "cls": GuardedNanny,
         "options": {
-            **common,
+            **shared_options,
             "worker_class": LocalWorker,
             "nthreads": 1,
-            "memory_limit": memory,
+            "memory_limit": memory_limit,
             "silence_logs": logging.CRITICAL,
         },
     }
     return SpecCluster(
         workers=dict.fromkeys(range(workers), worker),
-        # Only a free port is none that somebody else may want.
-        scheduler={"cls": LocalScheduler, "options": {**common, "port": 0, "dashboard": False}},
+        # Port 0: any free port.
+        scheduler={"cls": LocalScheduler, "options": {**shared_options, "port": 0, "dashboard": False}},
         worker=worker,
         security=security,
         silence_logs=logging.CRITICAL,

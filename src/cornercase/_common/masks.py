@@ -1,4 +1,4 @@
-"""Masks of scenarios."""
+"""Fast test of masks."""
 
 from __future__ import annotations
 
@@ -8,14 +8,5 @@ from cornercase._common.typing import BoolArray
 
 
 def anywhere(mask: BoolArray) -> bool:
-    """Whether a mask holds of any scenario: a quarter of the time of ``mask.any()``, which a storyboard asks all along.
-
-    Parameters
-    ----------
-    mask : ndarray of bool
-
-    Returns
-    -------
-    bool
-    """
+    """Whether any element is True: four times as fast as ``mask.any()``; the storyboard calls it in every step."""
     return np.count_nonzero(mask) > 0

@@ -1,4 +1,4 @@
-"""Which steps of one way meet which of another, as runs: a table of all pairs grows with the square of the steps."""
+"""Steps of one path that overlap steps of another, stored as runs; a table of all pairs would grow quadratically."""
 
 from __future__ import annotations
 
@@ -13,88 +13,46 @@ from cornercase._common.typing import BoolArray, IntArray
 
 @dataclass(frozen=True, eq=False)
 class Meetings:
-    """Which of n steps meet which of m others.
+    """Which of n steps overlap which of m other steps.
 
-    Attributes
-    ----------
-    runs : ndarray of int64, shape (k, 3)
-        A step, and the first and last one of others next to each other that it meets; in their order.
-    shape : tuple of (int, int)
-        n and m.
+    `runs`, shape (k, 3): a step, and the first and last of consecutive other steps that it overlaps, sorted. `shape`:
+    (n, m).
     """
 
     runs: IntArray
     shape: tuple[int, int]
 
     def steps(self) -> IntArray:
-        """List the steps that meet any other.
-
-        Returns
-        -------
-        ndarray of int64
-            In order.
-        """
+        """Sorted indices of the steps that overlap any other step."""
         steps: IntArray = np.unique(self.runs[:, 0])
         return steps
 
     def others(self) -> IntArray:
-        """List the others that any step meets.
-
-        Returns
-        -------
-        ndarray of int64
-            In order.
-        """
+        """Sorted indices of the other steps that are overlapped."""
         ends = np.zeros(self.shape[1] + 1, dtype=np.int64)
         np.add.at(ends, self.runs[:, 1], 1)
         np.add.at(ends, self.runs[:, 2] + 1, -1)
         return np.flatnonzero(np.cumsum(ends[:-1]) > 0)
 
     def met_by(self, step: int) -> BoolArray:
-        """Say which others a step meets.
-
-        Parameters
-        ----------
-        step : int
-            From 0 on.
-
-        Returns
-        -------
-        ndarray of bool, shape (m,)
-        """
-        found = np.zeros(self.shape[1], dtype=np.bool_)
+        """Mask, shape (m,), of the other steps that a step overlaps."""
+        mask = np.zeros(self.shape[1], dtype=np.bool_)
         for first, last in self.runs[self.runs[:, 0] == step, 1:].tolist():
-            found[first : last + 1] = True
-        return found
+            mask[first : last + 1] = True
+        return mask
 
     def meeting(self, other: int) -> BoolArray:
-        """Say which steps meet one of the others.
-
-        Parameters
-        ----------
-        other : int
-            From 0 on.
-
-        Returns
-        -------
-        ndarray of bool, shape (n,)
-        """
-        found = np.zeros(self.shape[0], dtype=np.bool_)
-        found[self.runs[(self.runs[:, 1] <= other) & (other <= self.runs[:, 2]), 0]] = True
-        return found
+        """Mask, shape (n,), of the steps that overlap one of the other steps."""
+        mask = np.zeros(self.shape[0], dtype=np.bool_)
+        mask[self.runs[(self.runs[:, 1] <= other) & (other <= self.runs[:, 2]), 0]] = True
+        return mask
 
     def places(self) -> list[Meetings]:
-        """Split them into connected groups, in which each pair is connected with the eight pairs around it.
-
-        Returns
-        -------
-        list of Meetings
-            In the order of their first steps.
-        """
+        """Split into connected components (each pair is connected with its eight neighbours), sorted by first step."""
         if not len(self.runs):
             return []
         step, first, last = self.runs.T
-        # Each row has a number for each place in it and one beyond either end.
+        # Each row has a number for each column and one beyond either end.
         row = (step + 1) * (self.shape[1] + 2)
         before = row - (self.shape[1] + 2)
         begins = np.searchsorted(row + last, before + first - 1)
@@ -102,8 +60,8 @@ class Meetings:
         counts = np.maximum(ends - begins, 0)
         if (counts[1:] == 1).all() and (np.diff(step) == 1).all():
             return [self]
-        mine = np.repeat(np.arange(len(step)), counts)
-        theirs = np.arange(len(mine)) - np.repeat(counts.cumsum() - counts, counts) + np.repeat(begins, counts)
-        touching = coo_matrix((np.ones(len(mine), dtype=np.int8), (mine, theirs)), shape=(len(step), len(step)))
-        count, place = connected_components(touching, directed=False)
-        return [Meetings(self.runs[place == k], self.shape) for k in range(count)]
+        left = np.repeat(np.arange(len(step)), counts)
+        right = np.arange(len(left)) - np.repeat(counts.cumsum() - counts, counts) + np.repeat(begins, counts)
+        touching = coo_matrix((np.ones(len(left), dtype=np.int8), (left, right)), shape=(len(step), len(step)))
+        count, component = connected_components(touching, directed=False)
+        return [Meetings(self.runs[component == k], self.shape) for k in range(count)]

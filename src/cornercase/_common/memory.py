@@ -1,4 +1,4 @@
-"""How much memory a command may take, and what it says where it needs more."""
+"""Memory limit of a command, and the error if it is exceeded."""
 
 from __future__ import annotations
 
@@ -15,8 +15,8 @@ from cornercase._common.errors import InputError
 
 DEFAULT_MEMORY: Final = "4 GB"
 """Of everything that takes ``memory``."""
-# What Python and the libraries take before any data, as measured with a study of 400 scenarios. It is not asked of the
-# machine: blocks, and with them the last digits of sums, have to be the same everywhere.
+# Memory of Python and its libraries without data, measured with a study of 400 scenarios. A constant, since blocks, and
+# with them the last digits of sums, have to be the same on all machines.
 _LOADED: Final = 400_000_000
 _LEAST: Final = 500_000_000
 _WORTH_SAYING: Final = 500_000_000
@@ -29,15 +29,8 @@ _SIZE: Final = re.compile(r"\s*(\d+(?:\.\d+)?|\.\d+)\s*([a-z]*)\s*", re.IGNORECA
 
 @dataclass(frozen=True)
 class MemoryLimit:
-    """How much memory the process may take in all.
+    """Limit on the memory of the process, in bytes.
 
-    Attributes
-    ----------
-    size : int
-        Bytes.
-
-    Examples
-    --------
     >>> limit = MemoryLimit.of("4 GB")
     >>> limit.rows(8 * 50_000, share=0.25)
     2250
@@ -47,101 +40,33 @@ class MemoryLimit:
 
     @classmethod
     def of(cls, value: object) -> MemoryLimit:
-        """Take what was given as ``memory``.
-
-        Parameters
-        ----------
-        value : object
-            Number of bytes, or a text such as ``"4 GB"``, ``"500MB"`` or ``"2 GiB"``; or a limit already.
-
-        Returns
-        -------
-        MemoryLimit
-
-        Raises
-        ------
-        InputError
-            It is no size, or one below 500 MB.
-        """
+        """Parse the argument ``memory``: bytes, ``"4 GB"``, ``"500MB"``, ``"2 GiB"``, or a limit; at least 500 MB."""
         if isinstance(value, MemoryLimit):
             return value
         return cls(_bytes_of(value))
 
     @property
     def free(self) -> int:
-        """Bytes for data: all but what Python and its libraries take."""
+        """Bytes for data: the limit without what Python and its libraries take."""
         return self.size - _LOADED
 
     def rows(self, row: float, *, share: float = 1.0) -> int:
-        """Count the rows that may be in memory at the same time.
-
-        Parameters
-        ----------
-        row : float
-            Bytes of one.
-        share : float, default 1
-            Of what is free, for these rows.
-
-        Returns
-        -------
-        int
-            At least 1.
-        """
+        """Number of rows of `row` bytes that fit into a share of the free memory; at least 1."""
         return max(1, int(self.free * share / max(row, 1.0)))
 
     def blocks(self, count: int, row: float, *, share: float = 1.0) -> Iterator[slice]:
-        """Split rows into blocks of about the same length, each of which fits.
-
-        Parameters
-        ----------
-        count : int
-            Rows in all.
-        row : float
-            Bytes of one.
-        share : float, default 1
-            Of what is free, for a block.
-
-        Yields
-        ------
-        slice
-            Of the rows; the first ones first.
-        """
+        """Yield slices of about equal length that split `count` rows into blocks that fit."""
         if count > 0:
             length = ceil(count / ceil(count / self.rows(row, share=share)))
             for start in range(0, count, length):
                 yield slice(start, min(start + length, count))
 
     def holds(self, need: float) -> bool:
-        """Say whether so much data fits.
-
-        Parameters
-        ----------
-        need : float
-            Bytes.
-
-        Returns
-        -------
-        bool
-        """
+        """Whether `need` bytes of data fit."""
         return need <= self.free
 
     def require(self, need: float, what: str, instead: str) -> None:
-        """Refuse what does not fit.
-
-        Parameters
-        ----------
-        need : float
-            Bytes of data.
-        what : str
-            What needs them, in the plural: ``"the distances of 50,000 scenarios"``.
-        instead : str
-            What to do: ``"give more, or analyze fewer aspects at a time with `by`"``.
-
-        Raises
-        ------
-        InputError
-            It does not fit.
-        """
+        """Raise `InputError` if `need` bytes do not fit. `what` is a plural noun; `instead` says what to do."""
         if not self.holds(need):
             raise InputError(
                 f"{what} need up to {size_in_words(need + _LOADED)}, which is more than `memory`"
@@ -150,25 +75,13 @@ class MemoryLimit:
 
 
 def size_in_words(size: float) -> str:
-    """Say how much memory that is.
+    """Format a size in bytes, rounded up to two significant digits.
 
-    Parameters
-    ----------
-    size : float
-        Bytes.
-
-    Returns
-    -------
-    str
-        With two digits that count, rounded up: ``"3.4 GB"``.
-
-    Examples
-    --------
     >>> size_in_words(3_350_000_000), size_in_words(512_000_000)
     ('3.4 GB', '520 MB')
     """
     for unit, name in ((10**12, "TB"), (10**9, "GB"), (10**6, "MB"), (10**3, "kB")):
-        # Two digits of what is above 990 round up to 1,000, which is one of the next unit.
+        # Above 990, two digits round up to 1,000, which belongs to the next unit.
         if size > 0.99 * unit:
             step = 10 ** (floor(log10(size / unit)) - 1)
             return f"{max(ceil(round(size / unit / step, 6)) * step, 1):.3g} {name}"
@@ -176,31 +89,23 @@ def size_in_words(size: float) -> str:
 
 
 def state_need(what: str, need: float) -> None:
-    """Say on standard error how much memory something will take, where that is worth saying.
-
-    Parameters
-    ----------
-    what : str
-        What takes it, in the plural: ``"Distances of 20,000 scenarios"``.
-    need : float
-        Bytes of data; nothing is said below 500 MB.
-    """
+    """Print on standard error how much memory something needs, if it is at least 500 MB. `what` is a plural noun."""
     if need >= _WORTH_SAYING:
         print(f"{what} need about {size_in_words(need + _LOADED)} of memory.", file=sys.stderr, flush=True)
 
 
 def _bytes_of(value: object) -> int:
-    found = -1.0
+    size = -1.0
     if isinstance(value, Real) and not isinstance(value, bool):
-        found = float(value)
+        size = float(value)
     elif isinstance(value, str) and (match := _SIZE.fullmatch(value)) and match[2].lower() in _UNITS:
-        found = float(match[1]) * _UNITS[match[2].lower()]
-    if not isfinite(found) or found <= 0:
-        written = value if isinstance(value, str) and value.strip() else shown(value)
-        raise InputError(f"`memory` {written}: give a size such as 4 GB or 500 MB.")
-    if found < _LEAST:
+        size = float(match[1]) * _UNITS[match[2].lower()]
+    if not isfinite(size) or size <= 0:
+        text = value if isinstance(value, str) and value.strip() else shown(value)
+        raise InputError(f"`memory` {text}: give a size such as 4 GB or 500 MB.")
+    if size < _LEAST:
         raise InputError(
             f"`memory` {value}: give at least {size_in_words(_LEAST)};"
             f" Python and its libraries take {size_in_words(_LOADED)}."
         )
-    return int(found)
+    return int(size)

@@ -1,4 +1,4 @@
-"""Numbers of text files."""
+"""Parse numbers of text files."""
 
 from __future__ import annotations
 
@@ -6,29 +6,14 @@ import math
 
 
 def number_of(value: str | float) -> float:
-    """Read a number as XML writes it: without the underscores and the digits of other scripts that Python takes.
-
-    Parameters
-    ----------
-    value : str or number
-
-    Returns
-    -------
-    float
-        Possibly not finite.
-
-    Raises
-    ------
-    ValueError
-        It is no number.
-    """
+    """Parse a number as XML writes it, possibly not finite: without the underscores and non-ASCII digits of Python."""
     if isinstance(value, str) and ("_" in value or not value.isascii()):
         raise ValueError(f"'{value}' is not a number")
     return float(value)
 
 
 def finite_number(text: str) -> float | None:
-    """Finite number that a text is; None for any other text."""
+    """Parse a finite number; None if the text is none."""
     try:
         number = number_of(text)
     except ValueError:

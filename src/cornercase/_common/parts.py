@@ -1,4 +1,4 @@
-"""Parts that users bring along, such as drivers and simulators: whatever they raise becomes a sentence."""
+"""Turn exceptions of users' drivers, simulators and metrics into one-sentence errors."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from cornercase._common.interrupts import is_request, noted_interrupts, requests
 from cornercase._common.texts import shorten, without_folders
 
 _PACKAGE: Final = str(Path(__file__).parents[1])
-# Last lines of a traceback that are kept, and characters of one, of a message and of all of it.
+# Limits of a description: lines of the traceback, and characters of a line, of the message and of all.
 _MOST_LINES: Final = 3
 _LONGEST_LINE: Final = 90
 _LONGEST_MESSAGE: Final = 200
@@ -26,76 +26,48 @@ _INSTANT: Final = re.compile(r" at t = (\d[\d.e+-]*) s\b")
 
 @contextmanager
 def guarded(name: str, part: object, doing: str = "") -> Iterator[None]:
-    """Turn whatever a part raises in the block into an `InputError`, except `InputError` itself and requests to end.
+    """Turn exceptions of a plug-in in the block into `InputError`; keep `InputError` and termination requests.
 
-    Parameters
-    ----------
-    name : str
-        Whose code runs in the block, for the message: ``"The simulator 'braking'"``.
-    part : object
-        The part, or its class. If it comes with cornercase, its exceptions are faults of cornercase, and stay.
-    doing : str, optional
-        What it is asked for: ``"in ask"``.
-
-    Raises
-    ------
-    InputError
-        ``"The simulator 'braking' failed in close: …; fix it."``
+    `name` starts the sentence: ``"The simulator 'braking'"``; `doing` says when: ``"in ask"``. Exceptions of built-in
+    parts are bugs of cornercase, and stay as they are.
     """
     with noted_interrupts():
-        heard = requests_heard()
+        n_requests = requests_heard()
         try:
             yield
         except InputError:
             raise
         except BaseException as error:
-            raise_if_request(error, heard)
+            raise_if_request(error, n_requests)
             if is_built_in(part):
                 raise
-            where = f" {doing}" if doing else ""
-            raise InputError(f"{name} failed{where}: {describe_error(error)}; fix it.") from error
+            when = f" {doing}" if doing else ""
+            raise InputError(f"{name} failed{when}: {describe_error(error)}; fix it.") from error
 
 
 def maker_of(factory: Callable[..., object]) -> Callable[..., object]:
-    """Class or function of a factory that may have some of its options already."""
+    """Class or function behind a factory, which may be a `partial`."""
     return factory.func if isinstance(factory, partial) else factory
 
 
 def is_built_in(part: object) -> bool:
-    """Whether a part, or its class, comes with cornercase."""
+    """Whether an object, or its class, comes with cornercase."""
     return str(getattr(part, "__module__", "")).partition(".")[0] == "cornercase"
 
 
 def failure_of(part: str, error: BaseException, heard: int, time: float | None = None) -> SimulationError:
-    """Make the failure of a scenario of what a part raised in it.
+    """Make the failure of a scenario from an exception of a plug-in.
 
-    Parameters
-    ----------
-    part : str
-        Whose code raised it: ``"the driver of Ego"``.
-    error : BaseException
-    heard : int
-        `requests_heard` before that code ran.
-    time : float, optional
-        s; instant of the scenario at which it was raised.
-
-    Returns
-    -------
-    PartError or LostError
-        The latter if the machine is at fault, as a full disk is; then the scenario may be run again.
-
-    Raises
-    ------
-    KeyboardInterrupt
-        Somebody asked the program to end.
+    It is a `RunLostError` (the scenario may be run again) if the machine is at fault, such as a full disk.
+    KeyboardInterrupt is raised if somebody asked the program to end. `heard` is `count_requests` before the code ran.
     """
     raise_if_request(error, heard)
-    words = f"{part} failed{format_instant(time)}: {describe_error(error)}"
-    return LostError(words) if is_of_the_machine(error) else PartError(words)
+    message = f"{part} failed{format_instant(time)}: {describe_error(error)}"
+    return LostError(message) if is_of_the_machine(error) else PartError(message)
 
 
 def raise_if_request(error: BaseException, heard: int) -> None:
-    """Raise `KeyboardInterrupt` if an exception came because somebody asked the program to end."""
+    """Raise `KeyboardInterrupt` if an exception came from a termination request."""
     if is_request(error, heard):
         if isinstance(error, KeyboardInterrupt):
             raise error
@@ -103,22 +75,15 @@ def raise_if_request(error: BaseException, heard: int) -> None:
 
 
 def format_instant(time: float | None) -> str:
-    """Instant of a scenario as all failures name it: ``" at t = 1.25 s"``; nothing for None."""
+    """Format the time of a failure in a scenario: ``" at t = 1.25 s"``; empty for None."""
     return "" if time is None else f" at t = {time:.6g} s"
 
 
 def describe_error(error: BaseException) -> str:
-    """Describe an exception of somebody's code in one line, with the last lines of its traceback.
+    """Describe an exception in one line, with the last lines of its traceback and without a full stop.
 
-    Parameters
-    ----------
-    error : BaseException
-
-    Returns
-    -------
-    str
-        ``"RuntimeError: no gap (aeb.py line 12 in acceleration: raise RuntimeError('no gap'))"``, without a full stop.
-        Files are named without their folders, which are nobody else's concern.
+    ``"RuntimeError: no gap (aeb.py line 12 in acceleration: raise RuntimeError('no gap'))"``. Folders are left out, as
+    they are private.
     """
     try:
         message = str(error)
@@ -131,17 +96,7 @@ def describe_error(error: BaseException) -> str:
 
 
 def group_reasons(errors: Iterable[str]) -> dict[str, list[int]]:
-    """Group why scenarios failed; the same failure at different instants is one.
-
-    Parameters
-    ----------
-    errors : iterable of str
-
-    Returns
-    -------
-    dict of str to list of int
-        Positions of the errors by reason, the most frequent first. It names the first and the last instant.
-    """
+    """Group failure messages that differ only in time: message (first and last time) → indices, most frequent first."""
     texts = list(errors)
     groups: dict[str, list[int]] = {}
     for k, text in enumerate(texts):
@@ -151,26 +106,26 @@ def group_reasons(errors: Iterable[str]) -> dict[str, list[int]]:
 
 
 def _over_instants(texts: list[str]) -> str:
-    """The first of texts that differ in an instant alone, with the first and the last instant."""
-    instants = [float(found[1]) for text in texts if (found := _INSTANT.search(text)) is not None]
+    """First of several messages that differ only in time, with the earliest and latest time."""
+    instants = [float(match[1]) for text in texts if (match := _INSTANT.search(text)) is not None]
     if not instants or min(instants) == max(instants):
         return texts[0]
     return _INSTANT.sub(f" at t = {min(instants):.6g} to {max(instants):.6g} s", texts[0], count=1)
 
 
 def _last_lines(error: BaseException) -> list[str]:
-    """Last lines of a traceback, from where it leaves this package."""
+    """Last lines of a traceback, starting where it leaves this package."""
     frames = list(traceback.walk_tb(error.__traceback__))
-    own = [k for k, (frame, _) in enumerate(frames) if not _is_ours(frame)]
-    frames = frames[own[0] :] if own else []
-    found = traceback.StackSummary.extract(iter(frames[-_MOST_LINES:]))
-    return [_line(one) for one in found]
+    foreign = [k for k, (frame, _) in enumerate(frames) if not _is_ours(frame)]
+    frames = frames[foreign[0] :] if foreign else []
+    summaries = traceback.StackSummary.extract(iter(frames[-_MOST_LINES:]))
+    return [_line(summary) for summary in summaries]
 
 
 def _line(one: traceback.FrameSummary) -> str:
-    place = f"{Path(one.filename).name} line {one.lineno} in {one.name}"
+    location = f"{Path(one.filename).name} line {one.lineno} in {one.name}"
     text = " ".join((one.line or "").split())
-    return f"{place}: {shorten(text, _LONGEST_LINE)}" if text else place
+    return f"{location}: {shorten(text, _LONGEST_LINE)}" if text else location
 
 
 def _is_ours(frame: FrameType) -> bool:

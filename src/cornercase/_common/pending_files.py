@@ -1,4 +1,4 @@
-"""Files that are written under other names first, and get their own together, once all of them are on the disk."""
+"""Atomic writing: files get temporary names, and are renamed together once all are on the disk."""
 
 from __future__ import annotations
 
@@ -18,18 +18,18 @@ from zlib import crc32
 from cornercase._common.errors import InputError
 from cornercase._common.platform import force_file, force_folder, is_process, new_file_mode, replace_file
 
-# A disk takes the files that several threads wait for at once; beyond this it gets no faster.
+# Parallel syncs get no faster beyond this.
 _AT_ONCE: Final = 16
-# Characters of a file's name in its temporary one, which may be no longer than 255 bytes.
+# Characters of the file's name in its temporary name, which may have 255 bytes.
 _OF_THE_NAME: Final = 50
 OF_SQLITE: Final = ("-journal", "-wal", "-shm")
 """How the names of files end that SQLite writes beside a database."""
-# How temporary names end.
+# Suffix of temporary names.
 _LEFT: Final = re.compile(rf"\.[0-9a-f]{{8}}-(\d{{1,9}})-[a-z0-9_]{{8}}({'|'.join(OF_SQLITE)})?$")
 
 
 class PendingFiles:
-    """Files that have not got their names yet."""
+    """Files that are written under temporary names and not renamed yet."""
 
     def __init__(self) -> None:
         self._temporary: dict[Path, Path] = {}
@@ -37,33 +37,17 @@ class PendingFiles:
         self._swept: set[Path] = set()
 
     def begin(self, path: Path) -> Path:
-        """Make an empty file beside where one is to be.
-
-        Parameters
-        ----------
-        path : Path
-            Where the file is to be. Missing folders are made.
-
-        Returns
-        -------
-        Path
-            Where to write it.
-
-        Raises
-        ------
-        InputError
-            The folder is not writable, the disk is full, or something that is no file has the name.
-        """
-        # A folder, a pipe or a device must not be replaced by a file.
+        """Make an empty temporary file next to `path`, with missing folders, and return its path."""
+        # A file must not replace a folder, a pipe or a device.
         with _sentence(path):
-            other = path.exists() and not path.is_file()
-        if other:
+            is_other = path.exists() and not path.is_file()
+        if is_other:
             raise InputError(f"{path}: is not a file; choose another name.")
-        # A link stays a link: the file that it points to is written.
+        # The target of a link is written; the link stays.
         try:
             path = path.resolve()
         except (OSError, RuntimeError) as error:
-            raise InputError(f"{path}: is a link that leads nowhere; choose another name.") from error
+            raise InputError(f"{path}: is a broken link; choose another name.") from error
         earlier = self._temporary.get(path)
         if earlier is not None:
             return earlier
@@ -79,19 +63,13 @@ class PendingFiles:
         return self._temporary[path]
 
     def place(self) -> None:
-        """Give the files their names, once their contents are on the disk.
-
-        Raises
-        ------
-        InputError
-            It cannot be done. Before the last content is on the disk, no file has got its name.
-        """
+        """Sync all files to disk, then rename them. An `InputError` before that leaves all unrenamed."""
         mode = new_file_mode()
         for path, temporary in self._temporary.items():
             with _sentence(path):
                 os.chmod(temporary, mode)
         force_all(self._temporary.values(), list(self._temporary))
-        folders = {one.parent for one in self._made}
+        folders = {folder_made.parent for folder_made in self._made}
         for path, temporary in list(self._temporary.items()):
             with _sentence(path):
                 replace_file(temporary, path)
@@ -103,40 +81,40 @@ class PendingFiles:
                 force_folder(folder)
 
     def discard(self) -> None:
-        """Remove what has no name yet, and the folders that were made for it."""
+        """Remove the temporary files, and the folders that were made for them."""
         for temporary in self._temporary.values():
             for ending in ("", *OF_SQLITE):
                 with suppress(OSError):
                     temporary.with_name(temporary.name + ending).unlink(missing_ok=True)
         for folder in reversed(self._made):
-            # One that somebody else has put something into stays.
+            # A folder that somebody else has put a file into stays.
             with suppress(OSError):
                 folder.rmdir()
         self._temporary.clear()
         self._made.clear()
 
     def _sweep(self, folder: Path) -> None:
-        """Remove what writers that were killed have left in a folder."""
+        """Remove temporary files of writers that were killed."""
         if folder in self._swept:
             return
         self._swept.add(folder)
-        # One may be writable and not readable.
+        # A folder may be writable but not readable.
         with suppress(PermissionError):
-            for one in list(folder.iterdir()):
-                found = _LEFT.search(one.name)
-                if found and found[0].startswith(f".{_mark(int(found[1]))}-") and not is_process(int(found[1])):
+            for entry in list(folder.iterdir()):
+                match = _LEFT.search(entry.name)
+                if match and match[0].startswith(f".{_mark(int(match[1]))}-") and not is_process(int(match[1])):
                     with suppress(OSError):
-                        one.unlink(missing_ok=True)
+                        entry.unlink(missing_ok=True)
 
 
 def _mark(process: int) -> str:
-    """Tell which process of which machine or container writes a file; others may share its folder."""
+    """Mark of a writing process and its machine or container, which may share the folder with others."""
     return f"{crc32(f'{platform.node()} {_of_processes()}'.encode()):08x}-{process}"
 
 
 @cache
 def _of_processes() -> str:
-    # Containers of one name do not see each other's processes.
+    # Containers with the same name do not see each other's processes.
     try:
         return os.readlink("/proc/self/ns/pid")
     except OSError:
@@ -148,15 +126,10 @@ _together: ContextVar[PendingFiles | None] = ContextVar("together", default=None
 
 @contextmanager
 def pending_files() -> Iterator[PendingFiles]:
-    """Give the files of the `written_together` that this stands in, or some that get their names after the block.
-
-    Yields
-    ------
-    PendingFiles
-    """
-    together = _together.get()
-    if together is not None:
-        yield together
+    """Yield the group of the enclosing `atomic_write_group`, or a new one that is renamed after the block."""
+    group = _together.get()
+    if group is not None:
+        yield group
         return
     files = PendingFiles()
     try:
@@ -168,18 +141,9 @@ def pending_files() -> Iterator[PendingFiles]:
 
 @contextmanager
 def written_together() -> Iterator[None]:
-    """Let all files that are written within the block get their names at its end, and none of them when it fails.
+    """Rename all files that are written within the block at its end, or none if it fails.
 
-    Many files get to the disk this way in little more time than one.
-
-    Yields
-    ------
-    None
-
-    Raises
-    ------
-    InputError
-        As `cornercase._common.files.written_whole`.
+    Many files are synced to disk this way in little more time than one.
     """
     with pending_files() as files:
         before = _together.set(files)
@@ -190,52 +154,25 @@ def written_together() -> Iterator[None]:
 
 
 def made_folders(folder: Path) -> list[Path]:
-    """Make a folder and those that it lies in, and tell which were not there.
-
-    Parameters
-    ----------
-    folder : Path
-
-    Returns
-    -------
-    list of Path
-        The outermost first.
-
-    Raises
-    ------
-    OSError
-        It cannot be made; none that was made is left.
-    """
-    missing = [one for one in (folder, *folder.parents) if not one.exists()][::-1]
+    """Make a folder with its parents, and return those that were missing, outermost first; all or none."""
+    missing = [parent for parent in (folder, *folder.parents) if not parent.exists()][::-1]
     made = []
     try:
-        for one in missing:
-            one.mkdir(exist_ok=True)
-            made.append(one)
-        # A file may be in the way.
+        for parent in missing:
+            parent.mkdir(exist_ok=True)
+            made.append(parent)
+        # Fails if a file has this name.
         folder.mkdir(exist_ok=True)
     except OSError:
-        for one in reversed(made):
+        for parent in reversed(made):
             with suppress(OSError):
-                one.rmdir()
+                parent.rmdir()
         raise
     return made
 
 
 def force_all(files: Iterable[Path], names: Iterable[Path]) -> None:
-    """Wait until the contents of files are on the disk.
-
-    Parameters
-    ----------
-    files : iterable of Path
-    names : iterable of Path
-        What each is called in messages.
-
-    Raises
-    ------
-    InputError
-        One of them cannot be brought there.
-    """
+    """Sync files to disk in parallel. `names` are their names in messages."""
     pairs = list(zip(files, names, strict=True))
 
     def force(pair: tuple[Path, Path]) -> None:
@@ -252,18 +189,10 @@ def force_all(files: Iterable[Path], names: Iterable[Path]) -> None:
 
 
 def unwritten(path: Path, error: OSError) -> InputError:
-    """Say in a sentence that a file cannot be written.
-
-    Parameters
-    ----------
-    path : Path
-    error : OSError
-
-    Returns
-    -------
-    InputError
-    """
-    return InputError(f"{path}: cannot be written ({error.strerror or error}); choose another place or make room.")
+    """The error that a file cannot be written."""
+    return InputError(
+        f"{path}: cannot be written ({error.strerror or error}); choose another location or free some space."
+    )
 
 
 @contextmanager

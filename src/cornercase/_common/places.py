@@ -1,4 +1,4 @@
-"""Where in a file something stands, for messages."""
+"""File and line of an element, for messages."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from lxml import etree
 
 from cornercase._common.errors import InputError
 
-# A message that names a line, behind the file that it is of.
+# The line number in a message, after the file name.
 _LINE: Final = re.compile(r", line \d+\b")
 _WITH_LINE: Final = re.compile(rf".+?{_LINE.pattern}")
 
@@ -22,12 +22,12 @@ Placed = Any
 
 
 def file_of(element: etree._Element, otherwise: str) -> str:
-    """Name of the file that an element was read from, if that is known."""
+    """Name of the file that an element was read from, or `otherwise`."""
     return element.getroottree().docinfo.URL or otherwise
 
 
 def line_of(element: etree._Element) -> int:
-    """Line of an element in its file; 0 where that is not known."""
+    """Line of an element in its file; 0 if unknown."""
     return element.sourceline if isinstance(element.sourceline, int) else 0
 
 
@@ -38,7 +38,7 @@ def place_of(element: Placed, source: str) -> str:
 
 @contextmanager
 def placed(element: Placed | None, source: str) -> Iterator[None]:
-    """Name the file, line and element in an `InputError` of a block that reads it, unless the error names a line."""
+    """Prefix an `InputError` of the block with file, line and element, unless it names a line already."""
     try:
         yield
     except InputError as error:
@@ -49,17 +49,17 @@ def placed(element: Placed | None, source: str) -> Iterator[None]:
 
 
 def at_line(where: str, element: Placed) -> str:
-    """File, line and road of an element, where those of its road are given."""
+    """Replace the line in `where` (file, line and road) by that of an element."""
     return _LINE.sub(f", line {element.sourceline}", where, count=1)
 
 
 def of_file(path: Path | str, why: str) -> str:
-    """Put the file before why a scenario of it failed, which may begin with the file, or with a line of it."""
+    """Prefix a failure message with the file, unless it begins with it."""
     if why.startswith(str(path)):
         return why
     return f"{path}{', ' if why.startswith('line ') else ': '}{why}"
 
 
 def without_file(source: str, why: str) -> str:
-    """Leave out the file at the begin of what is wrong with it."""
+    """Remove the file from the beginning of a message."""
     return why.removeprefix(source).lstrip(",: ") if why.startswith((f"{source}:", f"{source},")) else why

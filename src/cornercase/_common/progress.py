@@ -1,4 +1,4 @@
-"""How far something is, for a person who waits."""
+"""Progress bars and progress lines."""
 
 from __future__ import annotations
 
@@ -13,51 +13,33 @@ from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn
 
 _SECONDS_BETWEEN_LINES: Final = 5.0
-# s that must have passed since the first thing was done, before a rate is told: the next may take quite as long.
+# Seconds after the first item before a rate is shown; it would be too uncertain earlier.
 _SECONDS_OF_A_RATE: Final = 1.0
-# s before a step that is often short gets a bar.
+# Seconds before a step, which is often short, gets a bar.
 _SECONDS_OF_A_SHORT_STEP: Final = 2.0
 
 
 def words_of_seconds(seconds: float) -> str:
-    """Say how long something takes.
-
-    Parameters
-    ----------
-    seconds : float
-
-    Returns
-    -------
-    str
-        ``"40 s"``, ``"4 min 10 s"``, ``"2 h 5 min"``.
-    """
-    whole = round(seconds)
-    if whole < 60:
-        return f"{whole} s"
-    if whole < 3600:
-        return f"{whole // 60} min {whole % 60} s"
-    return f"{whole // 3600} h {whole % 3600 // 60} min"
+    """Format a duration: ``"40 s"``, ``"4 min 10 s"``, ``"2 h 5 min"``."""
+    total = round(seconds)
+    if total < 60:
+        return f"{total} s"
+    if total < 3600:
+        return f"{total // 60} min {total % 60} s"
+    return f"{total // 3600} h {total % 3600 // 60} min"
 
 
 class ProgressBar:
-    """Shows the rate, the time left and a word of what is going on: a bar on a terminal, now and then a line elsewhere.
+    """Shows progress, rate, time left and a status word: a bar on a terminal, otherwise a line every few seconds.
 
-    Parameters
-    ----------
-    total : int
-        Things in all.
-    doing : str
-        What is done: ``"exploring"``.
-    things : str
-        Of what there are so many: ``"scenarios"``.
-    begun : float, optional
-        When the first one was begun, by `time.monotonic`; by default it is not known before the first `update`.
+    `doing` is the activity (``"exploring"``), `things` what is counted (``"scenarios"``), `begun` the start by
+    `time.monotonic`; without it, the rate is counted from the first `update` on.
     """
 
     def __init__(self, total: int, doing: str, things: str, begun: float | None = None) -> None:
         self._total, self._things = total, things
         self._said, self._done = 0.0, -1
-        # How many were done at first, and how many at which moment since which the rate is counted.
+        # Number done at first; (number done, time) from which the rate is counted.
         self._first: int | None = None
         self._since: tuple[int, float] | None = None if begun is None else (0, begun)
         console = Console(stderr=True)
@@ -77,13 +59,13 @@ class ProgressBar:
             self._task = self._progress.add_task("", total=total, rate="", word="")
 
     def update(self, done: int, word: str, total: int | None = None) -> None:
-        """Show how many are done, and a word; the number in all where it has become another."""
+        """Show the number done and a status word; `total` if it has changed."""
         self._total = self._total if total is None else total
         now = time.monotonic()
         if self._first is None:
             self._first = done
         elif self._since is None and done > self._first:
-            # What had to be made ready before the first one says nothing of those that follow.
+            # The preparation of the first item says nothing about the rate.
             self._since = (done, now)
         rate = 0.0
         if self._since is not None and now - self._since[1] >= _SECONDS_OF_A_RATE:
@@ -95,18 +77,18 @@ class ProgressBar:
             now - self._said > _SECONDS_BETWEEN_LINES or (done >= self._total and done != self._done)
         ):
             self._said, self._done = now, done
-            said = [f"{done} of {self._total} {self._things}", speed, word]
-            print(", ".join(filter(None, said)), file=sys.stderr, flush=True)
+            parts = [f"{done} of {self._total} {self._things}", speed, word]
+            print(", ".join(filter(None, parts)), file=sys.stderr, flush=True)
 
     def _rate_of(self, done: int, rate: float) -> str:
-        """How fast it goes and how long it will take; nothing while nobody can know."""
+        """Format rate and time left; empty while they are unknown."""
         if rate <= 0.0:
             return ""
-        fast = f"{rate:.1f}/s" if rate >= 0.1 else f"{60.0 * rate:.1f}/min"
-        return fast if done >= self._total else f"{fast}, {words_of_seconds((self._total - done) / rate)} left"
+        text = f"{rate:.1f}/s" if rate >= 0.1 else f"{60.0 * rate:.1f}/min"
+        return text if done >= self._total else f"{text}, {words_of_seconds((self._total - done) / rate)} left"
 
     def stop(self) -> None:
-        """Leave the terminal as it was."""
+        """Remove the bar from the terminal."""
         if self._progress is not None:
             self._progress.stop()
 
@@ -119,16 +101,7 @@ _wanted: ContextVar[bool] = ContextVar("wanted", default=False)
 
 @contextmanager
 def bars_wanted(wanted: bool) -> Iterator[None]:
-    """Let the steps within the block show bars, or let them be quiet.
-
-    Parameters
-    ----------
-    wanted : bool
-
-    Yields
-    ------
-    None
-    """
+    """Enable or disable the bars of `step` within the block."""
     before = _wanted.set(wanted)
     try:
         yield
@@ -138,30 +111,15 @@ def bars_wanted(wanted: bool) -> Iterator[None]:
 
 @contextmanager
 def step(total: int, doing: str, things: str) -> Iterator[Callable[[int], None]]:
-    """Show a bar for what may take a while, once it does, within `bars_wanted`.
-
-    Parameters
-    ----------
-    total : int
-        Things in all.
-    doing : str
-        What is done: ``"clustering"``.
-    things : str
-        Of what there are so many: ``"settings"``.
-
-    Yields
-    ------
-    callable
-        To be called with how many are done.
-    """
-    begun, bar = time.monotonic(), None
-    wanted = _wanted.get()
-    short = 0.0 if loudness.get() == "verbose" else _SECONDS_OF_A_SHORT_STEP
+    """Show a bar for a step that takes long, within `show_bars`; yields a function to call with the number done."""
+    start, bar = time.monotonic(), None
+    is_enabled = _wanted.get()
+    delay = 0.0 if loudness.get() == "verbose" else _SECONDS_OF_A_SHORT_STEP
 
     def tell(done: int) -> None:
         nonlocal bar
-        if bar is None and wanted and time.monotonic() - begun >= short:
-            bar = ProgressBar(total, doing, things, begun)
+        if bar is None and is_enabled and time.monotonic() - start >= delay:
+            bar = ProgressBar(total, doing, things, start)
         if bar is not None:
             bar.update(done, "")
 

@@ -1,4 +1,4 @@
-"""XML elements that remember what was read of them."""
+"""XML elements that track which of them were read."""
 
 from __future__ import annotations
 
@@ -9,32 +9,23 @@ from lxml import etree
 
 T = TypeVar("T")
 
-# Those of the class itself, which record nothing.
+# lxml's own methods, which track nothing.
 _get = etree.ElementBase.get
 _find = etree.ElementBase.find
 _children = etree.ElementBase.iterchildren
 
 
 class RecordedElement(etree.ElementBase):
-    """An element that remembers whether it was found, and which of its attributes were asked for.
+    """An element that tracks whether it was found, and which of its attributes were requested.
 
-    It is found when `find`, `findall`, `iterfind`, `iterchildren`, `iter` with a name, or a loop over the children
-    gives it. `iter` without a name, `attrib`, `items` and `getparent` record nothing, so that a file can be looked
-    through without counting as read. lxml forgets an element that nobody holds: whoever asks what was read has to
-    hold all of them from the start, as `XmlFiles` does.
-
-    Attributes
-    ----------
-    found : bool
-    asked : set of str or None
-        Names of attributes, whether or not the element has them; None as long as none was asked for.
-    made : dict or None
-        What was made of it, for `made_once`.
-    adapted : dict or None
-        Where it breaks the standard and was read all the same, for `adapt`.
+    `find`, `findall`, `iterfind`, `iterchildren`, `iter` with a tag, and iteration over the children mark elements as
+    found. `iter` without a tag, `attrib`, `items` and `getparent` do not, so that a file can be searched without
+    counting as read. lxml drops element objects that nobody references: whoever asks what was read must hold all of
+    them, as `XmlFiles` does. `made` caches what was derived from the element, `adapted` holds violations of the
+    standard.
     """
 
-    # Of the class as long as nothing was read, so that an element costs nothing to make.
+    # Class attributes as defaults, so that creating an element costs nothing.
     found: bool = False
     asked: set[str] | None = None
     made: dict[str, Any] | None = None
@@ -54,20 +45,20 @@ class RecordedElement(etree.ElementBase):
 
     def findall(self, path: Any, namespaces: Any = None) -> Any:
         """All elements at a path."""
-        return [_found(one) for one in etree.ElementBase.findall(self, path, namespaces)]
+        return [_found(element) for element in etree.ElementBase.findall(self, path, namespaces)]
 
     def iterfind(self, path: Any, namespaces: Any = None) -> Any:
-        """All elements at a path, one after the other."""
+        """Iterate over the elements at a path."""
         return map(_found, etree.ElementBase.iterfind(self, path, namespaces))
 
     def iterchildren(self, *tags: Any, **options: Any) -> Any:
-        """Children, of all names or of some."""
+        """Children, optionally only with these tags."""
         return map(_found, _children(self, *tags, **options))
 
     def iter(self, *tags: Any, **options: Any) -> Any:
-        """The element and all below it; those of some names count as found."""
-        every = etree.ElementBase.iter(self, *tags, **options)
-        return map(_found, every) if tags else every
+        """The element and its descendants; with tags, those returned count as found."""
+        elements = etree.ElementBase.iter(self, *tags, **options)
+        return map(_found, elements) if tags else elements
 
     def __iter__(self) -> Iterator[Any]:  # type: ignore[override]
         return map(_found, etree.ElementBase.__iter__(self))
@@ -80,26 +71,26 @@ def _found(element: Any) -> Any:
 
 
 def children(element: etree._Element) -> Iterator[etree._Element]:
-    """Give the child elements without recording it."""
+    """Child elements, without marking them as read."""
     return _children(element, "*") if isinstance(element, RecordedElement) else element.iterchildren("*")
 
 
 def below(element: etree._Element, *tags: Any) -> Iterator[etree._Element]:
-    """Give an element and all below it, or those of some tags, without recording it."""
-    every = etree.ElementBase.iter if isinstance(element, etree.ElementBase) else etree._Element.iter
-    return iter(every(element, *tags))
+    """An element and its descendants, optionally only with these tags, without marking them as read."""
+    iterate = etree.ElementBase.iter if isinstance(element, etree.ElementBase) else etree._Element.iter
+    return iter(iterate(element, *tags))
 
 
 def unrecorded(element: etree._Element, *tags: str) -> list[etree._Element]:
-    """Give the elements that lie below an element, by the tags on the way to them, without recording it."""
-    found = [element]
+    """Descendants along a path of tags, without marking them as read."""
+    elements = [element]
     for tag in tags:
-        found = [child for one in found for child in children(one) if child.tag == tag]
-    return found
+        elements = [child for parent in elements for child in children(parent) if child.tag == tag]
+    return elements
 
 
 def named(elements: Iterable[etree._Element], name: str) -> etree._Element | None:
-    """First element with a name, which then counts as found, and none of the others; None where there is none."""
+    """First element with this name attribute, which alone counts as found; or None."""
     for element in elements:
         if element.attrib.get("name") == name:
             element.get("name")
@@ -108,75 +99,41 @@ def named(elements: Iterable[etree._Element], name: str) -> etree._Element | Non
 
 
 def was_read(element: etree._Element) -> bool:
-    """Whether an element was found, or something was read of it; always so where nothing is recorded.
-
-    Parameters
-    ----------
-    element : lxml element
-
-    Returns
-    -------
-    bool
-    """
+    """Whether an element was found, or an attribute requested; True if the element tracks nothing."""
     return not isinstance(element, RecordedElement) or element.found or element.asked is not None
 
 
 def asked_attributes(element: etree._Element) -> frozenset[str] | None:
-    """Names of the attributes that were asked for; None where nothing is recorded."""
+    """Names of the requested attributes; None if the element tracks nothing."""
     return frozenset(element.asked or ()) if isinstance(element, RecordedElement) else None
 
 
 def made_once(element: etree._Element, what: str, make: Callable[[], T]) -> T:
-    """Make something of an element when it is first asked for, and give the same after that.
-
-    Parameters
-    ----------
-    element : lxml element
-        As long as it lasts, what was made of it is kept; of one that records nothing it is made each time.
-    what : str
-        Name of what is made, each time of the element alone.
-    make : callable
-
-    Returns
-    -------
-    object
-    """
+    """Return `make()`, cached on the element under the name `what` (if the element tracks anything)."""
     if not isinstance(element, RecordedElement):
         return make()
     if element.made is None:
         element.made = {}
     if what not in element.made:
         element.made[what] = make()
-    found: T = element.made[what]
-    return found
+    result: T = element.made[what]
+    return result
 
 
 def adapt(element: etree._Element, what: str, why: str, rule: str) -> None:
-    """Note that a part of a file breaks the standard, and how it was read all the same.
-
-    Parameters
-    ----------
-    element : lxml element
-        Where it stands; one that records nothing notes nothing.
-    what : str
-        The part: ``"type of <ParameterDeclaration>"``.
-    why : str
-        What it was read as, in plain words; without a capital at its beginning or a full stop at its end.
-    rule : str
-        What the standard says: ``"the type is one of boolean, …"``; as `why`.
-    """
+    """Note that a part violates the standard, and how it was read (`why`); `rule` is what the standard says."""
     if isinstance(element, RecordedElement):
         element.adapted = {**(element.adapted or {}), (what, why): rule}
 
 
 def adaptations(element: etree._Element) -> list[tuple[str, str, str]]:
-    """What was noted of an element by `adapt`: what, why and rule of each."""
-    noted = element.adapted if isinstance(element, RecordedElement) else None
-    return [(what, why, rule) for (what, why), rule in (noted or {}).items()]
+    """The notes of `note_adaptation`: part, reason and rule of each."""
+    notes = element.adapted if isinstance(element, RecordedElement) else None
+    return [(what, why, rule) for (what, why), rule in (notes or {}).items()]
 
 
 def recording_parser(**options: Any) -> etree.XMLParser:
-    """Make a parser whose elements record what is read of them; `options` are those of ``lxml.etree.XMLParser``."""
+    """Make a parser whose elements track what is read; `options` are those of ``lxml.etree.XMLParser``."""
     parser = etree.XMLParser(**options)
     parser.set_element_class_lookup(etree.ElementDefaultClassLookup(element=RecordedElement))
     return parser

@@ -1,4 +1,4 @@
-"""Simulators, optimizers and metrics by name, also those of other packages."""
+"""Simulators, optimizers and metrics by name, including those of other packages."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from cornercase._common.texts import in_one_line
 
 T = TypeVar("T")
 
-# What is annotated so, or is so by default, takes nothing else; for the rest, a value is what it looks like.
+# Types to which an option's text is converted; without one of them, the text decides.
 _PLAIN: Final[dict[str, type[Any]]] = {one.__name__: one for one in (bool, int, float, str)}
 
 
@@ -25,11 +25,11 @@ class Registry(Generic[T]):
     Parameters
     ----------
     kind : str
-        What is registered, as it stands in messages: ``"metric"``.
+        What is registered, for messages: ``"metric"``.
     group : str
-        Entry-point group in which other packages name theirs: ``"cornercase.metrics"``.
+        Entry-point group in which other packages register theirs: ``"cornercase.metrics"``.
     base : type, optional
-        Class of which each factory has to be a subclass, so that `class_of` finds what it declares.
+        Class that each factory must be a subclass of, so that `class_of` finds its declarations.
     """
 
     def __init__(self, kind: str, group: str, base: type[Any] | None = None) -> None:
@@ -39,27 +39,27 @@ class Registry(Generic[T]):
         self._factories: dict[str, tuple[Callable[..., T] | str, dict[str, Any]]] = {}
 
     def register(self, name: str, factory: Callable[..., T] | str, /, **options: Any) -> None:
-        """Make a factory known by a name.
+        """Register a factory under a name.
 
         Parameters
         ----------
         name : str
         factory : callable or str
-            As ``"package.module:name"`` it is imported when it is asked for, not before.
+            ``"package.module:name"`` is imported when it is needed.
         **options
-            What the factory always gets.
+            Fixed options of the factory.
 
         Raises
         ------
         ValueError
-            Something is registered by this name already.
+            The name is registered already.
         """
         if name in self._factories:
             raise ValueError(f"The {self._kind} '{name}' is registered twice.")
         self._factories[name] = (factory, options)
 
     def names(self) -> list[str]:
-        """Return all names, also those of other packages.
+        """Return all names, including those of other packages.
 
         Returns
         -------
@@ -72,16 +72,16 @@ class Registry(Generic[T]):
         return name in self._factories or any(entry.name == name for entry in entry_points(group=self._group))
 
     def create(self, name: str, **options: Any) -> T:
-        """Build the one called `name`.
+        """Create the object registered as `name`.
 
         Parameters
         ----------
         name : str
-            May hold options after a colon: ``"ttc:accelerating=true"``; what is built then has the whole of it as its
-            name. A factory whose first parameter is positional-only takes all that stands behind the colon as that, as
-            a text: ``"stl:always(clearance > 0.5)"``.
+            May contain options after a colon: ``"ttc:accelerating=true"``; the object then has the whole text as its
+            name. If the first parameter of the factory is positional-only, it gets the whole text after the colon:
+            ``"stl:always(clearance > 0.5)"``.
         **options
-            What its factory gets besides.
+            Further options of the factory.
 
         Returns
         -------
@@ -90,7 +90,7 @@ class Registry(Generic[T]):
         Raises
         ------
         InputError
-            No such name, no such option, or a value that it does not take.
+            Unknown name, unknown option, or a value that the option does not take.
 
         Examples
         --------
@@ -106,25 +106,25 @@ class Registry(Generic[T]):
             require_options(self._kind, base, factory, options)
             with guarded(f"The {self._kind} '{name}'", maker_of(factory), "as it was made"):
                 return factory(**options)
-        if any(one.kind is one.POSITIONAL_ONLY for one in signature(factory).parameters.values()):
+        if any(parameter.kind is parameter.POSITIONAL_ONLY for parameter in signature(factory).parameters.values()):
             with guarded(f"The {self._kind} '{name}'", maker_of(factory), "as it was made"):
-                whole: Any = factory(text, **options)
-            whole.name = name
-            return cast(T, whole)
-        # What belongs to the name, as which preset it is, is no option.
+                instance: Any = factory(text, **options)
+            instance.name = name
+            return cast(T, instance)
+        # Options fixed by the name, such as a preset, cannot be given.
         given = {*options, *(factory.keywords if isinstance(factory, partial) else ())}
         options |= read_options(self._kind, base, factory, text, given)
         require_options(self._kind, base, factory, options)
         with guarded(f"The {self._kind} '{name}'", maker_of(factory), "as it was made"):
             try:
-                made: Any = factory(**options)
+                configured: Any = factory(**options)
             except (TypeError, AttributeError) as error:
                 raise InputError(f"The {self._kind} '{base}' does not take the options '{text}' ({error}).") from error
-        made.name = name
-        return cast(T, made)
+        configured.name = name
+        return cast(T, configured)
 
     def factory(self, name: str) -> Callable[..., T]:
-        """Return what builds the one called `name`, without options.
+        """Return the factory registered as `name`, without options.
 
         Parameters
         ----------
@@ -137,18 +137,18 @@ class Registry(Generic[T]):
         Raises
         ------
         InputError
-            No such name, or what is registered is no subclass of the base class.
+            Unknown name, or a factory that is not a subclass of the base class.
         """
         loaded, options = self._loaded(name)
         return partial(loaded, **options) if options else loaded
 
     def class_of(self, name: str) -> type[T]:
-        """Return the class of the one called `name`, which tells what it declares.
+        """Return the class registered as `name`.
 
         Parameters
         ----------
         name : str
-            May hold options after a colon.
+            May contain options after a colon.
 
         Returns
         -------
@@ -157,7 +157,7 @@ class Registry(Generic[T]):
         Raises
         ------
         InputError
-            No such name, or what is registered is no class.
+            Unknown name, or a factory that is not a class.
         """
         loaded, _ = self._loaded(name.partition(":")[0])
         if not isinstance(loaded, type):
@@ -166,15 +166,15 @@ class Registry(Generic[T]):
 
     def _loaded(self, name: str) -> tuple[Callable[..., T], dict[str, Any]]:
         if name in self._factories:
-            known, options = self._factories[name]
-            loaded = EntryPoint(name, known, self._group).load() if isinstance(known, str) else known
+            registered, options = self._factories[name]
+            loaded = EntryPoint(name, registered, self._group).load() if isinstance(registered, str) else registered
             return self._checked(name, loaded), options
         for entry in entry_points(group=self._group, name=name):
-            heard = requests_heard()
+            n_requests = requests_heard()
             try:
                 loaded = entry.load()
             except BaseException as error:
-                raise_if_request(error, heard)
+                raise_if_request(error, n_requests)
                 raise InputError(
                     f"The {self._kind} '{name}' cannot be loaded since {entry.value} fails: {in_one_line(error)}."
                 ) from error
@@ -184,69 +184,44 @@ class Registry(Generic[T]):
     def _checked(self, name: str, loaded: Callable[..., T]) -> Callable[..., T]:
         base = self._base
         if base is not None and not (isinstance(loaded, type) and issubclass(loaded, base)):
-            place = f"{getattr(loaded, '__module__', '?')}.{getattr(loaded, '__qualname__', loaded)}"
+            actual = f"{getattr(loaded, '__module__', '?')}.{getattr(loaded, '__qualname__', loaded)}"
             public = f"{base.__module__.rpartition('.')[0]}.{base.__qualname__}"
             raise InputError(
-                f"The {self._kind} '{name}' is {place}, which is not a subclass of {public}; derive it from that."
+                f"The {self._kind} '{name}' is {actual}, which is not a subclass of {public}; derive it from that."
             )
         return loaded
 
 
 def declared_options(factory: Callable[..., Any]) -> dict[str, Parameter]:
-    """Find the options that a factory declares, by name.
+    """Options that a factory declares, by name.
 
-    A class that takes others too (``**options``) hands them on to the class that it derives from, so it has the options
-    of that class as well. What no constructor names is no option, since nobody would notice that it is misspelt.
-
-    Parameters
-    ----------
-    factory : callable
-
-    Returns
-    -------
-    dict of str to Parameter
+    A class with ``**options`` passes them to its base class, so it has that class's options too. Options that no
+    constructor names do not count, as nobody would notice that they are misspelled.
     """
-    taken = dict(signature(factory).parameters)
-    made = maker_of(factory)
-    for above in made.__mro__ if isinstance(made, type) else ():
-        if not any(one.kind is one.VAR_KEYWORD for one in taken.values()):
+    parameters = dict(signature(factory).parameters)
+    callable_ = maker_of(factory)
+    for base in callable_.__mro__ if isinstance(callable_, type) else ():
+        if not any(parameter.kind is parameter.VAR_KEYWORD for parameter in parameters.values()):
             break
-        if "__init__" in vars(above):
-            _, *own = signature(vars(above)["__init__"]).parameters.values()
-            taken = {name: one for name, one in taken.items() if one.kind is not one.VAR_KEYWORD}
-            taken = {one.name: one for one in own} | taken
+        if "__init__" in vars(base):
+            _, *own_parameters = signature(vars(base)["__init__"]).parameters.values()
+            parameters = {
+                name: parameter for name, parameter in parameters.items() if parameter.kind is not parameter.VAR_KEYWORD
+            }
+            parameters = {parameter.name: parameter for parameter in own_parameters} | parameters
     named = (Parameter.POSITIONAL_OR_KEYWORD, Parameter.KEYWORD_ONLY)
-    return {name: one for name, one in taken.items() if one.kind in named}
+    return {name: parameter for name, parameter in parameters.items() if parameter.kind in named}
 
 
 def read_options(
     kind: str, name: str, factory: Callable[..., Any], text: str, given: Container[str] = ()
 ) -> dict[str, Any]:
-    """Read the options that stand behind the colon of a name.
+    """Parse the options after the colon of a name: ``"reaction=0.3,seed=1"``.
 
-    Parameters
-    ----------
-    kind : str
-        What is made, for messages: ``"driver"``.
-    name : str
-        What stands before the colon.
-    factory : callable
-        Says which options there are, and what their values are.
-    text : str
-        ``"reaction=0.3,seed=1"``.
-    given : container of str
-        Names of what the factory gets besides.
-
-    Returns
-    -------
-    dict of str to bool, float or str
-
-    Raises
-    ------
-    InputError
-        The factory declares no such option, or does not take its value.
+    `kind` and `name` are for messages; `given` are names of options that are set otherwise. `InputError` for unknown
+    options and wrong values.
     """
-    known = {key: one for key, one in declared_options(factory).items() if key not in given}
+    declared = {key: parameter for key, parameter in declared_options(factory).items() if key not in given}
     options: dict[str, Any] = {}
     for option in text.split(","):
         key, equals, value = (part.strip() for part in option.partition("="))
@@ -256,58 +231,47 @@ def read_options(
             )
         if key in options:
             raise InputError(f"The {kind} '{name}:{text}' has the option '{key}' twice; give it once.")
-        if key not in known:
-            advice = suggestion(key, known) if known else "its constructor declares none."
+        if key not in declared:
+            advice = suggestion(key, declared) if declared else "its constructor declares none."
             raise InputError(f"The {kind} '{name}' has no option '{key}'; {advice}")
         try:
-            options[key] = _value(value, _taken_by(known[key]))
+            options[key] = _value(value, _taken_by(declared[key]))
         except ValueError as error:
             raise InputError(f"The {kind} '{name}' takes {error} for '{key}', not '{value}'.") from None
     return options
 
 
 def require_options(kind: str, name: str, factory: Callable[..., Any], options: Mapping[str, Any]) -> None:
-    """Refuse to make something without an option that it needs, or with one that its constructor does not take.
-
-    Parameters
-    ----------
-    kind, name : str
-        For messages.
-    factory : callable
-    options : mapping of str to object
-
-    Raises
-    ------
-    InputError
-        The first such option.
-    """
+    """Raise `InputError` for a missing option, or one that the constructor does not take."""
     try:
-        taken = signature(factory)
+        declared = signature(factory)
     except ValueError:
-        # Compiled code need not say what it takes.
+        # Compiled code may have no signature.
         return
     named = (Parameter.POSITIONAL_OR_KEYWORD, Parameter.KEYWORD_ONLY)
-    for key, one in taken.parameters.items():
-        if one.kind in named and one.default is one.empty and key not in options:
+    for key, parameter in declared.parameters.items():
+        if parameter.kind in named and parameter.default is parameter.empty and key not in options:
             raise InputError(f"The {kind} '{name}' needs the option '{key}'; give it as in '{name}:{key}=value'.")
-    if any(one.kind is one.VAR_KEYWORD for one in taken.parameters.values()):
+    if any(parameter.kind is parameter.VAR_KEYWORD for parameter in declared.parameters.values()):
         return
     for key in options:
-        if key not in taken.parameters:
-            raise InputError(f"The {kind} '{name}' does not take '{key}', which it gets; declare it in its class.")
+        if key not in declared.parameters:
+            raise InputError(
+                f"The {kind} '{name}' does not accept '{key}', which it always gets; declare it in its class."
+            )
 
 
 def _taken_by(parameter: Parameter) -> type[Any] | None:
-    """Find the plain type that a parameter takes; None where it says none, or another one."""
+    """Plain type of a parameter, from its annotation or default; None if there is none, or another type."""
     if parameter.annotation is not parameter.empty:
-        # Where annotations are not evaluated they are texts.
+        # Annotations are strings if they are not evaluated.
         return _PLAIN.get(getattr(parameter.annotation, "__name__", str(parameter.annotation)))
-    # What is 100 by default may be 2.5.
+    # A default of 100 also allows 2.5.
     return float if type(parameter.default) is int else _PLAIN.get(type(parameter.default).__name__)
 
 
 def _value(text: str, taken: type[Any] | None) -> bool | float | str:
-    """Read the value of an option; a `ValueError` says what its type takes instead."""
+    """Parse the value of an option; ValueError says what its type takes instead."""
     if taken is str:
         return text
     if text.lower() in ("true", "false") and taken in (bool, None):

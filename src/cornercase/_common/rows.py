@@ -1,4 +1,4 @@
-"""Rows of arrays as keys."""
+"""Rows of arrays as dictionary keys."""
 
 from __future__ import annotations
 
@@ -9,39 +9,21 @@ import numpy as np
 
 from cornercase._common.typing import FloatArray
 
-# Odd, with its bits spread: 2**64 divided by the golden ratio.
+# 2**64 divided by the golden ratio: odd, with well-spread bits.
 _FACTOR: Final = np.uint64(0x9E3779B97F4A7C15)
 
 
 def row_keys(points: FloatArray) -> list[bytes]:
-    """Bytes of each row, by which equal rows are found.
-
-    Parameters
-    ----------
-    points : ndarray of float64, shape (n, d)
-
-    Returns
-    -------
-    list of bytes, length n
-    """
+    """Bytes of each row of `points`, shape (n, d); equal rows have equal bytes."""
     rows = np.ascontiguousarray(points, dtype=np.float64)
-    found: list[bytes] = rows.view(np.dtype((np.void, rows.itemsize * rows.shape[1]))).ravel().tolist()
-    return found
+    keys: list[bytes] = rows.view(np.dtype((np.void, rows.itemsize * rows.shape[1]))).ravel().tolist()
+    return keys
 
 
 def surely_distinct(points: FloatArray, keys: Collection[bytes]) -> bool:
-    """Tell at a glance that no row is there twice, nor its key among others.
+    """Quick test that no row occurs twice and none has a key in `keys`.
 
-    Parameters
-    ----------
-    points : ndarray of float64, shape (n, d)
-    keys : collection of bytes
-        As of `row_keys`, each once.
-
-    Returns
-    -------
-    bool
-        False may be a mere coincidence, of which there is one in 10 billion calls with 32,768 rows.
+    False may be a coincidence of hashes: one in 10 billion calls with 32,768 rows.
     """
     others = np.frombuffer(b"".join(keys), dtype=np.uint64).reshape(-1, points.shape[1])
     words = np.concatenate([np.ascontiguousarray(points, dtype=np.float64).view(np.uint64), others])

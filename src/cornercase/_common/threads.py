@@ -1,4 +1,4 @@
-"""Linear algebra by one thread."""
+"""Single-threaded linear algebra."""
 
 from __future__ import annotations
 
@@ -10,16 +10,16 @@ from typing import Final
 
 from threadpoolctl import ThreadpoolController
 
-# Packages with libraries of their own that run threads.
+# Packages with thread pools of their own.
 _BRINGING: Final = ("numpy", "scipy.linalg", "scipy.optimize", "scipy.special", "sklearn")
 
 
 @contextmanager
 def one_thread() -> Iterator[None]:
-    """Let NumPy and SciPy use one thread, so that sums have one order and results do not depend on their number.
+    """Limit NumPy and SciPy to one thread in the block, so that results do not depend on the number of threads.
 
-    The libraries are looked up once, which takes longer than many a result here, and again when a package that brings
-    one was imported since; so whoever uses this has imported what of these packages they call.
+    The libraries are looked up once, and again if a package with a library of its own was imported since. Import the
+    packages that you call before you use it.
     """
     with _libraries(*(name in sys.modules for name in _BRINGING)).limit(limits=1):
         yield
