@@ -162,4 +162,4 @@ def test_43_11_what_a_draft_of_1_4_needs_is_refused_as_of_1_4(tmp_path):
     path.write_text(path.read_text().replace('revMinor="2"', 'revMinor="4"'))
     (why,) = check(path).trouble
     assert "<MoodCondition> is not supported" in why
-    assert "OpenSCENARIO XML 1.4, of which the file is, may have it" in why
+    assert "OpenSCENARIO XML 1.4, the file's version, may have it" in why

@@ -1,4 +1,4 @@
-"""Running one batch: concrete scenarios of one file."""
+"""Run one batch: concrete scenarios of one file."""
 
 from __future__ import annotations
 
@@ -33,36 +33,14 @@ _MOST_ENTITIES: Final = 500
 
 
 class Batch:
-    """All concrete scenarios that share a file and everything that shapes its storyboard.
+    """Concrete scenarios that share a file and everything that shapes its storyboard.
 
-    Parameters
-    ----------
-    prepared : PreparedScenario
-        The file.
-    values : sequence of mapping of str to float or str, length N
-        Parameters of each concrete scenario.
-    time_step : float
-        s.
-    duration : float
-        s after which a scenario ends at the latest.
-    stop_at_collision : bool
-    drivers : mapping of str to Driver or str
-        Who drives which entity; a name is one of `DRIVERS`. Beats the file's own controller properties.
-    coupling : Coupling, optional
-        Another simulator that moves some of the entities.
+    `drivers` maps entities to drivers, and overrides the file's controllers. `coupling` is another simulator that moves
+    some of the entities. Raises `UnusableValuesError` if the file cannot be used with these values, `BatchSplitError`
+    if the scenarios have to be split further.
 
-    Raises
-    ------
-    UnusableError
-        The file cannot be used with the values of these scenarios.
-    VariesError
-        The scenarios have to be split further.
-
-    Attributes
-    ----------
-    failure : DriverError or None
-        Why the batch ended early, once it has run. It is the result of a scenario that is alone; of several it tells
-        nothing, and nothing else that came out is of use.
+    `failure` is the error of a driver that ended the batch early. It is the result of a single scenario; with several
+    scenarios it is not known which of them failed, and no result is usable.
     """
 
     def __init__(
@@ -81,22 +59,22 @@ class Batch:
         try:
             self._read(prepared, scope, drivers)
         except InputError as error:
-            minor, words = later_version(prepared.scenario.root), str(error)
-            if minor is not None and "not supported" in words:
-                words = f"{words.removesuffix('.')}. OpenSCENARIO XML 1.{minor}, of which the file is, may have it."
-            raise UnusableError(words, scope.used) from None
+            minor, message = later_version(prepared.scenario.root), str(error)
+            if minor is not None and "not supported" in message:
+                message = f"{message.removesuffix('.')}. OpenSCENARIO XML 1.{minor}, the file's version, may have it."
+            raise UnusableError(message, scope.used) from None
         self._stepper = Stepper(self._world, self._storyboard, time_step, duration, stop_at_collision, coupling)
 
     def _read(self, prepared: PreparedScenario, scope: Scope, drivers: Mapping[str, Driver | str]) -> None:
         scenario = prepared.scenario
         refuse_unusable(prepared)
-        board = scenario.root.find("Storyboard")
-        init = None if board is None else board.find("Init")
-        first = board if init is None else init
-        self._init = "" if first is None else f"line {first.sourceline}: <{first.tag}>"
-        file = scenario.root.find("RoadNetwork/LogicFile")
-        road_file = "" if file is None else scope.text(file, "filepath", "")
-        with placed(file, scope.source):
+        storyboard = scenario.root.find("Storyboard")
+        init_element = None if storyboard is None else storyboard.find("Init")
+        reference = storyboard if init_element is None else init_element
+        self._init = "" if reference is None else f"line {reference.sourceline}: <{reference.tag}>"
+        logic_file = scenario.root.find("RoadNetwork/LogicFile")
+        road_file = "" if logic_file is None else scope.text(logic_file, "filepath", "")
+        with placed(logic_file, scope.source):
             network = prepared.network(road_file) if road_file else None
         objects = list(scenario.root.iterfind("Entities/ScenarioObject"))
         with placed(scenario.root.find("Entities"), scope.source):
@@ -112,58 +90,50 @@ class Batch:
         self._world.variables = scope.declared(
             scenario.root, "VariableDeclarations/VariableDeclaration", "variableType"
         )
-        lines = {one.name: one.sourceline for one in prepared.declarations}
-        for name, broken in scope.violations(scenario.root).items():
-            why = f"line {lines.get(name)}: the value of {name} breaks a constraint of its <ParameterDeclaration>"
-            self._world.fail(broken, why)
-        chosen = {**scenario.drivers, **drivers}
+        lines = {declaration.name: declaration.sourceline for declaration in prepared.declarations}
+        for name, is_violated in scope.violations(scenario.root).items():
+            message = f"line {lines.get(name)}: the value of {name} breaks a constraint of its <ParameterDeclaration>"
+            self._world.fail(is_violated, message)
+        drivers_by_entity = {**scenario.drivers, **drivers}
         for e, name in enumerate(self._world.names):
-            driver = chosen.get(name)
+            driver = drivers_by_entity.get(name)
             if driver is None:
                 continue
             with placed(None if name in drivers else objects[e], scope.source):
-                built = registered_driver(driver, scope.source) if isinstance(driver, str) else driver
-            number = Driving(self._world, e, built).number
+                driver_object = registered_driver(driver, scope.source) if isinstance(driver, str) else driver
+            number = Driving(self._world, e, driver_object).number
             self._world.kept[e] = name in drivers
             self._world.control(e, np.ones(scope.scenarios, dtype=np.bool_), number, True)
         self._storyboard = Storyboard(scenario, scope, self._world)
-        # Once more, now that it is known which entries of catalogs there are.
+        # Again, as catalog entries have been read meanwhile.
         refuse_unusable(prepared)
-        for why, where in scope.refused():
-            self._world.fail(where, why)
+        for message, mask in scope.refused():
+            self._world.fail(mask, message)
 
     @property
     def _drivings(self) -> list[Driving]:
-        return [one for one in self._world.drivers if isinstance(one, Driving)]
+        return [driver for driver in self._world.drivers if isinstance(driver, Driving)]
 
     @property
     def in_python(self) -> bool:
-        """Whether a driver decides in Python, as those of users do."""
-        return not all(one.in_fleet for one in self._drivings)
+        """Whether a driver is not compiled, as users' drivers are."""
+        return not all(driving.in_fleet for driving in self._drivings)
 
     @property
     def remarks(self) -> list[str]:
-        """Sentences on drivers that asked for more than their vehicles can do, and on what is not as the file says.
-
-        Once the batch has run; without a full stop.
-        """
+        """Sentences about drivers that exceeded vehicle limits, and about deviations from the file, after the run."""
         if self.failure is not None and self._world.scenarios > 1:
             return []
-        # Actions know their line, and where they do not stand in the scenario file the name of theirs.
-        remarks = [one.replace("(line ", f"({self._name}, line ", 1) for one in self._world.remarks]
-        return [*remarks, *(text for one in self._drivings for text in one.exceeded.values())]
+        # Actions name their line, and their file only if it is not the scenario file.
+        remarks = [remark.replace("(line ", f"({self._name}, line ", 1) for remark in self._world.remarks]
+        return [*remarks, *(text for remark in self._drivings for text in remark.exceeded.values())]
 
     def run(self, threads: int = 1, turn: Lock | None = None) -> None:
         """Step until every scenario has ended, or a driver fails.
 
-        Parameters
-        ----------
-        threads : int, default 1
-            At most.
-        turn : Lock, optional
-            What only one thread may have that is in Python; held here, but for while compiled code runs.
+        `turn` is held in Python and released in compiled code.
         """
-        # What has failed goes on to be computed, and is not looked at.
+        # Failed scenarios are still computed, but their results are not used.
         with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
             try:
                 for driving in self._drivings:
@@ -175,49 +145,38 @@ class Batch:
                     self._world.errors[0] = failure.error
 
     def halt(self) -> None:
-        """Let `run`, in another thread, come to an end soon; nothing that came out is of use then."""
+        """Let `run`, in another thread, end soon; its results are unusable then."""
         self._stepper.halted = True
 
     def results(self, chosen: Sequence[int], turn: Lock | None = None) -> list[Recording | SimulationError]:
-        """Give what came out of some scenarios, once the batch has run.
-
-        Parameters
-        ----------
-        chosen : sequence of int
-        turn : Lock, optional
-            What only one thread may have that is in Python; held here, but for while compiled code runs.
-
-        Returns
-        -------
-        list of Recording or SimulationError
-            Each with memory of its own.
-        """
+        """Recordings or errors of some scenarios once the batch has run, each with memory of its own."""
         world, scene = self._world, self._stepper.scene
         motion, placed = motion_of(scene, np.array(chosen, dtype=np.int64), turn)
-        names, kinds = tuple(world.names), tuple(entity.kind for entity in world.entities)
+        names, object_types = tuple(world.names), tuple(entity.kind for entity in world.entities)
         boxes = np.ascontiguousarray(scene.boxes[:, [LENGTH, WIDTH, CENTER_X]].T)
         time = np.arange(scene.frames.max(initial=0)) * self._time_step
-        result: list[Recording | SimulationError] = []
-        for i, moved, there in zip(chosen, motion, placed.tolist(), strict=True):
+        results: list[Recording | SimulationError] = []
+        for i, motion_of_scenario, was_placed in zip(chosen, motion, placed.tolist(), strict=True):
             if i in world.errors:
-                result.append(world.errors[i])
+                results.append(world.errors[i])
                 continue
-            if not there:
-                ended = format_instant(time[moved.shape[2] - 1])
-                result.append(SimulationError(f"{self._init}: no action places an entity on the map up to{ended[3:]}"))
+            if not was_placed:
+                end_time = format_instant(time[motion_of_scenario.shape[2] - 1])
+                message = f"{self._init}: no action places an entity on the map up to{end_time[3:]}"
+                results.append(SimulationError(message))
                 continue
             length, width, center_x = boxes.copy()
-            result.append(
+            results.append(
                 Recording(
-                    time=time[: moved.shape[2]].copy(),
+                    time=time[: motion_of_scenario.shape[2]].copy(),
                     names=names,
-                    kinds=kinds,
-                    # Iterating over an array takes twice as long.
-                    x=moved[0],
-                    y=moved[1],
-                    heading=moved[2],
-                    speed=moved[3],
-                    acceleration=moved[4],
+                    kinds=object_types,
+                    # Indexing is twice as fast as iterating over the array.
+                    x=motion_of_scenario[0],
+                    y=motion_of_scenario[1],
+                    heading=motion_of_scenario[2],
+                    speed=motion_of_scenario[3],
+                    acceleration=motion_of_scenario[4],
                     length=length,
                     width=width,
                     center_x=center_x,
@@ -225,10 +184,10 @@ class Batch:
                     cut_off=bool(self._cut_off[i]),
                 )
             )
-        return result
+        return results
 
     def bytes_of(self, i: int) -> int:
-        """Say how much memory the recording of a scenario takes, once the batch has run."""
+        """Bytes of a scenario's recording, once the batch has run."""
         return self._bytes[i]
 
     @cached_property
@@ -239,22 +198,22 @@ class Batch:
 
     @cached_property
     def _cut_off(self) -> BoolArray:
-        """Where the longest duration ended a run before its storyboard did, shape (N,)."""
+        """Scenarios ended by the maximum duration before their storyboard did, shape (N,)."""
         with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
             return np.asarray((self._stepper.scene.frames == self._stepper.most) & self._storyboard.unfinished())
 
     @cached_property
     def _collisions(self) -> dict[int, tuple[Collision, ...]]:
-        """Who collided, in order of time, in scenarios with collisions."""
-        begun, names = self._stepper.scene.collided, self._world.names
-        scenarios, firsts, seconds = np.nonzero(~np.isnan(begun))
-        # The clock adds up steps; the instants of a recording are multiples of one.
-        times = np.rint(begun[scenarios, firsts, seconds] / self._time_step) * self._time_step
+        """Collisions in order of time, by scenario."""
+        collision_time, names = self._stepper.scene.collided, self._world.names
+        scenarios, firsts, seconds = np.nonzero(~np.isnan(collision_time))
+        # The clock sums up steps; times of a recording are multiples of one.
+        times = np.rint(collision_time[scenarios, firsts, seconds] / self._time_step) * self._time_step
         columns = (scenarios, times, firsts, seconds)
-        found: dict[int, list[Collision]] = {}
+        collisions: dict[int, list[Collision]] = {}
         for i, time, a, b in sorted(zip(*(column.tolist() for column in columns), strict=True)):
-            found.setdefault(i, []).append(Collision(time, (names[a], names[b])))
-        return {i: tuple(each) for i, each in found.items()}
+            collisions.setdefault(i, []).append(Collision(time, (names[a], names[b])))
+        return {i: tuple(of_scenario) for i, of_scenario in collisions.items()}
 
 
 def _held(value: Any, scenarios: int) -> Any:
@@ -268,18 +227,19 @@ def _held(value: Any, scenarios: int) -> Any:
 
 
 def _selections(root: etree._Element, world: World, scope: Scope) -> dict[str, list[int]]:
-    """Rows of the members of each entity selection, of entities named or of a type."""
-    found: dict[str, list[int]] = {}
+    """Rows of the members of each entity selection: named entities, or all of a type."""
+    selections: dict[str, list[int]] = {}
     for selection in root.iterfind("Entities/EntitySelection"):
         members = selection.find("Members")
         if members is None:
             continue
         rows = entities_in(members, scope, world)
         for by_type in members.iterfind("ByType"):
-            kind = scope.text(by_type, "objectType")
-            rows += [k for k, one in enumerate(world.entities) if _object_type(one.kind) == kind and k not in rows]
-        found[scope.text(selection, "name")] = rows
-    return found
+            object_type = scope.text(by_type, "objectType")
+            of_type = [k for k, entity in enumerate(world.entities) if _object_type(entity.kind) == object_type]
+            rows += [k for k in of_type if k not in rows]
+        selections[scope.text(selection, "name")] = rows
+    return selections
 
 
 def _object_type(kind: str) -> str:

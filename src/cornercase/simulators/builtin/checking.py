@@ -1,4 +1,4 @@
-"""What a scenario file holds, and whether it can be run."""
+"""Check a scenario file: contents, schema, and whether it can be run."""
 
 from __future__ import annotations
 
@@ -19,34 +19,34 @@ from cornercase.simulators.builtin.simulator import BuiltinSimulator
 
 _COUNTED: Final = ("ScenarioObject", "Story", "Act", "ManeuverGroup", "Event")
 
-# ASAM's schema by minor version; files of any other are validated by the newest.
+# ASAM's schema by minor version; files of other versions are validated by the newest one.
 _SCHEMAS: Final = {0: "1.0.0", 1: "1.1.1", 2: "1.2.0", 3: "1.3.0"}
 
 
 @dataclass(frozen=True, repr=False)
 class Check:
-    """What was found in a scenario file.
+    """Result of checking a scenario file.
 
     Attributes
     ----------
     path : Path
         The scenario file.
     contents : dict of str to int
-        How many there are of each kind of element.
+        Number of elements by kind.
     parameters, variables : tuple of str
-        Names of those that it declares.
+        Names of declared parameters and variables.
     notices : tuple of Notice
-        What of the scenario and its catalogs, roads and space changes nothing in the builtin simulator, and why.
+        Parts of the scenario, its catalogs, roads and space that have no effect in the builtin simulator, and why.
     schema : str or None
-        Version of the schema that it was held against; None where the schema is not installed.
+        Version of the schema used for validation; None if the schema is not installed.
     invalid : tuple of str
-        Where the file, or that of the space, breaks the schema; what is adapted counts only where that was asked for.
+        Schema violations of the file and of the space; adapted parts count only if `strict` was given.
     space : ParameterSpace or None
-        What is varied; None where no space was given, or it cannot be used.
+        The parameter space; None if no space was given, or it cannot be used.
     trouble : tuple of str
         Why the scenario cannot be run.
     adapted : tuple of str
-        What breaks the standard and is read all the same, with its rule; empty unless `strict` asks for it.
+        Violations of the standard that are read all the same, with the rule; empty unless `strict` was given.
     """
 
     path: Path
@@ -62,24 +62,24 @@ class Check:
 
     @property
     def good(self) -> bool:
-        """Whether the file can be run, breaks no schema that is installed and, where that was asked for, no rule."""
+        """Whether the file can be run and violates neither the schema (if installed) nor, if `strict`, the standard."""
         return not self.invalid and not self.trouble and not self.adapted
 
     def __repr__(self) -> str:
-        held = ", ".join(f"{count} {kind}" for kind, count in self.contents.items() if count)
+        contents = ", ".join(f"{count} {kind}" for kind, count in self.contents.items() if count)
         validity = "schema not installed" if self.schema is None else f"schema {self.schema}: "
         if self.schema is not None:
             validity += f"{len(self.invalid)} errors" if self.invalid else "valid"
-        lines = [f"<Check of {self.path.name}: {'cannot' if self.trouble else 'can'} be run, {validity}; {held}"]
+        lines = [f"<Check of {self.path.name}: {'cannot' if self.trouble else 'can'} be run, {validity}; {contents}"]
         lines += [notice.sentence for notice in self.notices]
         return "\n  ".join([*lines, *self.invalid, *self.adapted, *self.trouble]) + ">"
 
 
 def check(scenario: Path | str | Scenario, space: Path | str | None = None, *, strict: bool = False) -> Check:
-    """Tell what a scenario file holds, what of it has no effect here, and whether it is valid and can be run.
+    """Check what a scenario file contains, what has no effect here, and whether it is valid and can be run.
 
-    It is held against ASAM's schema, where the extra ``cornercase[validate]`` is installed, and run for one time step:
-    with the parameters' own values, or those in the middle of the space.
+    It is validated by ASAM's schema if the extra ``cornercase[validate]`` is installed, and run for one time step: with
+    the parameters' own values, or those in the middle of the space.
 
     Parameters
     ----------
@@ -88,7 +88,7 @@ def check(scenario: Path | str | Scenario, space: Path | str | None = None, *, s
     space : path, optional
         ParameterValueDistribution file.
     strict : bool, default False
-        Whether what breaks the standard is refused, though it can be read: all notices of the label ``adapted``.
+        Also reject violations of the standard that can be read: all notices with the label ``adapted``.
 
     Returns
     -------
@@ -97,7 +97,7 @@ def check(scenario: Path | str | Scenario, space: Path | str | None = None, *, s
     Raises
     ------
     InputError
-        A file is missing, is not XML, or is neither.
+        A file is missing, is not XML, or is not of the expected format.
 
     Examples
     --------
@@ -108,23 +108,23 @@ def check(scenario: Path | str | Scenario, space: Path | str | None = None, *, s
     """
     file = scenario if isinstance(scenario, Scenario) else Scenario.read(scenario)
     tags = Counter(str(e.tag) for e in file.root.iter() if isinstance(e.tag, str))
-    trouble, varied = [], None
+    run_errors, parameter_space = [], None
     try:
         concrete = ConcreteScenario(file.path, {}, file)
         if space is not None:
-            varied = LogicalScenario.read(file, space).space
-            (values,) = varied.values(varied.middle())
+            parameter_space = LogicalScenario.read(file, space).space
+            (values,) = parameter_space.values(parameter_space.middle())
             concrete = ConcreteScenario(file.path, values, file)
         (result,) = BuiltinSimulator(duration=0.05).run([concrete])
         if isinstance(result, Exception):
-            trouble.append(of_file(file.path, f"{result}."))
+            run_errors.append(of_file(file.path, f"{result}."))
     except InputError as error:
-        trouble.append(str(error))
-    version, invalid = _validate(file.as_written() if strict else file.root)
+        run_errors.append(str(error))
+    version, schema_violations = _validate(file.as_written() if strict else file.root)
     if space is not None:
-        _, more = _validate(read_xml(Path(space)))
-        invalid += [f"{space}: {one}" for one in more]
-    notices = notices_after_reading(file, read=not trouble)
+        _, space_violations = _validate(read_xml(Path(space)))
+        schema_violations += [f"{space}: {violation}" for violation in space_violations]
+    notices = notices_after_reading(file, read=not run_errors)
     return Check(
         path=file.path,
         contents={tag: tags[tag] for tag in _COUNTED},
@@ -132,36 +132,26 @@ def check(scenario: Path | str | Scenario, space: Path | str | None = None, *, s
         variables=tuple(e.get("name", "") for e in file.root.iterfind("VariableDeclarations/VariableDeclaration")),
         notices=notices,
         schema=version,
-        invalid=tuple(invalid),
-        space=varied,
-        trouble=tuple(trouble),
+        invalid=tuple(schema_violations),
+        space=parameter_space,
+        trouble=tuple(run_errors),
         adapted=tuple(_breach(notice) for notice in notices if strict and notice.label is Label.ADAPTED),
     )
 
 
 def _breach(notice: Notice) -> str:
-    """What breaks the standard, and the rule that it breaks."""
+    """A violation of the standard, with the rule."""
     return f"{notice}. The standard: {notice.rule}" if notice.rule else str(notice)
 
 
 def schema_errors(root: etree._Element) -> list[str] | None:
-    """Errors by the schema of the version that a file says it has; None where the schema is not installed.
-
-    Parameters
-    ----------
-    root : lxml element
-
-    Returns
-    -------
-    list of str, optional
-        A line for each.
-    """
+    """Errors by the schema of the file's version, one line each; None if the schema is not installed."""
     version, errors = _validate(root)
     return None if version is None else errors
 
 
 def _validate(root: etree._Element) -> tuple[str | None, list[str]]:
-    """Version of the schema, and errors with their lines."""
+    """Version of the schema (None if not installed), and at most 20 errors with their lines."""
     header = root.find("FileHeader")
     minor = "" if header is None else header.get("revMinor", "")
     version = _SCHEMAS.get(int(minor) if minor.isdecimal() and len(minor) < 4 else -1, _SCHEMAS[3])
@@ -172,8 +162,8 @@ def _validate(root: etree._Element) -> tuple[str | None, list[str]]:
     file = folder / version / "OpenSCENARIO.xsd"
     if not file.is_file():
         return None, []
-    with resources.as_file(file) as local:
-        schema = etree.XMLSchema(etree.parse(str(local)))
+    with resources.as_file(file) as schema_path:
+        schema = etree.XMLSchema(etree.parse(str(schema_path)))
     schema.validate(root.getroottree())
-    log = list(schema.error_log)  # type: ignore[call-overload]
-    return version, [f"line {one.line}: {one.message}" for one in log][:20]
+    entries = list(schema.error_log)  # type: ignore[call-overload]
+    return version, [f"line {entry.line}: {entry.message}" for entry in entries][:20]

@@ -1,4 +1,4 @@
-"""Parts of a scenario without effect in the builtin simulator, or not read as they stand there."""
+"""Notices about parts of a scenario that have no effect in the builtin simulator, or are not read as written."""
 
 from __future__ import annotations
 
@@ -23,18 +23,9 @@ from cornercase.simulators.builtin.prepared import PreparedScenario
 
 
 def notices(scenario: Scenario, values: Mapping[str, Value] | None = None) -> tuple[Notice, ...]:
-    """Read a scenario as for a run, and name what of its files changes nothing.
+    """Read a scenario as for a run, and return its notices; parts that depend on parameters are read with `values`.
 
-    Parameters
-    ----------
-    scenario : Scenario
-    values : mapping of str to float or str, optional
-        Of its parameters, on which may depend what is read.
-
-    Returns
-    -------
-    tuple of Notice
-        Where the scenario cannot be run, without what nobody read.
+    If the scenario cannot be run, parts that were not read are not reported.
     """
     try:
         Batch(PreparedScenario.of(scenario), [dict(values or {})], 0.05, 1.0, False, {})
@@ -44,34 +35,23 @@ def notices(scenario: Scenario, values: Mapping[str, Value] | None = None) -> tu
 
 
 def notices_after_reading(scenario: Scenario, read: bool = True) -> tuple[Notice, ...]:
-    """Name what of the files of a scenario changed nothing, once it was read.
-
-    Parameters
-    ----------
-    scenario : Scenario
-    read : bool, default True
-        Whether it was read to its end.
-
-    Returns
-    -------
-    tuple of Notice
-    """
-    found: list[Notice] = [*scenario.axes_notices(), *profile_notices(scenario.root, scenario.path)]
-    scenario.catalog_files()  # They are looked for only where the scenario refers to one of them.
+    """Notices about a scenario's files, once it was read (`read`: to its end)."""
+    notices: list[Notice] = [*scenario.axes_notices(), *profile_notices(scenario.root, scenario.path)]
+    scenario.catalog_files()  # Reads catalogs only if the scenario refers to them.
     networks = PreparedScenario.of(scenario).networks
     for file, element in scenario.read_parts():
-        found += adapted(element, file)
+        notices += adapted(element, file)
         if local_name(element) == "Profiles":
-            found.append(profiles_notice(element, file))
+            notices.append(profiles_notice(element, file))
         elif local_name(element) == "OpenDRIVE":
-            found += name_without_effect(element, file, networks.get(file), read)
+            notices += name_without_effect(element, file, networks.get(file), read)
         else:
-            found += _of_version(later_version(element), LEDGER.notices(element, file, read))
-    return ranked(merged(found))
+            notices += _of_version(later_version(element), LEDGER.notices(element, file, read))
+    return ranked(merged(notices))
 
 
 def _of_version(minor: int | None, notices: Iterable[Notice]) -> Iterator[Notice]:
-    """Notices of a file, those of what is not known as of what a later version may have."""
+    """Notices of a file of a later version: unknown parts are explained by the version."""
     for notice in notices:
         if minor is None:
             yield notice

@@ -1,4 +1,4 @@
-"""Entities of a scenario file, and what they pull."""
+"""Read entities of a scenario file, and their trailers."""
 
 from __future__ import annotations
 
@@ -18,10 +18,9 @@ from cornercase.simulators.builtin.world.towing import MOST_TRAILERS, front_firs
 
 _TURNING: Final = {"segment": ALONG_LEGS, "corner": AT_CORNERS, "off": AT_VERTICES, "none": AT_VERTICES}
 
-# m; no vehicle, nor what stands beside a road, is larger.
+# m; larger than any vehicle or object beside a road.
 _LARGEST: Final = 10_000.0
-# Length, width and how far the centre is ahead, in m, where a file gives none: those of the entities that come with
-# esmini, and of common vehicles where it has none.
+# Length, width and longitudinal centre in m, if a file gives none: those of esmini's entities, or of common vehicles.
 _SIZES: Final = {
     "car": (5.04, 2.0, 1.4),
     "van": (4.5, 1.8, 1.3),
@@ -41,52 +40,35 @@ _LIMITS: Final = ("maxSpeed", "maxAcceleration", "maxDeceleration")
 
 
 def read_entities(objects: Sequence[etree._Element], scope: Scope) -> tuple[tuple[Entity, ...], tuple[Tow, ...]]:
-    """Read all entities: those of the file, and the trailers that they bring along.
+    """Read the file's entities and their trailers, and who tows whom (front first).
 
-    Parameters
-    ----------
-    objects : sequence of lxml element
-        ``ScenarioObject`` elements.
-    scope : Scope
-        Values of the file's parameters.
-
-    Returns
-    -------
-    tuple of Entity
-        Those of the file first, in its order. A trailer that has no name of its own is called as its vehicle with a
-        ``+`` behind.
-    tuple of Tow
-        Who pulls whom, those in front first.
-
-    Raises
-    ------
-    InputError
-        An entity is of no kind that can be moved, is malformed, or pulls what is no trailer.
+    The file's entities come first, in order. A trailer without a name of its own has its vehicle's name with ``+``.
+    `InputError` for malformed entities, and trailers that are none.
     """
     bodies = [_body(element, element.get("name", ""), scope) for element in objects]
     names = [element.get("name", "") for element in objects]
-    found = [_entity(body, name, inner) for name, (body, inner) in zip(names, bodies, strict=True)]
+    entities = [_entity(body, name, body_scope) for name, (body, body_scope) in zip(names, bodies, strict=True)]
     pairs = []
-    for k, (body, inner) in enumerate(bodies[: len(objects)]):
+    for k, (body, body_scope) in enumerate(bodies[: len(objects)]):
         front = k
-        for trailer in _pulled(body, inner, names[k]):
+        for trailer in _pulled(body, body_scope, names[k]):
             if isinstance(trailer, str):
                 if trailer not in names:
                     raise InputError(
-                        f"{place_of(body, inner.source)}: <Trailer>: the entity '{names[k]}' pulls '{trailer}', which"
-                        f" does not exist; {suggestion(trailer, names)}"
+                        f"{place_of(body, body_scope.source)}: <Trailer>: the entity '{names[k]}' pulls '{trailer}',"
+                        f" which does not exist; {suggestion(trailer, names)}"
                     )
                 pairs.append((front, names.index(trailer)))
                 break
             bodies.append(trailer)
-            found.append(_entity(trailer[0], found[front].name + "+", trailer[1]))
-            pairs.append((front, len(found) - 1))
-            front = len(found) - 1
-    return tuple(found), front_first([read_tow(one, two, found) for one, two in pairs])
+            entities.append(_entity(trailer[0], entities[front].name + "+", trailer[1]))
+            pairs.append((front, len(entities) - 1))
+            front = len(entities) - 1
+    return tuple(entities), front_first([read_tow(front_row, rear_row, entities) for front_row, rear_row in pairs])
 
 
 def _body(element: etree._Element, name: str, scope: Scope) -> tuple[etree._Element, Scope]:
-    holder = scope
+    outer_scope = scope
     body = next((e for e in element.iterchildren("Vehicle", "Pedestrian", "MiscObject", "CatalogReference")), None)
     if body is not None and body.tag == "CatalogReference":
         body, scope = scope.from_catalog(body)
@@ -94,8 +76,8 @@ def _body(element: etree._Element, name: str, scope: Scope) -> tuple[etree._Elem
         scope = scope.within(body)
     if body is None or body.tag not in ("Vehicle", "Pedestrian", "MiscObject"):
         raise InputError(
-            f"{place_of(element, holder.source)}: the <{element.tag}> '{name}' is not a vehicle, pedestrian or misc"
-            " object, the only ones that the builtin simulator can move."
+            f"{place_of(element, outer_scope.source)}: the <{element.tag}> '{name}' is not a vehicle, pedestrian or"
+            " misc object, the only ones that the builtin simulator can move."
         )
     return body, scope
 
@@ -111,65 +93,66 @@ def _entity(body: etree._Element, name: str, scope: Scope) -> Entity:
         limits = [scope.one_number(performance, a, np.inf) for a in _LIMITS]
         for attribute, limit in zip(_LIMITS, limits, strict=True):
             if limit < 0.0:
-                where = place_of(performance, scope.source)
+                location = place_of(performance, scope.source)
                 raise InputError(
-                    f"{where}: <Performance>: {attribute} of '{name}' is {limit:g}; it must not be below 0."
+                    f"{location}: <Performance>: {attribute} of '{name}' is {limit:g}; it must not be below 0."
                 )
-    length, width, reach = _box(body, kind, scope)
+    length, width, center_x = _box(body, kind, scope)
     if not (length > 0 and width > 0):
         raise InputError(
             f"{place_of(body, scope.source)}: <Dimensions>: the bounding box of '{name}' needs a positive"
             " length and width."
         )
-    if max(length, width, abs(reach)) > _LARGEST:
+    if max(length, width, abs(center_x)) > _LARGEST:
         raise InputError(
             f"{place_of(body, scope.source)}: <BoundingBox>: the bounding box of '{name}' is larger than"
             f" {_LARGEST:g} m; give it in m."
         )
-    # Two of esmini's own properties.
+    # Two properties that esmini defines.
     items = unrecorded(body, "Properties", "Property")
-    found = {key: named(items, key) for key in ("ignoreHeadingForTrajMotion", "plineInterpolation")}
-    own = {key: "" if item is None else scope.text(item, "value") for key, item in found.items()}
-    slides, turning = own["ignoreHeadingForTrajMotion"] == "true", _TURNING.get(own["plineInterpolation"], "")
+    elements = {key: named(items, key) for key in ("ignoreHeadingForTrajMotion", "plineInterpolation")}
+    properties = {key: "" if item is None else scope.text(item, "value") for key, item in elements.items()}
+    slides = properties["ignoreHeadingForTrajMotion"] == "true"
+    turning = _TURNING.get(properties["plineInterpolation"], "")
     body_and_scope = body, scope
-    return Entity(name, kind, length, width, reach, limits[0], limits[1], limits[2], slides, turning, body_and_scope)
+    return Entity(name, kind, length, width, center_x, limits[0], limits[1], limits[2], slides, turning, body_and_scope)
 
 
 def _box(body: etree._Element, kind: str, scope: Scope) -> tuple[float, float, float]:
-    """Length and width of an entity's box, and how far its centre is ahead, in m: those of its kind for none."""
+    """Length, width and longitudinal centre of the bounding box in m; defaults of the entity's type if missing."""
     dimensions, center = body.find("BoundingBox/Dimensions"), body.find("BoundingBox/Center")
-    length, width, ahead = _SIZES.get(kind, _SIZES["car"])
-    known = {} if dimensions is None else {key: scope.one_number(dimensions, key, 0.0) for key in ("length", "width")}
-    reach = ahead if center is None else scope.one_number(center, "x")
-    found = known.get("length") or length, known.get("width") or width
-    if center is None or not all(known.get(key) for key in ("length", "width")):
+    length, width, default_center_x = _SIZES.get(kind, _SIZES["car"])
+    given = {} if dimensions is None else {key: scope.one_number(dimensions, key, 0.0) for key in ("length", "width")}
+    center_x = default_center_x if center is None else scope.one_number(center, "x")
+    size = given.get("length") or length, given.get("width") or width
+    if center is None or not all(given.get(key) for key in ("length", "width")):
         part = "<BoundingBox>" if dimensions is None or center is None else "size of <BoundingBox>"
-        why = f"the {kind} is taken as {found[0]:g} m long and {found[1]:g} m wide, its centre {reach:g} m ahead"
+        reason = f"the {kind} is taken as {size[0]:g} m long and {size[1]:g} m wide, its centre {center_x:g} m ahead"
         rule = "an entity has a <BoundingBox> with <Center> and <Dimensions>, which are above 0 m"
-        adapt(body if dimensions is None else dimensions, part, why, rule)
-    return *found, reach
+        adapt(body if dimensions is None else dimensions, part, reason, rule)
+    return *size, center_x
 
 
 def _pulled(body: etree._Element, scope: Scope, name: str) -> Iterator[tuple[etree._Element, Scope] | str]:
-    """Bodies of the trailers behind a vehicle, from the front; of one that is an entity of its own, the name."""
+    """Yield the trailers behind a vehicle, front first: body and scope, or the name of an entity of its own."""
     for _ in range(MOST_TRAILERS):
         holder = body.find("Trailer")
         if holder is None:
             return
-        if other := _referred(holder, scope):
-            yield other
+        if name_of_entity := _referred(holder, scope):
+            yield name_of_entity
             return
         inner = _held(holder, scope)
         if inner is None:
             return
         body, scope = _body(inner, name, scope)
         yield body, scope
-    where = place_of(body, scope.source)
-    raise InputError(f"{where}: the <Trailer> of the entity '{name}' pulls more than {MOST_TRAILERS} trailers.")
+    location = place_of(body, scope.source)
+    raise InputError(f"{location}: the <Trailer> of the entity '{name}' pulls more than {MOST_TRAILERS} trailers.")
 
 
 def _referred(holder: etree._Element, scope: Scope) -> str:
-    """Name of the entity that is to be the trailer; empty where none is, as a reference to no entity is no trailer."""
+    """Name of the entity that is the trailer; empty for none, as an empty reference is no trailer."""
     names = []
     for element in holder.iterchildren("TrailerRef", "EntityRef"):
         names.append(scope.text(element, "entityRef", ""))
@@ -179,11 +162,11 @@ def _referred(holder: etree._Element, scope: Scope) -> str:
 
 
 def _held(holder: etree._Element, scope: Scope) -> etree._Element | None:
-    """What holds the body of a trailer; None where there is none."""
+    """Element that contains the body of a trailer, or None."""
     if (inner := holder.find("Trailer")) is not None:
         return inner
     for direct in holder.iterchildren("Vehicle", "CatalogReference"):
-        # As in esmini, a reference to no entry is no trailer.
+        # As in esmini, a reference without an entry name is no trailer.
         if direct.tag == "CatalogReference" and not scope.text(direct, "entryName", ""):
             return None
         adapt(direct, f"<{direct.tag}> in <Trailer>", f"is read as <Trailer><{direct.tag}>", _TRAILER_RULE)

@@ -1,4 +1,4 @@
-"""What the builtin simulator does with each part of an OpenSCENARIO file."""
+"""Support table of the builtin simulator for OpenSCENARIO files."""
 
 from __future__ import annotations
 
@@ -12,20 +12,12 @@ LEDGER: Final = Ledger.read("cornercase.simulators.builtin", "openscenario.csv")
 
 
 def refuse_unusable(prepared: PreparedScenario) -> None:
-    """Refuse what the builtin simulator cannot run, in the scenario file and the catalog entries that were read.
+    """Raise `InputError` for the first unsupported element or attribute in the files that were read so far.
 
-    Parameters
-    ----------
-    prepared : PreparedScenario
-        What was looked at before is not looked at again.
-
-    Raises
-    ------
-    InputError
-        Names the first element or attribute, its line, and what to do instead.
+    Elements that were checked before are skipped.
     """
     for file, element in prepared.scenario.read_parts():
-        # Elements are held by their file, so that each stays the same object.
+        # The file holds its elements, so their ids stay valid.
         if id(element) not in prepared.looked_at and local_name(element) != "OpenDRIVE":
             LEDGER.refuse(element, file)
             prepared.looked_at.add(id(element))

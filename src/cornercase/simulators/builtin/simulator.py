@@ -24,30 +24,30 @@ from cornercase.simulators.builtin.batch import Batch
 from cornercase.simulators.builtin.effect import notices
 from cornercase.simulators.builtin.prepared import PreparedScenario
 
-# A batch keeps the whole motion of its scenarios; so many bytes at most, which it takes only if all of them run as long
-# as they may, and so many scenarios. What a batch costs besides its scenarios is worth several hundred of them.
+# Limits of a batch: bytes of motion if all scenarios last the maximum duration, and scenarios. The overhead of a batch
+# equals that of several hundred scenarios.
 _MOST_BYTES = 800_000_000
 _LARGEST_BATCH = 4096
-# So many scenarios are worth a batch of their own: while the storyboard of one looks, which is Python, another runs.
+# Scenarios that are worth a batch of their own: while the storyboard of one is in Python, another one runs.
 _WORTH_A_BATCH = 512
-# Recordings are made so many bytes at once.
+# Bytes of recordings that are made together.
 _MOST_RECORDED = 4_000_000
 
 
 class BuiltinSimulator(Simulator):
-    """Steps all concrete scenarios at once: one code path for one and for a hundred thousand.
+    """Simulates all concrete scenarios at once, one or a hundred thousand.
 
     Parameters
     ----------
     time_step : float, default 0.05
         s.
     duration : float, default 60
-        s after which a scenario ends at the latest.
+        Maximum duration of a scenario in s.
     on_collision : {"continue", "stop"}, default "continue"
-        Whether entities pass through each other, as in CarMaker, or the run ends, as in CARLA. A scenario file's
-        own stop trigger holds either way.
+        Whether entities pass through each other, as in CarMaker, or the run ends, as in CARLA. A scenario file's own
+        stop trigger applies in both cases.
     drivers : mapping of str to str or Driver, optional
-        Who drives which entity: the name of a preset, or a driver. Beats the file's controller properties.
+        Driver of each entity: the name of a preset, or a driver. Overrides the file's controllers.
 
     Raises
     ------
@@ -76,7 +76,7 @@ class BuiltinSimulator(Simulator):
 
     @classmethod
     def availability(cls) -> Availability:
-        """Say whether it can run here: always."""
+        """Return version and features; it can always run."""
         return Availability(
             version=__version__,
             missing="",
@@ -88,44 +88,23 @@ class BuiltinSimulator(Simulator):
 
     @classmethod
     def notices(cls, scenario: Scenario, values: Mapping[str, Value] | None = None) -> tuple[Notice, ...]:
-        """Name what of a scenario changes nothing here.
-
-        Parameters
-        ----------
-        scenario : Scenario
-        values : mapping of str to float or str, optional
-            Of its parameters.
-
-        Returns
-        -------
-        tuple of Notice
-        """
+        """Notices about parts of a scenario that have no effect here."""
         return notices(scenario, values)
 
     def run(self, concretes: Sequence[ConcreteScenario]) -> Iterator[Recording | SimulationError]:
-        """Give one recording or one error per concrete scenario, in order.
+        """Yield one recording or one error per concrete scenario, in order.
 
         Raises
         ------
         InputError
             A scenario file cannot be used.
         """
-        for chosen in self._portions(concretes):
-            yield from self._run(chosen)
+        for portion in self._portions(concretes):
+            yield from self._run(portion)
 
     def require_runnable(self, concretes: Sequence[ConcreteScenario]) -> None:
-        """Refuse scenarios of which none can be run, without running any.
-
-        Parameters
-        ----------
-        concretes : sequence of ConcreteScenario
-
-        Raises
-        ------
-        InputError
-            What is wrong with the first.
-        """
-        wrong: InputError | None = None
+        """Raise `InputError`, with the first one's problem, if none of the scenarios can be run. Runs none."""
+        first_error: InputError | None = None
         for concrete in concretes:
             prepared = self._prepare(concrete)
             unusable = prepared.unusable([concrete.values])
@@ -134,57 +113,57 @@ class BuiltinSimulator(Simulator):
                     raise InputError(of_file(concrete.path, f"{unusable[0]}."))
                 self._batch(prepared, [concrete])
             except InputError as error:
-                wrong = wrong or error
+                first_error = first_error or error
             else:
                 return
-        if wrong is not None:
-            raise wrong
+        if first_error is not None:
+            raise first_error
 
     def _portions(self, concretes: Sequence[ConcreteScenario]) -> Iterator[Sequence[ConcreteScenario]]:
-        """Scenarios that are held in memory at the same time."""
+        """Split scenarios into portions that fit into memory."""
         instants = int(self._duration / self._time_step) + 2
-        begin, held, needed = 0, 0, 0
-        last: ConcreteScenario | None = None
+        begin, total, needed = 0, 0, 0
+        previous: ConcreteScenario | None = None
         for i, concrete in enumerate(concretes):
-            if last is None or concrete.path is not last.path or concrete.source is not last.source:
+            if previous is None or concrete.path is not previous.path or concrete.source is not previous.source:
                 needed = self._prepare(concrete).bytes_for(instants, bool(self._drivers))
-            last = concrete
-            if i > begin and (held + needed > _MOST_BYTES or i - begin == _LARGEST_BATCH):
+            previous = concrete
+            if i > begin and (total + needed > _MOST_BYTES or i - begin == _LARGEST_BATCH):
                 yield concretes[begin:i]
-                begin, held = i, 0
-            held += needed
+                begin, total = i, 0
+            total += needed
         if begin < len(concretes):
             yield concretes[begin:]
 
     def _run(self, concretes: Sequence[ConcreteScenario]) -> Iterator[Recording | SimulationError]:
-        ran: dict[int, _Ran] = {}
+        progress: dict[int, _Ran] = {}
         files: dict[tuple[Path, Scenario | None], list[int]] = {}
         for i, concrete in enumerate(concretes):
             files.setdefault((concrete.path, concrete.source), []).append(i)
         with ThreadPoolExecutor(available_cpus()) as pool:
-            crew = _Crew(pool, Lock(), WeakSet(), [])
+            batch_pool = _Crew(pool, Lock(), WeakSet(), [])
             try:
-                for chosen in files.values():
-                    self._run_file(concretes, chosen, ran, crew)
+                for indices in files.values():
+                    self._run_file(concretes, indices, progress, batch_pool)
                 # Recordings of the first batch are made while the next ones still run.
-                yield from _made(ran, crew.turn)
-                for sentences in crew.remarks:
+                yield from _made(progress, batch_pool.turn)
+                for sentences in batch_pool.remarks:
                     self.notice(sentences)
             except BaseException:
-                # The pool waits for its threads; whoever interrupts does not wait for the rest of the batches.
-                for batch in crew.running:
+                # The pool waits for its threads: do not let an interrupt wait for the remaining batches.
+                for batch in batch_pool.running:
                     batch.halt()
                 raise
 
     def _run_file(
         self, concretes: Sequence[ConcreteScenario], chosen: list[int], ran: dict[int, _Ran], crew: _Crew
     ) -> None:
-        """Start to run those that have the same file."""
+        """Start to run the scenarios of one file."""
         prepared = self._prepare(concretes[chosen[0]])
         for entity in self._drivers:
             prepared.scenario.require_entity(entity, "driven entity")
-        wrong = prepared.unusable([concretes[i].values for i in chosen])
-        ran.update((chosen[place], SimulationError(words)) for place, words in wrong.items())
+        invalid = prepared.unusable([concretes[i].values for i in chosen])
+        ran.update((chosen[index], SimulationError(reason)) for index, reason in invalid.items())
         for group in _groups(prepared, concretes, [i for i in chosen if i not in ran]):
             self._run_group(prepared, concretes, group, ran, crew)
 
@@ -213,25 +192,25 @@ class BuiltinSimulator(Simulator):
         ran: dict[int, _Ran],
         crew: _Crew,
     ) -> None:
-        """Start to run scenarios that could go into one batch; where it is one alone, it has run then."""
+        """Start to run scenarios that could share a batch; if there is one batch, it has run on return."""
         parts, started = self._parts(prepared, chosen), list[Future[Batch]]()
         try:
             for part in parts:
                 with crew.turn:
                     batch = self._form(prepared, concretes, part, ran)
                 if batch is not None:
-                    # While the next one is formed, this one runs already; in Python it would leave no time for that.
+                    # A compiled batch already runs while the next one is made; a batch in Python would block it.
                     started.append(crew.start(batch, 1 if batch.in_python else len(parts)))
-                    ran.update((i, (started[-1], place)) for place, i in enumerate(part))
+                    ran.update((i, (started[-1], index)) for index, i in enumerate(part))
                     if batch.failure is not None and len(part) > 1:
                         self._run_apart(prepared, concretes, part, ran, crew, batch.failure.splits)
-        except VariesError as varies:
+        except VariesError as split:
             wait(started)
-            differing = {tuple(concretes[i].values.get(name) for name in sorted(varies.names)) for i in chosen}
-            if len(differing) < 2:
+            distinct_values = {tuple(concretes[i].values.get(name) for name in sorted(split.names)) for i in chosen}
+            if len(distinct_values) < 2:
                 path = prepared.scenario.path
-                raise InputError(f"{path}: an attribute that must be one value {varies}.") from None
-            prepared.splitting |= varies.names
+                raise InputError(f"{path}: an attribute that must be one value {split}.") from None
+            prepared.splitting |= split.names
             for group in _groups(prepared, concretes, chosen):
                 self._run_group(prepared, concretes, group, ran, crew)
 
@@ -244,19 +223,19 @@ class BuiltinSimulator(Simulator):
         crew: _Crew,
         in_halves: bool,
     ) -> None:
-        """Run scenarios again of which a driver failed in some, so that only these fail."""
+        """Rerun scenarios after a driver failed in some of them, so that only these fail."""
         size = (len(chosen) + 1) // 2 if in_halves else 1
         for begin in range(0, len(chosen), size):
             self._run_group(prepared, concretes, chosen[begin : begin + size], ran, crew)
 
     def _parts(self, prepared: PreparedScenario, chosen: list[int]) -> list[list[int]]:
-        """Scenarios that go into one batch each, of those that could go into one."""
+        """Split scenarios that could share a batch into batches for several cores."""
         count = min(available_cpus(), len(chosen) // _WORTH_A_BATCH)
         if count < 2:
             return [chosen]
         drivers = {**prepared.scenario.drivers, **self._drivers}.values()
-        # A driver object can be at the wheel in one batch at a time, and one in Python leaves other threads no time.
-        if not all(isinstance(one, str) and decides_compiled(one) for one in drivers):
+        # A driver object can drive in one batch at a time, and a Python driver blocks the other threads.
+        if not all(isinstance(driver, str) and decides_compiled(driver) for driver in drivers):
             return [chosen]
         return [chosen[begin:end] for begin, end in pairwise(len(chosen) * k // count for k in range(count + 1))]
 
@@ -267,23 +246,22 @@ class BuiltinSimulator(Simulator):
         chosen: list[int],
         ran: dict[int, _Ran],
     ) -> Batch | None:
-        """Form a batch; none where the file cannot be used with the values of its scenarios."""
+        """Make a batch; None if the file cannot be used with the values of its scenarios."""
         try:
             return self._batch(prepared, [concretes[i] for i in chosen])
         except InputError as error:
-            # Whatever it is because of is the same for the whole group.
+            # The cause is the same for the whole group.
             first = concretes[chosen[0]]
-            own = ConcreteScenario(first.path, {}, prepared.scenario)
-            words = prepared.what_is_wrong(error, first.values, lambda: self._batch(prepared, [own]))
-            ran.update((i, SimulationError(words)) for i in chosen)
+            own_values = ConcreteScenario(first.path, {}, prepared.scenario)
+            reason = prepared.what_is_wrong(error, first.values, lambda: self._batch(prepared, [own_values]))
+            ran.update((i, SimulationError(reason)) for i in chosen)
             return None
 
 
 class _Crew(NamedTuple):
-    """Threads that run batches beside each other, all cores busy.
+    """Threads that run batches in parallel.
 
-    Of those that are in Python only one has its turn: they would hand Python's own lock to and fro with each call of
-    NumPy, which took a third of the time.
+    Only one thread is in Python at a time: this avoids GIL contention, which cost a third of the run time.
     """
 
     pool: ThreadPoolExecutor
@@ -292,7 +270,7 @@ class _Crew(NamedTuple):
     remarks: list[list[str]]
 
     def start(self, batch: Batch, beside: int) -> Future[Batch]:
-        """Run a batch beside so many others, itself included; one that is alone has run then."""
+        """Run a batch as one of `beside` parallel ones; if it is the only one, it has run on return."""
         self.running.add(batch)
         remarks: list[str] = []
         self.remarks.append(remarks)
@@ -313,47 +291,47 @@ _Ran = tuple[Future[Batch], int] | SimulationError
 
 
 def _made(ran: dict[int, _Ran], turn: Lock) -> Iterator[Recording | SimulationError]:
-    """What came out of scenarios, a few ahead of what the caller has taken."""
-    waiting: deque[Future[list[Recording | SimulationError]]] = deque()
-    with ThreadPoolExecutor(available_cpus()) as makers:
+    """Yield results, computed a few portions ahead of the caller."""
+    pending: deque[Future[list[Recording | SimulationError]]] = deque()
+    with ThreadPoolExecutor(available_cpus()) as executor:
         for begin, end in _portions_of_results(ran):
-            chosen = [ran.pop(i) for i in range(begin, end)]
-            if not (ran or waiting):
-                yield from _results(chosen, turn)
+            portion = [ran.pop(i) for i in range(begin, end)]
+            if not (ran or pending):
+                yield from _results(portion, turn)
                 return
-            waiting.append(makers.submit(_results, chosen, turn))
-            if len(waiting) > available_cpus():
-                yield from waiting.popleft().result()
-        while waiting:
-            yield from waiting.popleft().result()
+            pending.append(executor.submit(_results, portion, turn))
+            if len(pending) > available_cpus():
+                yield from pending.popleft().result()
+        while pending:
+            yield from pending.popleft().result()
 
 
 def _portions_of_results(ran: Mapping[int, _Ran]) -> Iterator[tuple[int, int]]:
-    """Recordings that are made together, first and last one: few, as only those that the caller keeps take memory."""
-    count, begin, held = len(ran), 0, 0
+    """Yield (begin, end) of recordings to make together: few, since only what the caller keeps should take memory."""
+    count, begin, total = len(ran), 0, 0
     future: Future[Batch] | None = None
     for i in range(count):
-        found = ran[i]
-        if not isinstance(found, SimulationError):
-            if found[0] is not future:
-                future = found[0]
+        entry = ran[i]
+        if not isinstance(entry, SimulationError):
+            if entry[0] is not future:
+                future = entry[0]
                 batch = future.result()
-            held += batch.bytes_of(found[1])
-        if held > _MOST_RECORDED:
+            total += batch.bytes_of(entry[1])
+        if total > _MOST_RECORDED:
             yield begin, i + 1
-            begin, held = i + 1, 0
+            begin, total = i + 1, 0
     yield begin, count
 
 
 def _results(ran: list[_Ran], turn: Lock) -> list[Recording | SimulationError]:
-    """What came out of scenarios, of each batch at once."""
+    """Results of scenarios, fetched batch by batch."""
     with turn:
-        places: dict[Future[Batch], list[int]] = {}
-        for found in ran:
-            if not isinstance(found, SimulationError):
-                places.setdefault(found[0], []).append(found[1])
-        made = {future: iter(future.result().results(chosen, turn)) for future, chosen in places.items()}
-        return [found if isinstance(found, SimulationError) else next(made[found[0]]) for found in ran]
+        indices: dict[Future[Batch], list[int]] = {}
+        for entry in ran:
+            if not isinstance(entry, SimulationError):
+                indices.setdefault(entry[0], []).append(entry[1])
+        results = {future: iter(future.result().results(chosen, turn)) for future, chosen in indices.items()}
+        return [entry if isinstance(entry, SimulationError) else next(results[entry[0]]) for entry in ran]
 
 
 def _groups(prepared: PreparedScenario, concretes: Sequence[ConcreteScenario], chosen: list[int]) -> list[list[int]]:

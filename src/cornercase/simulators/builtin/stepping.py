@@ -1,4 +1,4 @@
-"""Stepping all scenarios of a batch: the storyboard looks where something happens, compiled code does the rest."""
+"""Step all scenarios of a batch: storyboards are evaluated in Python when needed, compiled code does the rest."""
 
 from __future__ import annotations
 
@@ -43,13 +43,13 @@ from cornercase.simulators.builtin.world.motion import go_on_along_lanes, watch_
 from cornercase.simulators.builtin.world.state import World
 from cornercase.simulators.builtin.world.towing import place_trailers
 
-# Calls a function of two numbers for each pair of two lists.
+# Calls a function of two integers for each pair of two lists.
 _Share = Callable[[Callable[[int, int], object], list[int], list[int]], Iterable[object]]
 
-# What the storyboard makes of what becomes of a scenario, where nothing else is done about it.
+# State that the storyboard assumes for scenarios whose need for a lane or a lookup was not met.
 _UNRESOLVED: Final = np.arange(LOST_GOING + 1, dtype=np.int8)
 _UNRESOLVED[[ELSEWHERE, LOST_ACTING, LOST_GOING]] = WAITS, ENDS, WAITS
-# So many scenarios are worth a thread.
+# Scenarios that are worth a thread.
 _WORTH_A_THREAD: Final = 32
 
 
@@ -57,36 +57,16 @@ class Coupling(Protocol):
     """Another simulator that moves some of the entities, in step with the storyboard."""
 
     def step(self, world: World, dt: float) -> None:
-        """Move its entities to the end of the coming time step; with a step of 0, only see where all begin."""
+        """Move its entities to the end of the coming time step; with a step of 0, only read their initial state."""
         ...
 
 
 class Stepper:
-    """Runs N scenarios of one file, each by a clock of its own.
+    """Runs N scenarios of one file, each with a clock of its own.
 
-    A scenario runs in compiled code as long as nothing happens in its storyboard: no condition changes, no action ends.
-    Then its storyboard looks, with those of all others that wait for theirs.
-
-    Parameters
-    ----------
-    world : World
-    storyboard : Storyboard
-    time_step : float
-        s.
-    duration : float
-        s after which a scenario ends at the latest.
-    stop_at_collision : bool
-    coupling : Coupling, optional
-        Another simulator that moves some of the entities.
-
-    Attributes
-    ----------
-    scene : Scene
-        With what is recorded.
-    most : int
-        Frames of a scenario that lasts the longest duration.
-    halted : bool
-        Whether nobody waits for the rest any more.
+    A scenario runs in compiled code until a condition changes or an action ends. Then its storyboard is evaluated,
+    together with all others that wait for it. `scene` holds the state and the recordings; `most` is the maximum number
+    of frames; `halted` is True once nobody waits for results.
     """
 
     def __init__(
@@ -99,54 +79,54 @@ class Stepper:
         coupling: Coupling | None,
     ) -> None:
         self._world, self._storyboard, self._coupling = world, storyboard, coupling
-        most = max(int(np.ceil((duration + 1e-9) / time_step)), 1)
-        while most * time_step < duration + 1e-9:
-            most += 1
-        while most > 1 and (most - 1) * time_step >= duration + 1e-9:
-            most -= 1
-        self.most = most
-        self.scene: Scene = scene_of(world, most)
+        max_frames = max(int(np.ceil((duration + 1e-9) / time_step)), 1)
+        while max_frames * time_step < duration + 1e-9:
+            max_frames += 1
+        while max_frames > 1 and (max_frames - 1) * time_step >= duration + 1e-9:
+            max_frames -= 1
+        self.most = max_frames
+        self.scene: Scene = scene_of(world, max_frames)
         self.halted = False
-        self._drivings = [one for one in world.drivers if isinstance(one, Driving)]
+        self._drivings = [driver for driver in world.drivers if isinstance(driver, Driving)]
         self._fleet = _fleet_of(world, self._drivings)
-        by_hand = bool((self._fleet.kind == FOREIGN).any()) or len(self._drivings) < len(world.drivers)
-        self._rules = Rules(time_step, most, stop_at_collision, not by_hand)
-        # What the storyboard has to look at in each frame, whatever happens.
-        self._by_hand = by_hand or coupling is not None or world.watches_roads or bool(world.signal_controllers)
-        self._actions = gather_actions([one.action for one in storyboard.actions], world.scenarios)
+        needs_python = bool((self._fleet.kind == FOREIGN).any()) or len(self._drivings) < len(world.drivers)
+        self._rules = Rules(time_step, max_frames, stop_at_collision, not needs_python)
+        # Whether the storyboard has to be evaluated in each frame.
+        self._by_hand = needs_python or coupling is not None or world.watches_roads or bool(world.signal_controllers)
+        self._actions = gather_actions([driver.action for driver in storyboard.actions], world.scenarios)
         self._read_triggers()
         self._roads = road_tables([]) if world.network is None else world.network.tables
         self._pool, self._planned = TrackPool(), dict[tuple[int, int], int]()
-        driven = np.array([one.entity for one in self._drivings], dtype=np.int64)
+        driven_entities = np.array([driver.entity for driver in self._drivings], dtype=np.int64)
         status = np.full(world.scenarios, RESTS, dtype=np.int8)
-        # When somebody was last looked up: if that does not help, the storyboard acts.
+        # Time of the last lookup: if it did not help, the storyboard handles the scenario.
         self._looked_up = np.full(world.scenarios, -1.0)
         self._bounds = [0, world.scenarios]
         self._share: _Share = map
         self._turn: Lock | None = None
-        self._course = Course(status, np.zeros(world.scenarios, dtype=np.bool_), driven)
+        self._course = Course(status, np.zeros(world.scenarios, dtype=np.bool_), driven_entities)
 
     def _read_triggers(self) -> None:
-        """Make tables of all triggers, and remember what of them is no matter of tables alone."""
-        asked, self._unknown = [], set[int]()
+        """Make the condition tables of all triggers; remember the conditions that tables cannot express."""
+        specs, self._unknown = [], set[int]()
         self._pasts: list[Past] = []
         self._constants: list[tuple[int, Condition]] = []
-        count = 0
+        n_conditions = 0
         for t, (trigger, _) in enumerate(self._storyboard.waits()):
             groups = [[(condition, condition.asked) for condition in group] for group in trigger.groups]
-            if any(found is None for group in groups for _, found in group):
+            if any(spec is None for group in groups for _, spec in group):
                 self._unknown.add(t)
                 groups = []
-            for condition, found in (one for group in groups for one in group):
+            for condition, spec in (one for group in groups for one in group):
                 if condition.constant(self._world) is not None:
-                    self._constants.append((count, condition))
-                count += len(found.leaves)
+                    self._constants.append((n_conditions, condition))
+                n_conditions += len(spec.leaves)
             self._pasts += [one.past for group in trigger.groups for one in group if one.past is not None]
-            asked.append([[found for _, found in group] for group in groups])
-        self._leaves = gather_leaves(asked, [past.delay for past in self._pasts], self._world.scenarios)
+            specs.append([[spec for _, spec in group] for group in groups])
+        self._leaves = gather_leaves(specs, [past.delay for past in self._pasts], self._world.scenarios)
 
     def run(self, threads: int, turn: Lock | None = None) -> None:
-        """Step until every scenario has ended, by so many threads at most; gives up its turn while kernels run."""
+        """Step until every scenario has ended, in at most `threads` threads. Releases `turn` while kernels run."""
         self._turn = turn
         threads = min(threads, self._world.scenarios // _WORTH_A_THREAD)
         if threads < 2:
@@ -158,34 +138,34 @@ class Stepper:
 
     def _run(self, share: _Share) -> None:
         self._share = share
-        world, course, first = self._world, self._course, True
-        looking, dt = world.running.copy(), 0.0
-        while looking.any() and not self.halted:
-            world.running[:] = looking
+        world, loop, is_first = self._world, self._course, True
+        evaluated, dt = world.running.copy(), 0.0
+        while evaluated.any() and not self.halted:
+            world.running[:] = evaluated
             world.stirred[:] = False
-            world.before[:, looking] = world.speed[:, looking]
+            world.before[:, evaluated] = world.speed[:, evaluated]
             for controller in world.signal_controllers.values():
-                controller.switch(world.signals, world.time, looking)
+                controller.switch(world.signals, world.time, evaluated)
             self._storyboard.look(dt)
-            begun = world.running.copy()
-            settled = np.full_like(course.status, RESTS)
-            if not (first or self._by_hand):
-                # As a rule no other action ends in the frame.
+            started = world.running.copy()
+            settled = np.full_like(loop.status, RESTS)
+            if not (is_first or self._by_hand):
+                # Usually no other action ends in this frame.
                 self._storyboard.end_momentary()
-                course.looks[:] = self._watch()
-                self._go(np.where(begun, ACTS, RESTS), settled)
+                loop.looks[:] = self._watch()
+                self._go(np.where(started, ACTS, RESTS), settled)
                 world.running[:] = settled == ENDS
             if world.running.any():
                 self._act(dt)
-                course.looks[:] = self._watch() | first | self._by_hand
+                loop.looks[:] = self._watch() | is_first | self._by_hand
                 self._go(np.where(world.running, BEGUN, RESTS), settled)
             if world.watches_roads:
-                watch_roads(world, begun)
-            looking, dt, first = settled == WAITS, self._rules.time_step, False
+                watch_roads(world, started)
+            evaluated, dt, is_first = settled == WAITS, self._rules.time_step, False
         world.running[:] = False
 
     def _act(self, dt: float) -> None:
-        """Let all act that are not compiled, in the scenarios that take part."""
+        """Run the actions that are not compiled, in the running scenarios."""
         world = self._world
         self._storyboard.act(dt)
         if not self._rules.drives:
@@ -197,65 +177,68 @@ class Stepper:
         world.begun = True
 
     def _watch(self) -> BoolArray:
-        """Tell compiled code what the storyboard waits for; where it has to look itself in the next frame."""
+        """Publish pending triggers to the compiled loop.
+
+        Return the scenarios whose triggers must be evaluated in Python in the next frame.
+        """
         world, leaves = self._world, self._leaves
-        itself = self._storyboard.starting()
+        in_python = self._storyboard.starting()
         for t, (_, waits) in enumerate(self._storyboard.waits()):
             leaves.watched[:, t] = waits
             if t in self._unknown:
-                itself |= waits
+                in_python |= waits
             elif not leaves.triggers[t, 2]:
-                # What was before matters: one more look tells whether anything comes of it.
-                itself |= waits & world.stirred
+                # Depends on earlier values: one more evaluation shows whether the condition fires.
+                in_python |= waits & world.stirred
         for k, condition in self._constants:
             leaves.values[:, k, 0] = condition.constant(world)
         for d, past in enumerate(self._pasts):
             leaves.pending[:, d] = past.pending()
         for j, action in enumerate(self._storyboard.actions):
             self._actions.running[:, j] = action.state == RUNNING
-        return itself
+        return in_python
 
     def _go(self, status: npt.NDArray[np.int8], settled: npt.NDArray[np.int8]) -> None:
-        """Run on from a status; who has to go on along another lane, or to be looked up, does and is, and runs on.
+        """Run the compiled loop from a status, and store in `settled` the state that each scenario reached.
 
-        Tells what becomes of each.
+        Scenarios that need another lane, or an entity located on its road, get it and continue.
         """
-        world, course = self._world, self._course
-        course.status[:] = status
+        world, loop = self._world, self._course
+        loop.status[:] = status
         while True:
             self._run_on()
-            became = course.status.copy()
-            ran, elsewhere = became != RESTS, became == ELSEWHERE
-            settled[ran] = _UNRESOLVED[became[ran]]
-            lost = ((became == LOST_ACTING) | (became == LOST_GOING)) & (self._looked_up < world.time)
-            if not (anywhere(elsewhere) or anywhere(lost)):
+            state = loop.status.copy()
+            has_run, needs_lane = state != RESTS, state == ELSEWHERE
+            settled[has_run] = _UNRESOLVED[state[has_run]]
+            needs_lookup = ((state == LOST_ACTING) | (state == LOST_GOING)) & (self._looked_up < world.time)
+            if not (anywhere(needs_lane) or anywhere(needs_lookup)):
                 return
-            course.status[:] = np.where(elsewhere & ~course.looks, GOES, RESTS)
-            if anywhere(elsewhere):
-                world.running[:] = elsewhere
+            loop.status[:] = np.where(needs_lane & ~loop.looks, GOES, RESTS)
+            if anywhere(needs_lane):
+                world.running[:] = needs_lane
                 go_on_along_lanes(world)
-            if anywhere(lost):
-                self._looked_up[lost] = world.time[lost]
-                self._storyboard.look_up(lost)
-                course.status[lost] = np.where(became == LOST_ACTING, ACTS, GOES)[lost]
+            if anywhere(needs_lookup):
+                self._looked_up[needs_lookup] = world.time[needs_lookup]
+                self._storyboard.look_up(needs_lookup)
+                loop.status[needs_lookup] = np.where(state == LOST_ACTING, ACTS, GOES)[needs_lookup]
 
     def _run_on(self) -> None:
         tracks = self._pool.gather(self._world.tracks)
         self._plan_routes()
-        who = (self.scene, tracks, self._roads, self._fleet, self._actions, self._leaves)
-        run = partial(run_on, *who, self._course, self._rules)
+        arguments = (self.scene, tracks, self._roads, self._fleet, self._actions, self._leaves)
+        run = partial(run_on, *arguments, self._course, self._rules)
         with turn_given_up(self._turn):
             list(self._share(run, self._bounds[:-1], self._bounds[1:]))
 
     def _plan_routes(self) -> None:
-        """Let built-in drivers plan along all that they follow now."""
+        """Let compiled drivers plan their routes along the tracks they follow now."""
         world = self._world
         if not self._rules.drives:
             return
         for driving in self._drivings:
             e, d = driving.entity, driving.number
-            in_charge = world.present[e] & world.driven[e] & (world.driver[e] == d)
-            for k in sorted(set(world.track[e][in_charge].tolist())):
+            is_driving = world.present[e] & world.driven[e] & (world.driver[e] == d)
+            for k in sorted(set(world.track[e][is_driving].tolist())):
                 track = world.tracks[e][k] if k >= 0 else None
                 if track is None or (isinstance(track, Trajectory) and track.time is not None):
                     continue
@@ -266,13 +249,13 @@ class Stepper:
 
 
 def _fleet_of(world: World, drivings: list[Driving]) -> Fleet:
-    boxes = np.array([(one.length, one.width, one.center_x) for one in world.entities]).reshape(-1, 3)
+    boxes = np.array([(entity.length, entity.width, entity.center_x) for entity in world.entities]).reshape(-1, 3)
     return form_fleet(
-        [one.driver for one in drivings],
-        [one.entity for one in drivings],
+        [entity.driver for entity in drivings],
+        [entity.entity for entity in drivings],
         world.scenarios,
         boxes[:, 0],
         boxes[:, 1],
         boxes[:, 2],
-        [one.kind for one in world.entities],
+        [entity.kind for entity in world.entities],
     )

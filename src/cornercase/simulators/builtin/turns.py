@@ -1,4 +1,4 @@
-"""Turns of threads, of which only one is in Python at a time."""
+"""Let only one thread be in Python at a time."""
 
 from __future__ import annotations
 
@@ -9,17 +9,7 @@ from threading import Lock
 
 @contextmanager
 def turn_given_up(turn: Lock | None) -> Iterator[None]:
-    """Let another thread have its turn in Python while compiled code runs within the block.
-
-    Parameters
-    ----------
-    turn : Lock or None
-        Held before and after; None where nobody else waits for it.
-
-    Yields
-    ------
-    None
-    """
+    """Release a lock while compiled code runs in the block; None if there is no lock."""
     if turn is None:
         yield
         return

@@ -1,4 +1,4 @@
-"""Actions of one scenario, for one time step in which none of them ends: twins of those in `actions`."""
+"""Kernels of actions for one scenario and one time step in which none of them ends; NumPy versions are in `actions`."""
 
 # Compiled functions have no static types.
 # mypy: disable-error-code="no-untyped-def, untyped-decorator"
@@ -56,34 +56,28 @@ from cornercase.simulators.builtin.world.layout import (
 _CUBIC, _SINUSOIDAL, _STEP = 1, 2, 3
 _RATE, _DISTANCE = 1, 2
 _TINY: Final = 1e-6
-# Offsets from a lane's middle are known to some 1e-5 m, and so is how long a change takes, in s or m.
+# Lane offsets, and the extent of a change (s or m), are accurate to about 1e-5.
 _SHORT: Final = 1e-4
-# rad; who moves only sideways is turned by a little less than a quarter.
+# rad; heading of an entity that moves only sideways: a little less than a right angle.
 _SIDEWAYS: Final = 0.5 * math.pi - 1e-3
 
-# All that actions change of their own entity: those that decide its speed, those that follow a trajectory, and those
-# that move it beside its lane.
+# Rows that actions change of their own entity: those that control speed, follow a trajectory, or move laterally.
 _OF_SPEED: Final = (TARGET_SPEED, SPEED, LAST_S)
 _OF_TRAJECTORY: Final = (SPEED, X, Y, HEADING, DISTANCE, TURN)
 _OF_PLACE: Final = (SPEED, X, Y, HEADING, DISTANCE, TURN, OFFSET, PACE, AT_END_SINCE)
-# How many numbers of their memory, the first ones, can change from step to step.
+# Number of memory values, the first ones, that usually change from step to step.
 _FEW: Final = 4
 
 _kernel = kernel(error_model="numpy", _nrt=False)
-# What is called in one place: passing the tables on costs more than what it does.
+# Inlined, since it is called once and passing the tables would cost more than the work.
 _part = kernel(error_model="numpy", _nrt=False, forceinline=True)
 
 
 class Kept(NamedTuple):
-    """What J actions may change of one scenario, each as it was before the action.
+    """What J actions may change of one scenario, saved before each action.
 
-    Attributes
-    ----------
-    live : ndarray of int64, shape (J + 1,)
-        The actions that run in the scenario, in their order, and then -1.
-    floats : ndarray of float64, shape (J, 10)
-    flag : ndarray of bool, shape (J,)
-    memory : ndarray of float64, shape (J, 8)
+    `live`, shape (J + 1,): running actions in order, then -1. `floats`, shape (J, 10). `flag`, shape (J,). `memory`,
+    shape (J, 8).
     """
 
     live: IntArray
@@ -94,31 +88,14 @@ class Kept(NamedTuple):
 
 @kernel(error_model="numpy")
 def room_to_keep(actions):
-    """Make room for what the actions of a scenario may change.
-
-    Parameters
-    ----------
-    actions : int
-
-    Returns
-    -------
-    Kept
-    """
+    """Allocate the saved state of a scenario's actions."""
     floats, flag = np.empty((actions, len(_OF_PLACE) + 1)), np.empty(actions, dtype=np.bool_)
     return Kept(np.empty(actions + 1, dtype=np.int64), floats, flag, np.empty((actions, CHANGING)))
 
 
 @_part
 def take_up(actions, kept, n):
-    """Take note of which actions run in a scenario.
-
-    Parameters
-    ----------
-    actions : Actions
-    kept : Kept
-    n : int
-        Scenario.
-    """
+    """List the running actions of a scenario."""
     count = 0
     for j in range(actions.options.shape[0]):
         if actions.running[n, j]:
@@ -129,76 +106,61 @@ def take_up(actions, kept, n):
 
 @_part
 def act(scene, tracks, roads, actions, kept, n, dt):
-    """Let all actions of a scenario act for one time step.
+    """Apply all actions of a scenario for one time step.
 
-    Parameters
-    ----------
-    scene : Scene
-    tracks : Tracks
-    roads : RoadTables
-    actions : Actions
-    kept : Kept
-    n : int
-        Scenario.
-    dt : float
-        s.
-
-    Returns
-    -------
-    int
-        `ACTED`, or what has become of the first that has not acted: then none has.
+    Returns `ACTION_APPLIED`, or the outcome of the first action that could not be applied; then all changes are undone.
     """
     i = 0
     while kept.live[i] >= 0:
         j = kept.live[i]
-        kind, goes_on, became = actions.options[j, 0], False, ENDED
+        action_type, is_applied, outcome = actions.options[j, 0], False, ENDED
         _keep(scene, actions, kept, n, j)
-        if kind == SPEED_ACTION:
-            goes_on = _change_speed(scene, actions, n, j, dt)
-        elif kind == TRAJECTORY_ACTION:
-            goes_on = _follow_trajectory(scene, tracks, actions, n, j, dt)
-        elif kind == LANE_CHANGE:
-            goes_on = _change_lane(scene, tracks, actions, n, j, dt)
-        elif kind == LANE_OFFSET:
-            goes_on = _change_offset(scene, tracks, actions, n, j, dt)
-        elif kind == SYNCHRONISATION:
-            became = synchronise(scene, tracks, roads, actions, n, j, dt)
-            goes_on = became == ACTED
-        elif kind == DISTANCE_ACTION:
-            goes_on = keep_distance(scene, actions, n, j, dt)
-        if not goes_on:
+        if action_type == SPEED_ACTION:
+            is_applied = _change_speed(scene, actions, n, j, dt)
+        elif action_type == TRAJECTORY_ACTION:
+            is_applied = _follow_trajectory(scene, tracks, actions, n, j, dt)
+        elif action_type == LANE_CHANGE:
+            is_applied = _change_lane(scene, tracks, actions, n, j, dt)
+        elif action_type == LANE_OFFSET:
+            is_applied = _change_offset(scene, tracks, actions, n, j, dt)
+        elif action_type == SYNCHRONISATION:
+            outcome = synchronise(scene, tracks, roads, actions, n, j, dt)
+            is_applied = outcome == ACTED
+        elif action_type == DISTANCE_ACTION:
+            is_applied = keep_distance(scene, actions, n, j, dt)
+        if not is_applied:
             while i >= 0:
                 _take_back(scene, actions, kept, n, kept.live[i])
                 i -= 1
-            return became
+            return outcome
         i += 1
     return ACTED
 
 
 @_part
 def _keep(scene, actions, kept, n, j):
-    f, e, kind, master = scene.floats[n], actions.options[j, 1], actions.options[j, 0], actions.options[j, 2]
-    if kind == UNKNOWN:
+    state, e, action_type, master = scene.floats[n], actions.options[j, 1], actions.options[j, 0], actions.options[j, 2]
+    if action_type == UNKNOWN:
         return
-    kept.flag[j] = scene.flags[n, _flag_of(kind), e]
-    # Loops of a fixed length cost least.
-    if kind == TRAJECTORY_ACTION:
+    kept.flag[j] = scene.flags[n, _flag_of(action_type), e]
+    # Loops of a fixed length are fastest.
+    if action_type == TRAJECTORY_ACTION:
         for k in range(len(_OF_TRAJECTORY)):
-            kept.floats[j, k] = f[_OF_TRAJECTORY[k], e]
+            kept.floats[j, k] = state[_OF_TRAJECTORY[k], e]
         kept.memory[j, 1] = actions.memory[n, j, 1]
         return
-    if _decides_speed(kind):
+    if _decides_speed(action_type):
         for k in range(len(_OF_SPEED)):
-            kept.floats[j, k] = f[_OF_SPEED[k], e]
+            kept.floats[j, k] = state[_OF_SPEED[k], e]
     else:
         for k in range(len(_OF_PLACE)):
-            kept.floats[j, k] = f[_OF_PLACE[k], e]
+            kept.floats[j, k] = state[_OF_PLACE[k], e]
     for k in range(_FEW):
         kept.memory[j, k] = actions.memory[n, j, k]
-    if kind == SYNCHRONISATION:
-        # It looks its master up on the road, too.
-        kept.floats[j, len(_OF_PLACE)] = f[LAST_S, master]
-    elif kind == SPEED_ACTION:
+    if action_type == SYNCHRONISATION:
+        # It also locates its master on the road.
+        kept.floats[j, len(_OF_PLACE)] = state[LAST_S, master]
+    elif action_type == SPEED_ACTION:
         for k in range(_FEW, CHANGING):
             kept.memory[j, k] = actions.memory[n, j, k]
 
@@ -215,26 +177,26 @@ def _flag_of(kind):
 
 @_kernel
 def _take_back(scene, actions, kept, n, j):
-    f, e, kind, master = scene.floats[n], actions.options[j, 1], actions.options[j, 0], actions.options[j, 2]
-    if kind == UNKNOWN:
+    state, e, action_type, master = scene.floats[n], actions.options[j, 1], actions.options[j, 0], actions.options[j, 2]
+    if action_type == UNKNOWN:
         return
-    scene.flags[n, _flag_of(kind), e] = kept.flag[j]
-    if kind == TRAJECTORY_ACTION:
+    scene.flags[n, _flag_of(action_type), e] = kept.flag[j]
+    if action_type == TRAJECTORY_ACTION:
         for k in range(len(_OF_TRAJECTORY)):
-            f[_OF_TRAJECTORY[k], e] = kept.floats[j, k]
+            state[_OF_TRAJECTORY[k], e] = kept.floats[j, k]
         actions.memory[n, j, 1] = kept.memory[j, 1]
         return
-    if _decides_speed(kind):
+    if _decides_speed(action_type):
         for k in range(len(_OF_SPEED)):
-            f[_OF_SPEED[k], e] = kept.floats[j, k]
+            state[_OF_SPEED[k], e] = kept.floats[j, k]
     else:
         for k in range(len(_OF_PLACE)):
-            f[_OF_PLACE[k], e] = kept.floats[j, k]
-    for k in range(CHANGING if kind == SPEED_ACTION else _FEW):
+            state[_OF_PLACE[k], e] = kept.floats[j, k]
+    for k in range(CHANGING if action_type == SPEED_ACTION else _FEW):
         actions.memory[n, j, k] = kept.memory[j, k]
-    if kind == SYNCHRONISATION:
-        f[LAST_S, master] = kept.floats[j, len(_OF_PLACE)]
-        f[ROAD_SPEED, e] = f[ROAD_SPEED, master] = UNASKED
+    if action_type == SYNCHRONISATION:
+        state[LAST_S, master] = kept.floats[j, len(_OF_PLACE)]
+        state[ROAD_SPEED, e] = state[ROAD_SPEED, master] = UNASKED
 
 
 @_kernel
@@ -255,78 +217,82 @@ def _steepness(shape, part):
 
 @_kernel
 def _change_speed(scene, actions, n, j, dt):
-    """Twin of `SpeedAction.step`: from, to, parameter, span, stretch, reached, value, rate are remembered."""
-    options, m, f = actions.options[j], actions.memory[n, j], scene.floats[n]
+    """NumPy version: `SpeedAction.step`. Memory: from, to, parameter, span, stretch, reached, value, rate."""
+    options, memory, state = actions.options[j], actions.memory[n, j], scene.floats[n]
     e, shape, dimension, reference, factor, continuous = options[1:7]
-    box = scene.boxes[e]
+    limits = scene.boxes[e]
     if reference >= 0:
-        target = f[SPEED, reference] * m[6] if factor else f[SPEED, reference] + m[6]
-        m[1] = min(max(target, -box[MAX_SPEED]), box[MAX_SPEED])
+        target = state[SPEED, reference] * memory[6] if factor else state[SPEED, reference] + memory[6]
+        memory[1] = min(max(target, -limits[MAX_SPEED]), limits[MAX_SPEED])
         if dimension == _RATE:
-            peak = 1.5 if shape == _CUBIC else 0.5 * math.pi if shape == _SINUSOIDAL else 1.0
-            m[3] = 0.0 if shape == _STEP else max(peak * abs(m[1] - m[0]) / max(abs(m[7]), _TINY), _TINY)
-    begin, end, span, stretch = m[0], m[1], m[3], m[4]
-    now, driven = f[SPEED, e], scene.flags[n, DRIVEN, e]
-    settled = span > 0.0 and m[2] > span - _TINY
-    parameter = min(max(m[2] + dt / stretch, 0.0), span)
-    at_once = span < _TINY and (shape == _STEP or dimension != _RATE)
-    wanted = end if at_once else begin + _shaped(shape, parameter / max(span, _TINY)) * (end - begin)
-    asked = end if settled else wanted
-    if driven:
-        speed = asked
+            peak_rate = 1.5 if shape == _CUBIC else 0.5 * math.pi if shape == _SINUSOIDAL else 1.0
+            memory[3] = (
+                0.0
+                if shape == _STEP
+                else max(peak_rate * abs(memory[1] - memory[0]) / max(abs(memory[7]), _TINY), _TINY)
+            )
+    begin, end, span, stretch = memory[0], memory[1], memory[3], memory[4]
+    current, has_driver = state[SPEED, e], scene.flags[n, DRIVEN, e]
+    is_complete = span > 0.0 and memory[2] > span - _TINY
+    parameter = min(max(memory[2] + dt / stretch, 0.0), span)
+    is_immediate = span < _TINY and (shape == _STEP or dimension != _RATE)
+    wanted = end if is_immediate else begin + _shaped(shape, parameter / max(span, _TINY)) * (end - begin)
+    requested = end if is_complete else wanted
+    if has_driver:
+        speed = requested
     elif dt > 0.0:
-        speed = min(max(asked, now - box[MAX_DECELERATION] * dt), now + box[MAX_ACCELERATION] * dt)
+        speed = min(max(requested, current - limits[MAX_DECELERATION] * dt), current + limits[MAX_ACCELERATION] * dt)
     else:
-        speed = now if settled else wanted
-    late = abs(speed - asked) > _TINY * dt and not settled and dt > 0.0
-    if settled:
-        parameter = m[2]
-    elif late:
-        # A change that the vehicle is too slow for takes longer: the parameter falls back behind the time.
-        share = (speed - now) / (wanted - now)
-        parameter = min(max(parameter - dt * (1.0 - share) / stretch, 0.0), span)
+        speed = current if is_complete else wanted
+    is_late = abs(speed - requested) > _TINY * dt and not is_complete and dt > 0.0
+    if is_complete:
+        parameter = memory[2]
+    elif is_late:
+        # A change that exceeds the vehicle's limits takes longer: the parameter falls behind the time.
+        progress = (speed - current) / (wanted - current)
+        parameter = min(max(parameter - dt * (1.0 - progress) / stretch, 0.0), span)
     else:
-        speed = asked
-    m[2] = parameter
+        speed = requested
+    memory[2] = parameter
     if parameter > span - _TINY and abs(speed - end) < _TINY:
-        m[5], speed = 1.0, end
+        memory[5], speed = 1.0, end
     set_speed(scene, n, e, speed)
     if scene.time[n] == 0.0:
-        f[SPEED, e] = speed
-    return continuous or not m[5] > 0.0
+        state[SPEED, e] = speed
+    return continuous or not memory[5] > 0.0
 
 
 @_kernel
 def _follow_trajectory(scene, tracks, actions, n, j, dt):
-    """Twin of `FollowTrajectoryAction.step`: sign, whether it was oriented, and its clock are remembered."""
-    options, m, f = actions.options[j], actions.memory[n, j], scene.floats[n]
-    e, timed = options[1], options[2]
+    """NumPy version: `FollowTrajectoryAction.step`. Memory: sign, whether it was oriented, clock offset."""
+    options, memory, state = actions.options[j], actions.memory[n, j], scene.floats[n]
+    e, is_timed = options[1], options[2]
     track = scene.numbers[n, TRACK, e]
     row = tracks.row[e, track] if track >= 0 else -1
     if row < 0 or tracks.kind[row] == LANE or tracks.kind[row] == OTHER:
         return False
-    before = f[DISTANCE, e]
-    if timed:
-        time, last = scene.time[n] + dt + m[2], trajectory_end(tracks, row, n)
-        if time > last - _TINY:
+    before = state[DISTANCE, e]
+    if is_timed:
+        time, end_time = scene.time[n] + dt + memory[2], trajectory_end(tracks, row, n)
+        if time > end_time - _TINY:
             return False
-        along = trajectory_distance_at(tracks, row, n, time)
+        distance = trajectory_distance_at(tracks, row, n, time)
         if dt > 0.0:
-            against = math.cos(f[HEADING, e] - trajectory_direction(tracks, row, n, before)) < -_TINY
-            gone = abs(along - before) / dt
-            f[SPEED, e] = -gone if (along < before) != against else gone
+            is_against = math.cos(state[HEADING, e] - trajectory_direction(tracks, row, n, before)) < -_TINY
+            size = abs(distance - before) / dt
+            state[SPEED, e] = -size if (distance < before) != is_against else size
     else:
-        way, length = f[SPEED, e] * m[0] * dt, trajectory_length(tracks, row, n)
-        along = min(max(before + way, 0.0), length)
-        if (along > length - _TINY and way > 0.0) or (along < _TINY and way < 0.0):
+        step, length = state[SPEED, e] * memory[0] * dt, trajectory_length(tracks, row, n)
+        distance = min(max(before + step, 0.0), length)
+        if (distance > length - _TINY and step > 0.0) or (distance < _TINY and step < 0.0):
             return False
-    oriented = trajectory_oriented(tracks, row, n, along)
-    if not oriented and m[1] > 0.0:
-        # From here on the line alone gives the heading: settled by the storyboard.
+    is_oriented = trajectory_oriented(tracks, row, n, distance)
+    if not is_oriented and memory[1] > 0.0:
+        # From here on only the line gives the heading; the storyboard handles that.
         return False
-    m[1] = 1.0 if oriented else 0.0
-    f[TURN, e] = 0.0 if oriented or m[0] > 0.0 else math.pi
-    f[DISTANCE, e] = along
+    memory[1] = 1.0 if is_oriented else 0.0
+    state[TURN, e] = 0.0 if is_oriented or memory[0] > 0.0 else math.pi
+    state[DISTANCE, e] = distance
     scene.flags[n, MOVED, e] = True
     settle(scene, tracks, n, e, row)
     return True
@@ -334,67 +300,67 @@ def _follow_trajectory(scene, tracks, actions, n, j, dt):
 
 @_kernel
 def _change_lane(scene, tracks, actions, n, j, dt):
-    """Twin of `LaneChangeAction.step`: from, to, done and extent are remembered."""
-    options, m, f, b = actions.options[j], actions.memory[n, j], scene.floats[n], scene.flags[n]
+    """NumPy version: `LaneChangeAction.step`. Memory: from, to, done, extent."""
+    options, memory, state, flags = actions.options[j], actions.memory[n, j], scene.floats[n], scene.flags[n]
     e, shape, dimension = options[1], options[2], options[3]
     track = scene.numbers[n, TRACK, e]
     row = tracks.row[e, track] if track >= 0 else -1
-    begin, end, extent = m[0], m[1], m[3]
+    begin, end, extent = memory[0], memory[1], memory[3]
     if row < 0 or extent <= _TINY:
         return False
-    speed, change = f[SPEED, e], end - begin
-    way = ahead = abs(speed) * dt
+    speed, change = state[SPEED, e], end - begin
+    path = ahead = abs(speed) * dt
     if abs(speed) > _TINY:
-        rate = change / extent * _steepness(shape, m[2] / extent)
+        rate = change / extent * _steepness(shape, memory[2] / extent)
         if dimension == _DISTANCE:
-            ahead = way / math.sqrt(1.0 + rate * rate)
-            done = m[2] + ahead
-            part = _shaped(shape, done / extent)
-            # As in esmini, the heading is that of driving forwards even where the entity drives backwards.
+            ahead = path / math.sqrt(1.0 + rate * rate)
+            done = memory[2] + ahead
+            fraction = _shaped(shape, done / extent)
+            # As in esmini, the heading is that of driving forwards, even if the entity drives backwards.
             turn = math.atan(rate)
         else:
-            across = min(dt * abs(rate), way)
+            across = min(dt * abs(rate), path)
             side = 1.0 if rate > 0.0 else -1.0 if rate < 0.0 else 0.0
-            ahead = math.sqrt(max(way * way - across * across, 0.0))
-            if dt * abs(rate) > way + _TINY:
+            ahead = math.sqrt(max(path * path - across * across, 0.0))
+            if dt * abs(rate) > path + _TINY:
                 # An entity that is too slow for the change moves only sideways, at constant speed.
-                done = m[2] + way * extent / abs(change)
-                part, turn = min(max(done / extent, 0.0), 1.0), side * _SIDEWAYS
+                done = memory[2] + path * extent / abs(change)
+                fraction, turn = min(max(done / extent, 0.0), 1.0), side * _SIDEWAYS
             else:
-                done = m[2] + dt
-                part, turn = _shaped(shape, done / extent), math.atan2(side * across, ahead)
+                done = memory[2] + dt
+                fraction, turn = _shaped(shape, done / extent), math.atan2(side * across, ahead)
             turn = turn if speed > 0.0 else -turn
-        offset = begin + part * change
+        offset = begin + fraction * change
         if done > extent - _SHORT or abs(offset - end) < _TINY:
             return False
-        m[2], f[OFFSET, e], f[TURN, e] = done, offset, turn
+        memory[2], state[OFFSET, e], state[TURN, e] = done, offset, turn
     else:
         ahead = 0.0
-    f[PACE, e] = speed
-    b[MOVED, e] = True
-    last = scene.last_step[n]
-    arrived = scene.time[n] + last if last > 0.0 else math.inf
+    state[PACE, e] = speed
+    flags[MOVED, e] = True
+    previous_step = scene.last_step[n]
+    arrived = scene.time[n] + previous_step if previous_step > 0.0 else math.inf
     advance(scene, tracks, n, e, row, ahead if speed > 0.0 else -ahead if speed < 0.0 else 0.0, arrived)
-    # At the end of the road it is over, wherever between the lanes that is.
-    return not (abs(speed) > _TINY and math.isfinite(f[AT_END_SINCE, e]))
+    # It ends at the end of the road, even between lanes.
+    return not (abs(speed) > _TINY and math.isfinite(state[AT_END_SINCE, e]))
 
 
 @_kernel
 def _change_offset(scene, tracks, actions, n, j, dt):
-    """Twin of `LaneOffsetAction.step`: from, to, elapsed and duration are remembered."""
-    options, m, f = actions.options[j], actions.memory[n, j], scene.floats[n]
+    """NumPy version: `LaneOffsetAction.step`. Memory: from, to, elapsed, duration."""
+    options, memory, state = actions.options[j], actions.memory[n, j], scene.floats[n]
     e, shape = options[1], options[2]
-    begin, end, elapsed, duration = m[0], m[1], m[2], m[3]
+    begin, end, elapsed, duration = memory[0], memory[1], memory[2], memory[3]
     if not duration > 0.0 or elapsed > duration - _TINY:
         return False
     offset = begin + _shaped(shape, elapsed / duration) * (end - begin)
     if abs(offset - end) < _TINY:
         return False
     slope = (end - begin) / duration * _steepness(shape, elapsed / duration)
-    speed = f[SPEED, e]
-    f[OFFSET, e] = offset
-    f[TURN, e] = math.atan(slope / (speed if abs(speed) > _TINY else _TINY))
-    m[2] = elapsed + dt
+    speed = state[SPEED, e]
+    state[OFFSET, e] = offset
+    state[TURN, e] = math.atan(slope / (speed if abs(speed) > _TINY else _TINY))
+    memory[2] = elapsed + dt
     track = scene.numbers[n, TRACK, e]
     if track >= 0:
         settle(scene, tracks, n, e, tracks.row[e, track])

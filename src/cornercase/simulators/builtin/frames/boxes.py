@@ -1,4 +1,4 @@
-"""Which boxes overlap, in one scenario."""
+"""Whether the bounding boxes of two entities overlap, in one scenario."""
 
 # Compiled functions have no static types.
 # mypy: disable-error-code="no-untyped-def, untyped-decorator"
@@ -16,26 +16,13 @@ _kernel = kernel(error_model="numpy", _nrt=False)
 
 @kernel(error_model="numpy", _nrt=False, forceinline=True)
 def overlap(scene, n, a, b):
-    """Whether the boxes of two entities share a point; never that of one who is not there.
-
-    Parameters
-    ----------
-    scene : Scene
-    n : int
-        Scenario.
-    a, b : int
-        Rows of the entities.
-
-    Returns
-    -------
-    bool
-    """
+    """Whether the boxes of two entities of a scenario overlap; False if one is absent."""
     state, boxes = scene.floats[n], scene.boxes
     if not (scene.flags[n, PRESENT, a] and scene.flags[n, PRESENT, b]):
         return False
-    # Whose reference points are this far apart has no box near the other's.
-    dx, dy, far = state[X, a] - state[X, b], state[Y, a] - state[Y, b], boxes[a, REACH] + boxes[b, REACH]
-    return dx * dx + dy * dy <= far * far and _boxes_overlap(state, boxes, a, b)
+    # Boxes cannot overlap if their reference points are farther apart than this.
+    dx, dy, max_distance = state[X, a] - state[X, b], state[Y, a] - state[Y, b], boxes[a, REACH] + boxes[b, REACH]
+    return dx * dx + dy * dy <= max_distance * max_distance and _boxes_overlap(state, boxes, a, b)
 
 
 @_kernel
@@ -44,24 +31,24 @@ def _boxes_overlap(state, boxes, a, b):
     cos_b, sin_b = math.cos(state[HEADING, b]), math.sin(state[HEADING, b])
     x_a, y_a = state[X, a] + boxes[a, CENTER_X] * cos_a, state[Y, a] + boxes[a, CENTER_X] * sin_a
     x_b, y_b = state[X, b] + boxes[b, CENTER_X] * cos_b, state[Y, b] + boxes[b, CENTER_X] * sin_b
-    reach = math.hypot(boxes[a, LENGTH], boxes[a, WIDTH]) + math.hypot(boxes[b, LENGTH], boxes[b, WIDTH])
-    if not math.hypot(x_a - x_b, y_a - y_b) <= 0.5 * reach:
+    size_sum = math.hypot(boxes[a, LENGTH], boxes[a, WIDTH]) + math.hypot(boxes[b, LENGTH], boxes[b, WIDTH])
+    if not math.hypot(x_a - x_b, y_a - y_b) <= 0.5 * size_sum:
         return False
-    one = (x_a, y_a, cos_a, sin_a, 0.5 * boxes[a, LENGTH], 0.5 * boxes[a, WIDTH])
-    two = (x_b, y_b, cos_b, sin_b, 0.5 * boxes[b, LENGTH], 0.5 * boxes[b, WIDTH])
-    return not (_apart_along(one, two) or _apart_along(two, one))
+    box_a = (x_a, y_a, cos_a, sin_a, 0.5 * boxes[a, LENGTH], 0.5 * boxes[a, WIDTH])
+    box_b = (x_b, y_b, cos_b, sin_b, 0.5 * boxes[b, LENGTH], 0.5 * boxes[b, WIDTH])
+    return not (_apart_along(box_a, box_b) or _apart_along(box_b, box_a))
 
 
 @_kernel
 def _apart_along(one, two):
-    """Whether an edge of the first box has the boxes on either side of it (separating axes)."""
+    """Whether an edge of the first box separates the boxes (separating axes)."""
     for side in range(2):
-        # Corners as they come: front right, front left, rear left, rear right.
+        # Corners in order: front right, front left, rear left, rear right.
         begin, end = _corner(one, side), _corner(one, side + 1)
         axis_x, axis_y = end[0] - begin[0], end[1] - begin[1]
         low, high = _reach(one, axis_x, axis_y)
-        least, most = _reach(two, axis_x, axis_y)
-        if not (high >= least and most >= low):
+        other_low, other_high = _reach(two, axis_x, axis_y)
+        if not (high >= other_low and other_high >= low):
             return True
     return False
 

@@ -1,4 +1,4 @@
-"""Conditions as compiled code asks for them: whether anything that a trigger looks at has changed."""
+"""Conditions in compiled code: whether anything that a trigger depends on has changed."""
 
 # Compiled functions have no static types.
 # mypy: disable-error-code="no-untyped-def, untyped-decorator"
@@ -41,36 +41,27 @@ from cornercase.simulators.builtin.world.layout import (
     CONSTANT, CLOCK, TRAVELED, SPEED_IS, RELATIVE_SPEED, ACCELERATION_IS, STANDS, AT_END, COLLIDES, REACHES, APART,
     APART_FROM_PLACE, HEADWAY, TIME_TO_COLLISION, TURNED,
 ) = range(15)  # fmt: skip
-"""What is asked: what only the storyboard itself changes (the first value says whether it holds), the time …"""
+"""Kind of a leaf. `CONSTANT_CONDITION`: only the storyboard changes it; its first value says whether it holds."""
 
 GREATER, LESS, EQUAL, GREATER_OR_EQUAL, LESS_OR_EQUAL, NOT_EQUAL = range(6)
-"""How two values compare."""
+"""Rule of a comparison."""
 
 ALIGNED: Final = 0.05
-"""A position with an orientation is reached with a heading that differs by less, in rad; esmini's figure."""
+"""rad; a position with an orientation is reached if the heading differs by less (esmini's value)."""
 
 VALUES: Final = 4
-"""How many numbers a leaf has in each scenario."""
+"""Number of values of a leaf in each scenario."""
 
 _kernel = kernel(error_model="numpy", _nrt=False)
-# What is called in one place: passing the tables on costs more than what it does.
+# Inlined, since it is called once and passing the tables would cost more than the work.
 _part = kernel(error_model="numpy", _nrt=False, forceinline=True)
 
 
 class Leaf(NamedTuple):
-    """What one condition asks, without its edge and delay.
+    """A by-entity or by-value condition without edge and delay.
 
-    Attributes
-    ----------
-    kind : int
-        `CLOCK` and so on.
-    other : int
-        Row of the other entity, or -1.
-    rule : int
-        `GREATER` and so on.
-    option : int
-        Component, or kind of distance, or whether a heading is asked for.
-    values : tuple of ndarray of float64, each (N,)
+    `kind`: `TIME_CONDITION` and so on. `other`: row of the other entity, or -1. `rule`: `GREATER` and so on. `option`:
+    velocity component, kind of distance, or whether a heading is tested. `values`: arrays (N,).
     """
 
     kind: int
@@ -81,16 +72,10 @@ class Leaf(NamedTuple):
 
 
 class Asked(NamedTuple):
-    """A condition of a trigger, as compiled code asks for it.
+    """A condition of a trigger: leaf conditions, each with the row of its entity (-1 for none).
 
-    Attributes
-    ----------
-    leaves : list of (int, Leaf)
-        Each with the row of its entity, or -1; those of one entity follow each other, and one of them is enough.
-    every : bool
-        Whether it has to hold of every entity, rather than of one.
-    plain : bool
-        Whether it holds where its leaves do, whatever was before.
+    Leaves of one entity follow each other, and one of them has to hold. `every`: the condition has to hold for all
+    entities, not any. `plain`: it holds if its leaves do, without edge and delay.
     """
 
     leaves: list[tuple[int, Leaf]]
@@ -104,20 +89,20 @@ class Leaves(NamedTuple):
     Attributes
     ----------
     codes : ndarray of int64, shape (L, 5)
-        Kind, entity (-1 for none), other, rule, option.
+        Kind, entity (-1 for none), other entity, rule, option.
     values : ndarray of float64, shape (N, L, 4)
     truth : ndarray of bool, shape (N, L)
-        As of the last frame that the storyboard has seen.
+        Values in the last frame that the storyboard has evaluated.
     conditions : ndarray of int64, shape (C, 3)
-        First and last leaf, the last one not included, and whether it has to hold of every entity.
+        Range [first, last) of leaves, and whether the condition has to hold for every entity.
     groups : ndarray of int64, shape (G, 2)
-        First and last condition, the last one not included.
+        Range [first, last) of conditions.
     triggers : ndarray of int64, shape (T, 3)
-        First and last group, the last one not included, and whether nothing that was before matters to it.
+        Range [first, last) of groups, and whether the trigger does not depend on earlier values.
     watched : ndarray of bool, shape (N, T)
-        Whether something waits for it.
+        Whether something waits for the trigger.
     pending, delay : ndarray of float64, shape (N, D)
-        Time in s of the oldest change that waits for its delay, infinite for none; the delay in s.
+        Time in s of the oldest change that waits for its delay (inf for none); the delay in s.
     """
 
     codes: IntArray
@@ -132,20 +117,7 @@ class Leaves(NamedTuple):
 
 
 def gather_leaves(found: list[list[list[Asked]]], delays: list[FloatArray], scenarios: int) -> Leaves:
-    """Make the tables of triggers.
-
-    Parameters
-    ----------
-    found : list of list of list of Asked
-        By trigger and group.
-    delays : list of ndarray of float64, each (N,)
-    scenarios : int
-        N.
-
-    Returns
-    -------
-    Leaves
-    """
+    """Build the condition tables of triggers, given by trigger and group, and the delays, arrays (N,)."""
     leaves: list[tuple[int, Leaf]] = []
     conditions: list[tuple[int, int, bool]] = []
     groups: list[tuple[int, int]] = []
@@ -178,14 +150,10 @@ def gather_leaves(found: list[list[list[Asked]]], delays: list[FloatArray], scen
 
 
 class Watched(NamedTuple):
-    """What of the triggers can come to pass in a scenario before its storyboard looks.
+    """Conditions that can change in a scenario before its storyboard is evaluated.
 
-    Attributes
-    ----------
-    groups : ndarray of int64, shape (G + 1,)
-        Groups of which none may be met, and then -1.
-    leaves : ndarray of int64, shape (L + 1,)
-        Leaves of which none may change, and then -1.
+    `groups`, shape (G + 1,): condition groups that may become true. `leaves`, shape (L + 1,): leaves that may change.
+    Both are terminated by -1.
     """
 
     groups: IntArray
@@ -194,54 +162,37 @@ class Watched(NamedTuple):
 
 @kernel(error_model="numpy")
 def room_to_watch(leaves):
-    """Make room for what is watched in a scenario.
-
-    Parameters
-    ----------
-    leaves : Leaves
-
-    Returns
-    -------
-    Watched
-    """
+    """Allocate a `Watchlist`."""
     groups, changing = leaves.groups.shape[0] + 1, leaves.codes.shape[0] + 1
     return Watched(np.empty(groups, dtype=np.int64), np.empty(changing, dtype=np.int64))
 
 
 @_kernel
 def pick(leaves, watched, n):
-    """Pick what can come to pass in a scenario: what is constant is what it is until the storyboard looks.
-
-    Parameters
-    ----------
-    leaves : Leaves
-    watched : Watched
-    n : int
-        Scenario.
-    """
-    groups = changing = 0
+    """Select what can change in a scenario; constants do not change until the storyboard is evaluated."""
+    n_groups = n_leaves = 0
     for t in range(leaves.triggers.shape[0]):
         if not leaves.watched[n, t]:
             continue
-        first, last, plain = leaves.triggers[t]
+        first, last, is_memoryless = leaves.triggers[t]
         for g in range(first, last):
-            if not plain:
+            if not is_memoryless:
                 for c in range(leaves.groups[g, 0], leaves.groups[g, 1]):
                     for k in range(leaves.conditions[c, 0], leaves.conditions[c, 1]):
                         if leaves.codes[k, 0] != CONSTANT or (leaves.values[n, k, 0] > 0.0) != leaves.truth[n, k]:
-                            watched.leaves[changing] = k
-                            changing += 1
+                            watched.leaves[n_leaves] = k
+                            n_leaves += 1
             elif not _never_met(leaves, n, g):
-                watched.groups[groups] = g
-                groups += 1
-    watched.groups[groups] = watched.leaves[changing] = -1
+                watched.groups[n_groups] = g
+                n_groups += 1
+    watched.groups[n_groups] = watched.leaves[n_leaves] = -1
 
 
 @_kernel
 def _never_met(leaves, n, g):
     for c in range(leaves.groups[g, 0], leaves.groups[g, 1]):
         k = leaves.conditions[c, 0]
-        # There is one of what is constant.
+        # A constant condition has one leaf.
         if k < leaves.conditions[c, 1] and leaves.codes[k, 0] == CONSTANT and not leaves.values[n, k, 0] > 0.0:
             return True
     return False
@@ -249,20 +200,7 @@ def _never_met(leaves, n, g):
 
 @_part
 def stays(scene, leaves, watched, n):
-    """Whether no trigger fires, and nothing has changed for those to which matters what was before.
-
-    Parameters
-    ----------
-    scene : Scene
-    leaves : Leaves
-    watched : Watched
-    n : int
-        Scenario.
-
-    Returns
-    -------
-    bool
-    """
+    """Whether no trigger fires, and nothing has changed for triggers that depend on earlier values."""
     for d in range(leaves.pending.shape[1]):
         if leaves.pending[n, d] <= scene.time[n] - leaves.delay[n, d] + TOLERANCE:
             return False
@@ -281,7 +219,7 @@ def stays(scene, leaves, watched, n):
 
 @_part
 def _met(scene, leaves, n, g):
-    """Whether all conditions of a group hold, each of any, or of every, of its entities."""
+    """Whether all conditions of a group hold, each for any or every one of its entities."""
     for c in range(leaves.groups[g, 0], leaves.groups[g, 1]):
         first, last, every = leaves.conditions[c]
         k, holding = first, every > 0
@@ -297,51 +235,31 @@ def _met(scene, leaves, n, g):
 
 @_kernel
 def take_down(scene, leaves, n):
-    """Keep what holds in a scenario now, to be compared with.
-
-    Parameters
-    ----------
-    scene : Scene
-    leaves : Leaves
-    n : int
-        Scenario.
-    """
+    """Store the current values of all leaves of a scenario, to be compared with later."""
     for k in range(leaves.codes.shape[0]):
         leaves.truth[n, k] = holds(scene, leaves, n, k)
 
 
 @_part
 def holds(scene, leaves, n, k):
-    """Whether a leaf holds of its entity in a scenario now.
-
-    Parameters
-    ----------
-    scene : Scene
-    leaves : Leaves
-    n, k : int
-        Scenario and leaf.
-
-    Returns
-    -------
-    bool
-    """
-    kind, e, rule, v = leaves.codes[k, 0], leaves.codes[k, 1], leaves.codes[k, 3], leaves.values[n, k]
+    """Whether a leaf condition holds for its entity now."""
+    kind, e, rule, values = leaves.codes[k, 0], leaves.codes[k, 1], leaves.codes[k, 3], leaves.values[n, k]
     time = scene.time[n]
     if kind == CONSTANT:
-        return v[0] > 0.0
+        return values[0] > 0.0
     if kind == CLOCK:
-        return _compares(rule, time, v[0])
-    f = scene.floats[n]
+        return _compares(rule, time, values[0])
+    state = scene.floats[n]
     if not scene.flags[n, PRESENT, e]:
         return False
     if kind == TRAVELED:
-        return f[ODOMETER, e] >= v[0]
+        return state[ODOMETER, e] >= values[0]
     if kind == STANDS:
-        return time - f[STANDING_SINCE, e] > v[0]
+        return time - state[STANDING_SINCE, e] > values[0]
     if kind == AT_END:
-        return time - f[AT_END_SINCE, e] > v[0] - TOLERANCE
+        return time - state[AT_END_SINCE, e] > values[0] - TOLERANCE
     if kind == COLLIDES:
-        # Of each two, the one with the lower row was asked for the other when the last frame was recorded.
+        # The overlap with the lower row as first entity was computed when the last frame was recorded.
         other = leaves.codes[k, 2]
         return scene.overlaps[n, e, other] if e < other else overlap(scene, n, e, other)
     return _holds_besides(scene, leaves, n, k)
@@ -349,50 +267,50 @@ def holds(scene, leaves, n, k):
 
 @_kernel
 def _holds_besides(scene, leaves, n, k):
-    """Whether a leaf of another kind holds of its entity, which is there."""
+    """Whether a leaf of the remaining kinds holds for its entity, which is present."""
     kind, e, other = leaves.codes[k, 0], leaves.codes[k, 1], leaves.codes[k, 2]
-    rule, option, v = leaves.codes[k, 3], leaves.codes[k, 4], leaves.values[n, k]
-    f = scene.floats[n]
+    rule, option, values = leaves.codes[k, 3], leaves.codes[k, 4], leaves.values[n, k]
+    state = scene.floats[n]
     if kind == SPEED_IS:
-        asked = f[SPEED, e] if option == ALL_WAYS else component(f, GONE_X, GONE_Y, e, e, option)
-        return _compares(rule, asked, v[0])
+        value = state[SPEED, e] if option == ALL_WAYS else component(state, GONE_X, GONE_Y, e, e, option)
+        return _compares(rule, value, values[0])
     if kind == ACCELERATION_IS:
         if option != ALL_WAYS:
-            return _compares(rule, component(f, PULL_X, PULL_Y, e, e, option), v[0])
-        size = math.hypot(f[PULL_X, e], f[PULL_Y, e])
-        # Against the heading it is negative.
-        return _compares(rule, -size if component(f, PULL_X, PULL_Y, e, e, ALONG) < 0.0 else size, v[0])
+            return _compares(rule, component(state, PULL_X, PULL_Y, e, e, option), values[0])
+        size = math.hypot(state[PULL_X, e], state[PULL_Y, e])
+        # Negative if against the heading.
+        return _compares(rule, -size if component(state, PULL_X, PULL_Y, e, e, ALONG) < 0.0 else size, values[0])
     if kind == REACHES:
-        near = math.hypot(v[0] - f[X, e], v[1] - f[Y, e]) < v[3]
-        return near and (option == 0 or abs(_within_half_turn(v[2] - f[HEADING, e])) < ALIGNED)
+        is_near = math.hypot(values[0] - state[X, e], values[1] - state[Y, e]) < values[3]
+        return is_near and (option == 0 or abs(_within_half_turn(values[2] - state[HEADING, e])) < ALIGNED)
     if kind == TURNED:
-        heading = f[HEADING, e] if option > 0 else 0.0
-        turn = heading - f[HEADING, other] if other >= 0 else heading
-        return abs(_within_half_turn(turn - v[0])) < v[1] + TOLERANCE
+        heading = state[HEADING, e] if option > 0 else 0.0
+        turn = heading - state[HEADING, other] if other >= 0 else heading
+        return abs(_within_half_turn(turn - values[0])) < values[1] + TOLERANCE
     if kind == APART_FROM_PLACE:
-        return _compares(rule, abs(gap_to_place(scene, n, e, v[0], v[1], option)), v[2])
+        return _compares(rule, abs(gap_to_place(scene, n, e, values[0], values[1], option)), values[2])
     if kind == RELATIVE_SPEED:
-        apart = f[SPEED, e] - f[SPEED, other]
+        difference = state[SPEED, e] - state[SPEED, other]
         if option != ALL_WAYS:
-            own = component(f, GONE_X, GONE_Y, e, other, option)
-            apart = own - component(f, GONE_X, GONE_Y, other, other, option)
-        return _compares(rule, apart, v[0]) and scene.flags[n, PRESENT, other]
+            own = component(state, GONE_X, GONE_Y, e, other, option)
+            difference = own - component(state, GONE_X, GONE_Y, other, other, option)
+        return _compares(rule, difference, values[0]) and scene.flags[n, PRESENT, other]
     gap = gap_to(scene, n, e, other, option)
     if kind == APART:
-        return _compares(rule, abs(gap), v[0]) and scene.flags[n, PRESENT, other]
+        return _compares(rule, abs(gap), values[0]) and scene.flags[n, PRESENT, other]
     if kind == HEADWAY:
-        defined = gap >= 0.0 and f[SPEED, e] >= TOLERANCE and scene.flags[n, PRESENT, other]
-        return defined and _compares(rule, gap / f[SPEED, e], v[0])
-    closing = closing_speed(f, e, other)
+        is_defined = gap >= 0.0 and state[SPEED, e] >= TOLERANCE and scene.flags[n, PRESENT, other]
+        return is_defined and _compares(rule, gap / state[SPEED, e], values[0])
+    closing = closing_speed(state, e, other)
     if abs(gap) < TOLERANCE or abs(closing) < TOLERANCE or not scene.flags[n, PRESENT, other]:
         return False
-    return gap / closing >= 0.0 and _compares(rule, gap / closing, v[0])
+    return gap / closing >= 0.0 and _compares(rule, gap / closing, values[0])
 
 
 @_part
 def _within_half_turn(angle):
     turn = angle + math.pi
-    # Division costs most of it, and as a rule changes nothing.
+    # The division is the most expensive part, and rarely needed.
     return (turn if turn >= 0.0 and turn < 2.0 * math.pi else turn % (2.0 * math.pi)) - math.pi
 
 

@@ -1,4 +1,4 @@
-"""Moving all entities of one scenario along their tracks by one time step, and recording where they are then."""
+"""Move all entities of one scenario along their tracks by one time step, and record the result."""
 
 # Compiled functions have no static types.
 # mypy: disable-error-code="no-untyped-def, untyped-decorator"
@@ -49,276 +49,224 @@ from cornercase.simulators.builtin.world.layout import (
 )
 
 MOVED_BY_OTHERS, AWAKE, SETTLED, RESTING = range(4)
-"""How an entity of a scenario stands: an action, a driver or what it tows decides where it goes; only it itself does;
-so, and the last frame has left it where it was on its track; so, and no frame changes anything of it any more."""
+"""Activity of an entity: moved by an action, a driver or a vehicle that tows it; moving by itself; unchanged on its
+track in the last frame; at rest, so that frames change nothing."""
 
-# An entity this close to the end of a road, in m, is at the end.
+# m; an entity this close to the end of a road is at the end.
 _ON_END: Final = 1e-3
-# Slower than this, in m/s, it stands.
+# m/s; an entity that is slower stands still.
 _STILL: Final = 1e-6
-# Slower than this, in m/s, who stands is not moved sideways, but looked up anew.
+# m/s; a standing entity that drifts more slowly keeps its speed of 0.
 _DRIFT: Final = 1e-3
 
 _kernel = kernel(error_model="numpy", _nrt=False)
-# What is called in one place: passing the tables on costs more than what it does.
+# Inlined, since it is called once and passing the tables would cost more than the work.
 _part = kernel(error_model="numpy", _nrt=False, forceinline=True)
 
 
 @_part
 def move(scene, tracks, n, dt, rest):
-    """Advance every entity of a scenario by one time step with its present speed, then the clock.
+    """Advance every entity of a scenario by one time step at its present speed, and the clock.
 
-    Parameters
-    ----------
-    scene : Scene
-    tracks : Tracks
-    n : int
-        Scenario.
-    dt : float
-        s; with 0 entities are only put on their tracks.
-    rest : ndarray of int8, shape (E,)
-        `MOVED_BY_OTHERS` and so on; brought up to date.
-
-    Returns
-    -------
-    bool
-        Whether an entity is near the place where its lane's path is cut.
+    With `dt` 0, entities are only placed on their tracks. `rest`, shape (E,), is updated. Returns whether an entity is
+    near the point where its lane's path is cut.
     """
-    f, b, numbers = scene.floats[n], scene.flags[n], scene.numbers[n]
-    entities, beyond = f.shape[1], False
+    state, flags, numbers = scene.floats[n], scene.flags[n], scene.numbers[n]
+    entities, needs_lane = state.shape[1], False
     for t in range(scene.tows.shape[0]):
         if numbers[PULLED_BY, int(scene.tows[t, 1])] == int(scene.tows[t, 0]):
-            b[MOVED, int(scene.tows[t, 1])] = True
+            flags[MOVED, int(scene.tows[t, 1])] = True
     for e in range(entities):
-        if rest[e] == RESTING or not b[PRESENT, e]:
+        if rest[e] == RESTING or not flags[PRESENT, e]:
             continue
         track = numbers[TRACK, e]
         row = tracks.row[e, track] if track >= 0 else -1
-        if not b[MOVED, e]:
-            distance, since = f[DISTANCE, e], f[AT_END_SINCE, e]
+        if not flags[MOVED, e]:
+            distance, at_end_since = state[DISTANCE, e], state[AT_END_SINCE, e]
             _go(scene, tracks, n, e, row, dt)
-            if rest[e] == AWAKE and f[DISTANCE, e] == distance and f[AT_END_SINCE, e] == since:
+            if rest[e] == AWAKE and state[DISTANCE, e] == distance and state[AT_END_SINCE, e] == at_end_since:
                 rest[e] = SETTLED
         if row >= 0 and tracks.kind[row] == LANE:
-            beyond = beyond or goes_over(tracks, row, f[DISTANCE, e])
+            needs_lane = needs_lane or goes_over(tracks, row, state[DISTANCE, e])
     _stop_at_ends(scene, tracks, n, dt, rest)
     for t in range(scene.tows.shape[0]):
         if numbers[PULLED_BY, int(scene.tows[t, 1])] == int(scene.tows[t, 0]):
             _pull_trailer(scene, n, t)
     for e in range(entities):
         if rest[e] != RESTING:
-            _measure(f, b, e, dt)
+            _measure(state, flags, e, dt)
     scene.time[n] += dt
     scene.last_step[n] = dt
-    # As in esmini, nobody stands before the first frame that takes time.
+    # As in esmini, no standstill begins before the first frame with a duration.
     now = scene.time[n] if dt > 0.0 else math.inf
     for e in range(entities):
         if rest[e] == RESTING:
             continue
         if rest[e] == SETTLED:
-            rest[e] = RESTING if dt > 0.0 and _rests(f, b, e) else AWAKE
-        moving = abs(f[SPEED, e]) > _STILL
-        f[STANDING_SINCE, e] = math.inf if moving else min(f[STANDING_SINCE, e], now)
-        f[FROM_X, e], f[FROM_Y, e], f[FROM_HEADING, e] = f[X, e], f[Y, e], f[HEADING, e]
-        b[MOVED, e] = b[JUMPED, e] = b[DECIDED, e] = False
-        f[PACE, e], f[SIDEWAYS, e] = math.nan, 0.0
-    return beyond
+            rest[e] = RESTING if dt > 0.0 and _rests(state, flags, e) else AWAKE
+        moving = abs(state[SPEED, e]) > _STILL
+        state[STANDING_SINCE, e] = math.inf if moving else min(state[STANDING_SINCE, e], now)
+        state[FROM_X, e], state[FROM_Y, e], state[FROM_HEADING, e] = state[X, e], state[Y, e], state[HEADING, e]
+        flags[MOVED, e] = flags[JUMPED, e] = flags[DECIDED, e] = False
+        state[PACE, e], state[SIDEWAYS, e] = math.nan, 0.0
+    return needs_lane
 
 
 @_part
 def _rests(f, b, e):
-    """Whether one that has stayed where it was stood before, too, so that the next frame computes the same from it."""
-    moves = f[SPEED, e] != 0.0 or f[VELOCITY, e] != 0.0 or f[GONE_X, e] != 0.0 or f[GONE_Y, e] != 0.0
-    pulled = f[PULL_X, e] != 0.0 or f[PULL_Y, e] != 0.0 or f[HEADING, e] != f[FROM_HEADING, e]
-    return not (moves or pulled or b[JUMPED, e])
+    """Whether an entity that did not move stood before, too, so that the next frame computes the same."""
+    is_moving = f[SPEED, e] != 0.0 or f[VELOCITY, e] != 0.0 or f[GONE_X, e] != 0.0 or f[GONE_Y, e] != 0.0
+    is_changing = f[PULL_X, e] != 0.0 or f[PULL_Y, e] != 0.0 or f[HEADING, e] != f[FROM_HEADING, e]
+    return not (is_moving or is_changing or b[JUMPED, e])
 
 
 @_part
 def _go(scene, tracks, n, e, row, dt):
-    f, b = scene.floats[n], scene.flags[n]
-    way = (f[SPEED, e] if math.isnan(f[PACE, e]) else f[PACE, e]) * dt
-    size = math.sqrt(max(way * way - f[SIDEWAYS, e] * f[SIDEWAYS, e], 0.0))
-    way = math.copysign(size, way) if way != 0.0 else 0.0
+    state, flags = scene.floats[n], scene.flags[n]
+    step = (state[SPEED, e] if math.isnan(state[PACE, e]) else state[PACE, e]) * dt
+    size = math.sqrt(max(step * step - state[SIDEWAYS, e] * state[SIDEWAYS, e], 0.0))
+    step = math.copysign(size, step) if step != 0.0 else 0.0
     if row >= 0:
-        advance(scene, tracks, n, e, row, way, scene.time[n] + dt if dt > 0.0 else math.inf)
+        advance(scene, tracks, n, e, row, step, scene.time[n] + dt if dt > 0.0 else math.inf)
         return
     # An entity stops at the end of its trajectory if there is no road on which to continue.
-    if b[STRANDED, e]:
-        f[SPEED, e], way = 0.0, 0.0
-    if way == 0.0:
+    if flags[STRANDED, e]:
+        state[SPEED, e], step = 0.0, 0.0
+    if step == 0.0:
         return
-    f[X, e] += way * math.cos(f[HEADING, e])
-    f[Y, e] += way * math.sin(f[HEADING, e])
+    state[X, e] += step * math.cos(state[HEADING, e])
+    state[Y, e] += step * math.sin(state[HEADING, e])
 
 
 @_kernel
 def advance(scene, tracks, n, e, row, way, arrived):
-    """Move an entity along its track, and to its offset beside it.
+    """Move an entity along its track by `way` m (negative: backwards), and to its lateral offset.
 
-    Parameters
-    ----------
-    scene : Scene
-    tracks : Tracks
-    n, e, row : int
-        Scenario, entity, and row of the track that it follows.
-    way : float
-        m; negative backwards.
-    arrived : float
-        Time in s since when it is at the end of its road, if it comes there.
+    `arrived` is the time in s since when it is at the end of its road, if it gets there.
     """
-    f = scene.floats[n]
+    state = scene.floats[n]
     if tracks.kind[row] == LANE:
-        distance = advance_lane(tracks, row, f[DISTANCE, e], f[OFFSET, e], way)
-        since = f[AT_END_SINCE, e]
-        back = way < 0.0 or (way == 0.0 and math.isfinite(since))
-        there = distance >= tracks.length[row] - _ON_END or (distance <= _ON_END and back)
-        f[AT_END_SINCE, e] = min(since, arrived) if there else math.inf
-        f[DISTANCE, e] = distance
+        distance = advance_lane(tracks, row, state[DISTANCE, e], state[OFFSET, e], way)
+        at_end_since = state[AT_END_SINCE, e]
+        is_backwards = way < 0.0 or (way == 0.0 and math.isfinite(at_end_since))
+        is_at_end = distance >= tracks.length[row] - _ON_END or (distance <= _ON_END and is_backwards)
+        state[AT_END_SINCE, e] = min(at_end_since, arrived) if is_at_end else math.inf
+        state[DISTANCE, e] = distance
     elif tracks.kind[row] == OTHER:
         return
     else:
-        f[DISTANCE, e] += way
+        state[DISTANCE, e] += way
     settle(scene, tracks, n, e, row)
 
 
 @_kernel
 def settle(scene, tracks, n, e, row):
-    """Put an entity where it is on its track.
-
-    Parameters
-    ----------
-    scene : Scene
-    tracks : Tracks
-    n, e, row : int
-        Scenario, entity, and row of the track that it follows.
-    """
-    f = scene.floats[n]
-    x, y, heading = place_on(tracks, row, n, f[DISTANCE, e], f[OFFSET, e])
-    f[X, e], f[Y, e], f[HEADING, e] = x, y, heading + f[TURN, e]
+    """Set an entity's pose from its distance and offset on its track."""
+    state = scene.floats[n]
+    x, y, heading = place_on(tracks, row, n, state[DISTANCE, e], state[OFFSET, e])
+    state[X, e], state[Y, e], state[HEADING, e] = x, y, heading + state[TURN, e]
 
 
 @_kernel
 def set_speed(scene, n, e, speed):
-    """Give an entity a speed, or tell its driver to want it.
-
-    Parameters
-    ----------
-    scene : Scene
-    n, e : int
-        Scenario and entity.
-    speed : float
-        m/s.
-    """
-    f, b = scene.floats[n], scene.flags[n]
-    f[TARGET_SPEED, e] = speed
-    if not b[DRIVEN, e]:
-        f[SPEED, e] = speed
-    b[DECIDED, e] = True
+    """Set an entity's speed in m/s, or its driver's target speed."""
+    state, flags = scene.floats[n], scene.flags[n]
+    state[TARGET_SPEED, e] = speed
+    if not flags[DRIVEN, e]:
+        state[SPEED, e] = speed
+    flags[DECIDED, e] = True
 
 
 @_part
 def _stop_at_ends(scene, tracks, n, dt, rest):
-    """Stop who is at the end of its road once the last step has moved it neither on nor sideways, as in esmini."""
-    f, b = scene.floats[n], scene.flags[n]
-    for e in range(f.shape[1]):
-        if rest[e] == RESTING or not (b[PRESENT, e] and f[AT_END_SINCE, e] < scene.time[n] + 0.5 * dt):
+    """Stop entities at the end of their road if the last step moved them neither ahead nor sideways, as in esmini."""
+    state, flags = scene.floats[n], scene.flags[n]
+    for e in range(state.shape[1]):
+        if rest[e] == RESTING or not (flags[PRESENT, e] and state[AT_END_SINCE, e] < scene.time[n] + 0.5 * dt):
             continue
         track = scene.numbers[n, TRACK, e]
         on_lane = track >= 0 and tracks.kind[tracks.row[e, track]] == LANE
-        if on_lane and math.hypot(f[GONE_X, e], f[GONE_Y, e]) < _STILL:
-            f[SPEED, e], b[DECIDED, e] = 0.0, True
+        if on_lane and math.hypot(state[GONE_X, e], state[GONE_Y, e]) < _STILL:
+            state[SPEED, e], flags[DECIDED, e] = 0.0, True
 
 
 @_kernel
 def _pull_trailer(scene, n, t):
-    """Bring a trailer to where it is pulled: its axle comes after the hitch as on a rod."""
-    f, b = scene.floats[n], scene.flags[n]
+    """Move a trailer behind its vehicle: its axle follows the hitch as on a rod."""
+    state, flags = scene.floats[n], scene.flags[n]
     e, trailer = int(scene.tows[t, 0]), int(scene.tows[t, 1])
     hitch, coupler = scene.tows[t, 2], scene.tows[t, 3]
-    b[PRESENT, trailer] = b[PRESENT, e]
-    if not b[PRESENT, trailer]:
+    flags[PRESENT, trailer] = flags[PRESENT, e]
+    if not flags[PRESENT, trailer]:
         return
-    x = f[X, e] + hitch * math.cos(f[HEADING, e])
-    y = f[Y, e] + hitch * math.sin(f[HEADING, e])
-    heading = math.atan2(y - f[Y, trailer], x - f[X, trailer])
-    # No full turn from one step to the next.
-    f[HEADING, trailer] += (heading - f[HEADING, trailer] + math.pi) % (2.0 * math.pi) - math.pi
-    f[X, trailer], f[Y, trailer] = x - coupler * math.cos(heading), y - coupler * math.sin(heading)
-    f[SPEED, trailer] = f[SPEED, e]
+    x = state[X, e] + hitch * math.cos(state[HEADING, e])
+    y = state[Y, e] + hitch * math.sin(state[HEADING, e])
+    heading = math.atan2(y - state[Y, trailer], x - state[X, trailer])
+    # Avoid a full turn from one step to the next.
+    state[HEADING, trailer] += (heading - state[HEADING, trailer] + math.pi) % (2.0 * math.pi) - math.pi
+    state[X, trailer], state[Y, trailer] = x - coupler * math.cos(heading), y - coupler * math.sin(heading)
+    state[SPEED, trailer] = state[SPEED, e]
 
 
 @_part
 def _measure(f, b, e, dt):
-    """Take down which way an entity has gone in the step, and how fast."""
+    """Update velocity, acceleration and odometer of an entity from its displacement."""
     if not dt > 0.0:
         f[GONE_X, e], f[GONE_Y, e] = _held(f, e)
         return
-    gone_x, gone_y = f[X, e] - f[FROM_X, e], f[Y, e] - f[FROM_Y, e]
-    chord = math.hypot(gone_x, gone_y)
-    # A jump counts neither as a way nor as a velocity.
+    moved_x, moved_y = f[X, e] - f[FROM_X, e], f[Y, e] - f[FROM_Y, e]
+    chord = math.hypot(moved_x, moved_y)
+    # A jump counts neither as distance nor as velocity.
     if b[JUMPED, e] or not math.isfinite(chord):
         chord = 0.0
-    before_x, before_y = f[GONE_X, e], f[GONE_Y, e]
-    f[GONE_X, e], f[GONE_Y, e] = _held(f, e) if b[JUMPED, e] else (gone_x / dt, gone_y / dt)
-    f[PULL_X, e], f[PULL_Y, e] = (f[GONE_X, e] - before_x) / dt, (f[GONE_Y, e] - before_y) / dt
+    previous_x, previous_y = f[GONE_X, e], f[GONE_Y, e]
+    f[GONE_X, e], f[GONE_Y, e] = _held(f, e) if b[JUMPED, e] else (moved_x / dt, moved_y / dt)
+    f[PULL_X, e], f[PULL_Y, e] = (f[GONE_X, e] - previous_x) / dt, (f[GONE_Y, e] - previous_y) / dt
     f[ODOMETER, e] += chord
     f[VELOCITY, e] = chord / dt
-    # Who stands and is only moved sideways has from then on the speed of that, as in esmini.
+    # As in esmini, a standing entity that is only moved sideways gets that speed.
     if abs(f[SPEED, e]) < _STILL and f[VELOCITY, e] > _DRIFT and not (b[DECIDED, e] or b[MOVED, e] or b[DRIVEN, e]):
         f[SPEED, e] = f[VELOCITY, e]
 
 
 @_part
 def _held(f, e):
-    """Velocity with which an entity goes on along its heading."""
+    """Velocity along an entity's heading at its speed."""
     return f[SPEED, e] * math.cos(f[HEADING, e]), f[SPEED, e] * math.sin(f[HEADING, e])
 
 
 @_part
 def record(scene, n, first, dt, rest):
-    """Record where all entities of a scenario are, and who has begun to touch whom.
+    """Record the state of all entities of a scenario; return whether a collision has begun.
 
-    Parameters
-    ----------
-    scene : Scene
-    n, first : int
-        Scenario, and the first of those that are run together with it.
-    dt : float
-        Length in s of the step that led here.
-    rest : ndarray of int8, shape (E,)
-        As in `move`.
-
-    Returns
-    -------
-    bool
-        Whether a collision has begun.
+    `first` is the first of the scenarios that run together with `n`; `rest` as in `move_entities`.
     """
-    f, b, numbers, frame = scene.floats[n], scene.flags[n], scene.numbers[n], scene.frames[n]
-    entities = f.shape[1]
-    number, line = frame // PAGE, frame % PAGE
-    if line == 0:
+    state, flags, numbers, frame = scene.floats[n], scene.flags[n], scene.numbers[n], scene.frames[n]
+    entities = state.shape[1]
+    number, column = frame // PAGE, frame % PAGE
+    if column == 0:
         scene.page[n, number] = first * scene.page.shape[1] + scene.taken[first]
         scene.taken[first] += 1
     page = scene.pages[scene.page[n, number]]
     for e in range(entities):
         if dt > 0.0:
-            f[ACCELERATION, e] = (f[SPEED, e] - f[BEFORE, e]) / dt
+            state[ACCELERATION, e] = (state[SPEED, e] - state[BEFORE, e]) / dt
         for q in range(5):
             row = (X, Y, HEADING, SPEED, ACCELERATION)[q]
-            page[q, e, line] = f[row, e] if b[PRESENT, e] else math.nan
+            page[q, e, column] = state[row, e] if flags[PRESENT, e] else math.nan
     scene.frames[n] = frame + 1
     collides = False
-    for one in range(entities):
-        for other in range(one + 1, entities):
-            if rest[one] == RESTING and rest[other] == RESTING:
+    for first_entity in range(entities):
+        for other in range(first_entity + 1, entities):
+            if rest[first_entity] == RESTING and rest[other] == RESTING:
                 continue
-            touches = overlap(scene, n, one, other)
-            # Who overlaps from the start collides in the first row.
-            coupled = numbers[PULLED_BY, one] == other or numbers[PULLED_BY, other] == one
-            begins = touches and not coupled and not (frame > 0 and scene.overlaps[n, one, other])
-            scene.overlaps[n, one, other] = scene.overlaps[n, other, one] = touches
-            if begins:
+            is_overlapping = overlap(scene, n, first_entity, other)
+            # Entities that overlap from the start collide in the first frame.
+            is_coupled = numbers[PULLED_BY, first_entity] == other or numbers[PULLED_BY, other] == first_entity
+            is_new = is_overlapping and not is_coupled and not (frame > 0 and scene.overlaps[n, first_entity, other])
+            scene.overlaps[n, first_entity, other] = scene.overlaps[n, other, first_entity] = is_overlapping
+            if is_new:
                 collides = True
-                if math.isnan(scene.collided[n, one, other]):
-                    scene.collided[n, one, other] = scene.time[n]
+                if math.isnan(scene.collided[n, first_entity, other]):
+                    scene.collided[n, first_entity, other] = scene.time[n]
     return collides

@@ -1,4 +1,4 @@
-"""Scenarios run from one happening of their storyboard to the next."""
+"""The compiled time loop: runs scenarios until their storyboard has to be evaluated."""
 
 # Compiled functions have no static types.
 # mypy: disable-error-code="no-untyped-def, untyped-decorator"
@@ -36,26 +36,26 @@ from cornercase.simulators.builtin.world.layout import (
 )
 
 RESTS, ACTS, BEGUN, GOES, ENDS, WAITS, ELSEWHERE, OVER, LOST_ACTING, LOST_GOING = range(10)
-"""What becomes of a scenario: nothing; its storyboard has looked; its actions have acted, too; it goes on; an action
-ends, or cannot act here; its storyboard has to look; an entity needs a new part of its way; it has ended; it acts, or
-goes on, once an entity has been looked up."""
+"""State of a scenario in the loop: idle; storyboard evaluated; actions applied, too; moving on; an action ends or
+cannot be applied; the storyboard has to be evaluated; an entity needs the next part of its lane path; finished; an
+entity has to be located on its road before its actions are applied, or before it moves on."""
 
 _kernel = kernel(error_model="numpy", _nrt=False)
-# Passing the tables on costs more than what a small kernel does; what is called in one place grows no code by this.
+# Inlined: passing the tables would cost more than the work, and code that is called once does not grow.
 _part = kernel(error_model="numpy", _nrt=False, forceinline=True)
 
 
 class Course(NamedTuple):
-    """How N scenarios are to be run.
+    """State of the loop for N scenarios.
 
     Attributes
     ----------
     status : ndarray of int8, shape (N,)
-        `ACTS`, `BEGUN`, `GOES` or `RESTS` before; what has become of it after.
+        `ACT`, `ACTED`, `MOVE` or `IDLE` before; the state reached after.
     looks : ndarray of bool, shape (N,)
-        Whether the storyboard has to look in each frame.
+        Whether the storyboard has to be evaluated in each frame.
     driven : ndarray of int64, shape (D,)
-        Row of the entity of each driver.
+        Entity of each driver.
     """
 
     status: npt.NDArray[np.int8]
@@ -64,18 +64,7 @@ class Course(NamedTuple):
 
 
 class Rules(NamedTuple):
-    """What holds for all scenarios.
-
-    Attributes
-    ----------
-    time_step : float
-        s.
-    most : int
-        How many frames a scenario has at most.
-    stop_at_collision : bool
-    drives : bool
-        Whether drivers decide here.
-    """
+    """Options of the loop: time step in s, maximum number of frames, and whether drivers decide in it."""
 
     time_step: float
     most: int
@@ -84,20 +73,10 @@ class Rules(NamedTuple):
 
 
 class Desk(NamedTuple):
-    """What a thread needs to run one scenario of E entities after the other.
+    """Buffers of a thread that runs scenarios [first, last) of E entities, one after the other.
 
-    Attributes
-    ----------
-    first, last : int
-        The scenarios, the last one not included.
-    kept : Kept
-    watched : Watched
-    rest : ndarray of int8, shape (E,)
-        `AWAKE` and so on.
-    others : ndarray of float64, shape (4, E - 1)
-        x, y, heading and speed of who a driver may see.
-    work : Workspace
-        Of a driver.
+    `rest`, shape (E,): `AWAKE` and so on. `others`, shape (4, E - 1): x, y, heading and speed of entities that a driver
+    may see.
     """
 
     first: int
@@ -111,31 +90,18 @@ class Desk(NamedTuple):
 
 @kernel(error_model="numpy")
 def run_on(scene, tracks, roads, fleet, actions, leaves, course, rules, first, last):
-    """Run scenarios on until their storyboard has to look.
+    """Run scenarios [first, last) until their storyboard has to be evaluated.
 
-    Each is run by itself, so that it does not matter how they are shared among threads.
-
-    Parameters
-    ----------
-    scene : Scene
-    tracks : Tracks
-    roads : RoadTables
-    fleet : Fleet
-    actions : Actions
-    leaves : Leaves
-    course : Course
-    rules : Rules
-    first, last : int
-        Scenarios, the last one not included; always the same ones together.
+    Each runs on its own, so the distribution to threads does not matter; a range is always the same.
     """
     entities = scene.floats.shape[2]
-    kept, rest = room_to_keep(actions.options.shape[0]), np.empty(entities, dtype=np.int8)
-    others, watched = np.empty((4, entities - 1)), room_to_watch(leaves)
-    desk = Desk(first, last, kept, watched, rest, others, workspace(entities - 1))
-    _run_all(scene, tracks, roads, fleet, actions, leaves, course, rules, desk)
+    saved, rest = room_to_keep(actions.options.shape[0]), np.empty(entities, dtype=np.int8)
+    others, snapshot = np.empty((4, entities - 1)), room_to_watch(leaves)
+    buffers = Desk(first, last, saved, snapshot, rest, others, workspace(entities - 1))
+    _run_all(scene, tracks, roads, fleet, actions, leaves, course, rules, buffers)
 
 
-# Where memory is reserved, numba counts who refers to each array, in each frame, with atomic operations.
+# In a kernel that allocates, numba would count references of each array, in each frame, with atomic operations.
 @_kernel
 def _run_all(scene, tracks, roads, fleet, actions, leaves, course, rules, desk):
     for n in range(desk.first, desk.last):
@@ -145,7 +111,7 @@ def _run_all(scene, tracks, roads, fleet, actions, leaves, course, rules, desk):
         _wake(scene, actions, course, n, desk)
         pick(leaves, desk.watched, n)
         while status in (GOES, ACTS, BEGUN):
-            begun, dt = status != GOES, rules.time_step if scene.frames[n] > 0 else 0.0
+            is_acting, dt = status != GOES, rules.time_step if scene.frames[n] > 0 else 0.0
             if status == GOES:
                 if scene.frames[n] >= rules.most:
                     status = OVER
@@ -154,17 +120,17 @@ def _run_all(scene, tracks, roads, fleet, actions, leaves, course, rules, desk):
                     status = WAITS
                     break
                 _note_speeds(scene, n)
-            became = ACTED
+            outcome = ACTED
             if status != BEGUN:
-                became = act(scene, tracks, roads, actions, desk.kept, n, dt)
-            if became == LOST:
-                status = LOST_ACTING if begun else LOST_GOING
+                outcome = act(scene, tracks, roads, actions, desk.kept, n, dt)
+            if outcome == LOST:
+                status = LOST_ACTING if is_acting else LOST_GOING
                 break
-            if became != ACTED:
-                status = ENDS if begun else WAITS
+            if outcome != ACTED:
+                status = ENDS if is_acting else WAITS
                 break
             status = _finish(scene, tracks, fleet, course, rules, n, dt, desk)
-            if begun and course.looks[n] and status == GOES:
+            if is_acting and course.looks[n] and status == GOES:
                 status = WAITS
         if status == WAITS and scene.frames[n] >= rules.most:
             status = OVER
@@ -175,15 +141,15 @@ def _run_all(scene, tracks, roads, fleet, actions, leaves, course, rules, desk):
 
 @_part
 def _wake(scene, actions, course, n, desk):
-    """Take note of the actions that run, of who is moved by others than itself, and that nobody may rest yet."""
-    rest, live = desk.rest, desk.kept.live
+    """List the running actions, note who is moved by something else than itself, and wake all entities."""
+    rest, running = desk.rest, desk.kept.live
     for e in range(rest.size):
         rest[e] = AWAKE
     take_up(actions, desk.kept, n)
     i = 0
-    while live[i] >= 0:
-        if actions.options[live[i], 0] != UNKNOWN:
-            rest[actions.options[live[i], 1]] = MOVED_BY_OTHERS
+    while running[i] >= 0:
+        if actions.options[running[i], 0] != UNKNOWN:
+            rest[actions.options[running[i], 1]] = MOVED_BY_OTHERS
         i += 1
     for d in range(course.driven.size):
         rest[course.driven[d]] = MOVED_BY_OTHERS
@@ -199,35 +165,37 @@ def _note_speeds(scene, n):
 
 @_part
 def _finish(scene, tracks, fleet, course, rules, n, dt, desk):
-    """Do the part of a frame that comes after the storyboard; what becomes of the scenario then."""
+    """Do the part of a frame after the storyboard: drivers, motion, recording. Return the new state."""
     if rules.drives and dt > 0.0:
         for d in range(course.driven.shape[0]):
             _drive(scene, tracks, fleet, n, d, course.driven[d], dt, desk)
-    elsewhere = move(scene, tracks, n, dt, desk.rest)
+    needs_lane = move(scene, tracks, n, dt, desk.rest)
     collides = record(scene, n, desk.first, dt, desk.rest)
     if collides and rules.stop_at_collision:
         return OVER
-    return ELSEWHERE if elsewhere else GOES
+    return ELSEWHERE if needs_lane else GOES
 
 
 @_part
 def _drive(scene, tracks, fleet, n, d, e, dt, desk):
-    """Let a driver decide the speed of its entity at the end of the coming time step, where it is in charge."""
-    f, b, numbers, others = scene.floats[n], scene.flags[n], scene.numbers[n], desk.others
+    """Let a compiled driver set the speed of its entity at the end of the time step, if it is in charge."""
+    state, flags, numbers, others = scene.floats[n], scene.flags[n], scene.numbers[n], desk.others
     track = numbers[TRACK, e]
-    if not (b[PRESENT, e] and b[DRIVEN, e] and numbers[DRIVER, e] == d and track >= 0):
+    if not (flags[PRESENT, e] and flags[DRIVEN, e] and numbers[DRIVER, e] == d and track >= 0):
         return
     # A trajectory with times leaves the driver nothing to decide.
     route = route_row(fleet, d, track, n)
     if tracks.timed[tracks.row[e, track]] or route < 0:
         return
-    for a in range(others.shape[1]):
-        k = a if a < e else a + 1
-        there = b[PRESENT, k] and b[VISIBLE, k]
-        others[0, a] = f[X, k] if there else math.nan
-        others[1, a] = f[Y, k] if there else math.nan
-        others[2, a] = f[HEADING, k] if there else math.nan
-        others[3, a] = f[SPEED, k] if there else math.nan
-    driven = Driven(f[DISTANCE, e], f[X, e], f[Y, e], f[HEADING, e], f[SPEED, e], f[TARGET_SPEED, e])
+    for i in range(others.shape[1]):
+        k = i if i < e else i + 1
+        is_visible = flags[PRESENT, k] and flags[VISIBLE, k]
+        others[0, i] = state[X, k] if is_visible else math.nan
+        others[1, i] = state[Y, k] if is_visible else math.nan
+        others[2, i] = state[HEADING, k] if is_visible else math.nan
+        others[3, i] = state[SPEED, k] if is_visible else math.nan
+    driven = Driven(
+        state[DISTANCE, e], state[X, e], state[Y, e], state[HEADING, e], state[SPEED, e], state[TARGET_SPEED, e]
+    )
     acceleration = accelerate(fleet, d, n, route, scene.time[n], dt, driven, others, desk.work)
-    f[SPEED, e] = min(max(f[SPEED, e] + acceleration * dt, 0.0), scene.boxes[e, MAX_SPEED])
+    state[SPEED, e] = min(max(state[SPEED, e] + acceleration * dt, 0.0), scene.boxes[e, MAX_SPEED])

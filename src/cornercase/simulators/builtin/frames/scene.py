@@ -1,4 +1,4 @@
-"""A batch as compiled code sees it."""
+"""State and recordings of a batch, as arrays for compiled code."""
 
 from __future__ import annotations
 
@@ -10,17 +10,17 @@ from cornercase._common.typing import BoolArray, FloatArray, IntArray
 from cornercase.simulators.builtin.world.state import World
 
 LENGTH, WIDTH, CENTER_X, MAX_SPEED, MAX_ACCELERATION, MAX_DECELERATION, REACH = range(7)
-"""Columns of what does not change about an entity."""
+"""Columns of constant properties of an entity."""
 
 QUANTITIES: Final = ("x", "y", "heading", "speed", "acceleration")
-"""What is recorded of an entity, in this order."""
+"""Recorded quantities of an entity, in this order."""
 
 PAGE: Final = 32
-"""So many instants are recorded together."""
+"""Number of frames of a page."""
 
 
 class Scene(NamedTuple):
-    """State of E entities in N scenarios, and what is recorded of them, on pages of 32 instants.
+    """State of E entities in N scenarios, and their recordings, stored in pages of 32 instants.
 
     Attributes
     ----------
@@ -30,20 +30,20 @@ class Scene(NamedTuple):
     time, last_step : ndarray of float64, shape (N,)
         s.
     boxes : ndarray of float64, shape (E, 7)
-        Length, width and how far the centre is ahead, in m; largest speed, acceleration and deceleration; how far the
-        box reaches from the reference point at most, in m.
+        Length, width and longitudinal centre in m; maximum speed, acceleration and deceleration; largest distance of
+        the box from the reference point in m.
     tows : ndarray of float64, shape (T, 4)
-        Rows of vehicle and trailer, hitch and coupler in m.
+        Rows of vehicle and trailer; hitch and coupler in m.
     frames : ndarray of int64, shape (N,)
-        How many are recorded.
+        Number of recorded frames.
     pages : ndarray of float64, shape (P, 5, E, 32)
-        What is recorded; NaN for who is not there.
+        Recorded quantities; NaN for absent entities.
     page : ndarray of int64, shape (N, R)
-        Which pages are a scenario's; R are as many as one can need, and R times N pages there are.
+        Pages of each scenario; R pages hold the maximum duration, P = R N.
     taken : ndarray of int64, shape (N,)
-        By the first of scenarios that are run together, how many of their pages are in use.
+        Number of pages in use, at the first of the scenarios that run together.
     collided : ndarray of float64, shape (N, E, E)
-        Time in s at which two first collided; NaN before, and below the diagonal.
+        Time in s of the first collision of two entities; NaN before, and below the diagonal.
     """
 
     floats: FloatArray
@@ -62,30 +62,19 @@ class Scene(NamedTuple):
 
 
 def scene_of(world: World, instants: int) -> Scene:
-    """Share the state of a world with compiled code.
-
-    Parameters
-    ----------
-    world : World
-    instants : int
-        How many can be recorded of each scenario.
-
-    Returns
-    -------
-    Scene
-    """
-    scenarios, entities, most = world.scenarios, world.entities, -(-instants // PAGE)
+    """Share the state of a world with compiled code; `instants` is the maximum length of a recording."""
+    scenarios, entities, max_pages = world.scenarios, world.entities, -(-instants // PAGE)
     boxes = [
         (
-            one.length,
-            one.width,
-            one.center_x,
-            one.max_speed,
-            one.max_acceleration,
-            one.max_deceleration,
-            1.001 * (abs(one.center_x) + 0.5 * np.hypot(one.length, one.width)),
+            entity.length,
+            entity.width,
+            entity.center_x,
+            entity.max_speed,
+            entity.max_acceleration,
+            entity.max_deceleration,
+            1.001 * (abs(entity.center_x) + 0.5 * np.hypot(entity.length, entity.width)),
         )
-        for one in entities
+        for entity in entities
     ]
     tows = [(tow.vehicle, tow.trailer, tow.hitch, tow.coupler) for tow in world.tows]
     return Scene(
@@ -98,9 +87,9 @@ def scene_of(world: World, instants: int) -> Scene:
         boxes=np.array(boxes, dtype=np.float64).reshape(-1, 7),
         tows=np.array(tows, dtype=np.float64).reshape(-1, 4),
         frames=np.zeros(scenarios, dtype=np.int64),
-        # Memory of which nothing is used takes none: many scenarios end early, so each takes the next page as it goes.
-        pages=np.empty((scenarios * most, len(QUANTITIES), len(entities), PAGE)),
-        page=np.full((scenarios, most), -1),
+        # Untouched memory is not allocated: many scenarios end early, so each takes the next free page as it goes.
+        pages=np.empty((scenarios * max_pages, len(QUANTITIES), len(entities), PAGE)),
+        page=np.full((scenarios, max_pages), -1),
         taken=np.zeros(scenarios, dtype=np.int64),
         collided=np.full((scenarios, len(entities), len(entities)), np.nan),
     )

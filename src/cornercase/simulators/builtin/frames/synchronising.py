@@ -1,4 +1,4 @@
-"""Actions that keep an entity in time or at a distance with another, for one scenario: twins of those in `actions`."""
+"""Kernels of actions that synchronize an entity with another or keep a distance; NumPy versions are in `actions`."""
 
 # Compiled functions have no static types.
 # mypy: disable-error-code="no-untyped-def, untyped-decorator"
@@ -38,36 +38,36 @@ from cornercase.simulators.builtin.world.layout import (
 )
 
 NEW, FIRST, LAST, WAITING, BRAKING, STANDING, STEADY = range(7)
-"""What an entity does on its way to its place: nothing yet; the first of two phases of constant acceleration, below or
-above the mean speed; the last phase; waiting for the master to move; braking hard; standing until the last phase
-begins; going on at the final speed."""
+"""Phase of a synchronization: not started; first of two phases of constant acceleration, below or above the mean speed;
+last phase; waiting for the master to move; braking hard; standing until the last phase begins; going on at the final
+speed."""
 
 NO_FINAL_SPEED, FINAL_SPEED, FINAL_DIFFERENCE, FINAL_FACTOR = range(4)
-"""What an action says of the final speed: nothing; the speed; how much more than the master's; how many times that."""
+"""Kind of an action's final speed: none, absolute, difference to the master's, factor of the master's."""
 
 NEVER: Final = 1e10
-"""s; when a master arrives that does not come."""
+"""s; arrival time of a master that does not approach."""
 HARDEST: Final = 8.0
-"""m/s²; how hard an entity brakes that has no room for anything else. esmini's figure."""
+"""m/s²; deceleration of an entity that has no room for anything else (esmini's value)."""
 AWAY: Final = 1e-3
-"""So much further from its place than in the last step, in m, an entity has passed it."""
+"""m; an entity whose distance has grown by more than this in a step has passed its destination."""
 ON_LINE: Final = 0.1
-"""A speed that differs from that of the last phase by less, in m/s, begins it."""
+"""m/s; the last phase begins if the speed differs from its speed by less."""
 REACHED: Final = 0.1
-"""A distance that is kept within this, in m, is reached."""
+"""m; tolerance within which a distance is reached."""
 SPRING: Final = 0.4
-"""Stiffness of the spring that keeps a distance, in 1/m, times the largest acceleration."""
+"""1/m; stiffness of the distance controller, per m/s² of maximum acceleration."""
 
 ENDED, ACTED, LOST = range(3)
-"""What becomes of an action in a frame: it ends, or cannot act here; it has acted; first, an entity has to be looked up
-on its track or its road."""
+"""Outcome of an action in a frame: it ends or cannot be applied here; applied; an entity has to be located on its track
+or road first."""
 
 _TINY: Final = 1e-6
 
-# Places in memory: what is done and was, the entity's place and its master's, what is asked.
+# Memory layout: phase and last distances, both destinations, final speed.
 _MODE, _CONVEX, _LAST_WAY, _LAST_WAY_MASTER, _OWN, _MASTER = 0, 1, 2, 3, 4, 11
 _STEADY_DISTANCE, _STEADY_TIME, _FINAL = 18, 19, 20
-# Of each of the two places, counted from its first.
+# Offsets within each destination.
 _PLACE_X, _PLACE_Y, _ROAD, _S, _ITS_TRACK, _ALONG, _TOLERANCE = range(7)
 
 _ACCELERATION, _BEHIND, _DISTANCE, _UP, _DOWN, _FASTEST, _JERK_UP, _JERK_DOWN = range(8)
@@ -77,107 +77,83 @@ _kernel = kernel(error_model="numpy", forceinline=True, _nrt=False)
 
 @_kernel
 def synchronise(scene, tracks, roads, actions, n, j, dt):
-    """Twin of `SynchronizeAction.step`.
+    """Apply a `SynchronizeAction` for one time step; NumPy version: `SynchronizeAction.step`.
 
-    Parameters
-    ----------
-    scene : Scene
-    tracks : Tracks
-    roads : RoadTables
-    actions : Actions
-    n, j : int
-        Scenario and action.
-    dt : float
-        s; above 0.
-
-    Returns
-    -------
-    int
-        `ENDED`, `ACTED` or `LOST`.
+    Returns `ACTION_NOT_APPLIED` (it ends or cannot act here), `ACTION_APPLIED` or `NEEDS_LOOKUP`.
     """
-    e, master, of_final = actions.options[j, 1], actions.options[j, 2], actions.options[j, 3]
-    m, f, driven = actions.memory[n, j], scene.floats[n], scene.flags[n, DRIVEN, e]
-    found_master, signed = _way(scene, tracks, roads, m, _MASTER, n, master)
-    found, way = _way(scene, tracks, roads, m, _OWN, n, e)
-    if found != ACTED or found_master != ACTED:
-        return ENDED if ENDED in (found, found_master) else LOST
-    way, way_master = abs(way), abs(signed)
-    if way < m[_OWN + _TOLERANCE] + _TINY or way_master < m[_MASTER + _TOLERANCE] + _TINY:
+    e, master, final_kind = actions.options[j, 1], actions.options[j, 2], actions.options[j, 3]
+    memory, state, has_driver = actions.memory[n, j], scene.floats[n], scene.flags[n, DRIVEN, e]
+    master_outcome, signed_distance = _way(scene, tracks, roads, memory, _MASTER, n, master)
+    outcome, distance = _way(scene, tracks, roads, memory, _OWN, n, e)
+    if outcome != ACTED or master_outcome != ACTED:
+        return ENDED if ENDED in (outcome, master_outcome) else LOST
+    distance, master_distance = abs(distance), abs(signed_distance)
+    if distance < memory[_OWN + _TOLERANCE] + _TINY or master_distance < memory[_MASTER + _TOLERANCE] + _TINY:
         return ENDED
-    if way > m[_LAST_WAY] + AWAY or way_master > m[_LAST_WAY_MASTER] + AWAY:
+    if distance > memory[_LAST_WAY] + AWAY or master_distance > memory[_LAST_WAY_MASTER] + AWAY:
         return ENDED
-    m[_LAST_WAY], m[_LAST_WAY_MASTER] = way, way_master
-    way = max(way - m[_OWN + _TOLERANCE], _TINY)
-    way_master = max(way_master - m[_MASTER + _TOLERANCE], _TINY)
-    # Of the master's speed, the part along its road and towards its target counts.
-    known, speed_master = _speed_along(scene, tracks, roads, n, master)
-    if not known:
+    memory[_LAST_WAY], memory[_LAST_WAY_MASTER] = distance, master_distance
+    distance = max(distance - memory[_OWN + _TOLERANCE], _TINY)
+    master_distance = max(master_distance - memory[_MASTER + _TOLERANCE], _TINY)
+    # Only the master's speed along its road and towards its destination counts.
+    is_known, master_speed = _speed_along(scene, tracks, roads, n, master)
+    if not is_known:
         return LOST
-    # As a rule it is turned by nothing from its way.
-    towards = signed if f[TURN, master] == 0.0 else signed * math.cos(f[TURN, master])
-    towards = 1.0 if towards > 0.0 else -1.0 if towards < 0.0 else towards
-    speed_master = _sign(f[SPEED, master]) * towards * speed_master
-    comes = speed_master > _TINY
-    time = way_master / speed_master if comes else NEVER
-    if comes and time < dt:
+    # Usually it does not turn off its path.
+    direction = signed_distance if state[TURN, master] == 0.0 else signed_distance * math.cos(state[TURN, master])
+    direction = 1.0 if direction > 0.0 else -1.0 if direction < 0.0 else direction
+    master_speed = _sign(state[SPEED, master]) * direction * master_speed
+    is_approaching = master_speed > _TINY
+    time = master_distance / master_speed if is_approaching else NEVER
+    if is_approaching and time < dt:
         return ENDED
-    if of_final == NO_FINAL_SPEED:
-        wanted = _arrive(f[SPEED, e], driven, m, way, time, comes, dt)
+    if final_kind == NO_FINAL_SPEED:
+        wanted = _arrive(state[SPEED, e], has_driver, memory, distance, time, is_approaching, dt)
     else:
-        final = m[_FINAL]
-        if of_final == FINAL_DIFFERENCE:
-            final = f[SPEED, master] + final
-        elif of_final == FINAL_FACTOR:
-            final = f[SPEED, master] * final
-        known, shown = _speed_along(scene, tracks, roads, n, e)
-        if not known:
+        final = memory[_FINAL]
+        if final_kind == FINAL_DIFFERENCE:
+            final = state[SPEED, master] + final
+        elif final_kind == FINAL_FACTOR:
+            final = state[SPEED, master] * final
+        is_known, road_speed = _speed_along(scene, tracks, roads, n, e)
+        if not is_known:
             return LOST
-        wanted = _arrive_with(f[SPEED, e], _sign(f[SPEED, e]) * shown, m, way, time, final, comes, dt)
-    if driven:
-        # An entity with a driver is asked for a speed that it can reach.
+        wanted = _arrive_with(
+            state[SPEED, e], _sign(state[SPEED, e]) * road_speed, memory, distance, time, final, is_approaching, dt
+        )
+    if has_driver:
+        # An entity with a driver gets a target speed that it can reach.
         wanted = min(max(wanted, 0.0), scene.boxes[e, MAX_SPEED])
     elif not math.isfinite(wanted):
-        wanted = f[SPEED, e]
+        wanted = state[SPEED, e]
     set_speed(scene, n, e, wanted)
     return ACTED
 
 
 @_kernel
 def keep_distance(scene, actions, n, j, dt):
-    """Twin of `LongitudinalDistanceAction.step` with limits, along the entity's heading.
+    """Apply a `LongitudinalDistanceAction` with limits along the heading; False if it ends.
 
-    Parameters
-    ----------
-    scene : Scene
-    actions : Actions
-    n, j : int
-        Scenario and action.
-    dt : float
-        s; above 0.
-
-    Returns
-    -------
-    bool
-        False where it ends.
+    NumPy version: `LongitudinalDistanceAction.step`.
     """
     e, other, continuous = actions.options[j, 1], actions.options[j, 2], actions.options[j, 3]
-    between_boxes, timed = actions.options[j, 4], actions.options[j, 5]
-    m, f = actions.memory[n, j], scene.floats[n]
-    wanted = abs(abs(f[SPEED, other]) * m[_DISTANCE] if timed else m[_DISTANCE])
-    way = gap_to(scene, n, e, other, LONGITUDINAL + FREE if between_boxes else LONGITUDINAL)
-    if not math.isfinite(way):
+    between_boxes, is_time_gap = actions.options[j, 4], actions.options[j, 5]
+    memory, state = actions.memory[n, j], scene.floats[n]
+    wanted = abs(abs(state[SPEED, other]) * memory[_DISTANCE] if is_time_gap else memory[_DISTANCE])
+    distance = gap_to(scene, n, e, other, LONGITUDINAL + FREE if between_boxes else LONGITUDINAL)
+    if not math.isfinite(distance):
         return True
-    error = way - (wanted if m[_BEHIND] > 0.0 else -wanted)
-    stiffness = SPRING * (m[_UP] if error < 0.0 else m[_DOWN])
-    a = error * stiffness - 2.0 * math.sqrt(stiffness) * (f[SPEED, e] - f[SPEED, other])
-    a = min(max(a, -m[_DOWN]), m[_UP])
-    before = m[_ACCELERATION]
-    if a < 0.0 and a < before:
-        a = max(a, before - m[_JERK_DOWN] * dt)
-    elif a >= 0.0 and a > before:
-        a = min(a, before + m[_JERK_UP] * dt)
-    m[_ACCELERATION] = a
-    set_speed(scene, n, e, min(max(f[SPEED, e] + a * dt, -m[_FASTEST]), m[_FASTEST]))
+    error = distance - (wanted if memory[_BEHIND] > 0.0 else -wanted)
+    stiffness = SPRING * (memory[_UP] if error < 0.0 else memory[_DOWN])
+    acceleration = error * stiffness - 2.0 * math.sqrt(stiffness) * (state[SPEED, e] - state[SPEED, other])
+    acceleration = min(max(acceleration, -memory[_DOWN]), memory[_UP])
+    previous = memory[_ACCELERATION]
+    if acceleration < 0.0 and acceleration < previous:
+        acceleration = max(acceleration, previous - memory[_JERK_DOWN] * dt)
+    elif acceleration >= 0.0 and acceleration > previous:
+        acceleration = min(acceleration, previous + memory[_JERK_UP] * dt)
+    memory[_ACCELERATION] = acceleration
+    set_speed(scene, n, e, min(max(state[SPEED, e] + acceleration * dt, -memory[_FASTEST]), memory[_FASTEST]))
     return not (abs(error) < REACHED and not continuous)
 
 
@@ -188,18 +164,18 @@ def _sign(speed):
 
 @_kernel
 def _lane_of(scene, tracks, n, e, row):
-    """Road and s of an entity on a lane; -1 where it has to be looked up."""
-    f, b = scene.floats[n], scene.flags[n]
-    if not b[PRESENT, e] or (b[CHANGES_LANES, e] and not abs(f[OFFSET, e]) < BESIDE):
+    """Road and s of an entity on a lane; -1 if it has to be located on the road."""
+    state, flags = scene.floats[n], scene.flags[n]
+    if not flags[PRESENT, e] or (flags[CHANGES_LANES, e] and not abs(state[OFFSET, e]) < BESIDE):
         return -1, 0.0
-    road, _, s, _ = lane_place(tracks, row, f[DISTANCE, e])
+    road, _, s, _ = lane_place(tracks, row, state[DISTANCE, e])
     return road, s
 
 
 @_kernel
 def _way(scene, tracks, roads, m, place, n, e):
-    """How far it is to the entity's place of an action, in m, where that is found: `ACTED`."""
-    f, track = scene.floats[n], scene.numbers[n, TRACK, e]
+    """Outcome, and signed distance in m to the entity's destination of a `SynchronizeAction`."""
+    state, track = scene.floats[n], scene.numbers[n, TRACK, e]
     row = tracks.row[e, track] if track >= 0 else -1
     x, y = m[place + _PLACE_X], m[place + _PLACE_Y]
     if not math.isfinite(x + y):
@@ -209,23 +185,25 @@ def _way(scene, tracks, roads, m, place, n, e):
         if road < 0 or not roads.known[road]:
             return ENDED, math.nan
         if road == m[place + _ROAD]:
-            ahead = m[place + _S] - s
-            return ACTED, ahead if math.cos(f[HEADING, e] - road_heading(roads, road, s)) > -ACROSS else -ahead
-    way = math.inf
+            signed_distance = m[place + _S] - s
+            return ACTED, signed_distance if math.cos(
+                state[HEADING, e] - road_heading(roads, road, s)
+            ) > -ACROSS else -signed_distance
+    signed = math.inf
     if row >= 0:
         if m[place + _ITS_TRACK] != track or math.isnan(m[place + _ALONG]):
             return LOST, math.nan
-        way = m[place + _ALONG] - f[DISTANCE, e]
-    return ACTED, way if math.isfinite(way) else math.hypot(x - f[X, e], y - f[Y, e])
+        signed = m[place + _ALONG] - state[DISTANCE, e]
+    return ACTED, signed if math.isfinite(signed) else math.hypot(x - state[X, e], y - state[Y, e])
 
 
 @_kernel
 def _speed_along(scene, tracks, roads, n, e):
-    """Whether an entity's speed along its road is known, and that speed in m/s: twin of `speed_along_road`."""
-    f, numbers = scene.floats[n], scene.numbers[n]
-    speed = f[ROAD_SPEED, e]
+    """Whether an entity's speed along its road is known, and the speed in m/s; NumPy version: `speed_along_road`."""
+    state, numbers = scene.floats[n], scene.numbers[n]
+    speed = state[ROAD_SPEED, e]
     if speed != UNASKED:
-        f[ROAD_SPEED, e] = UNASKED
+        state[ROAD_SPEED, e] = UNASKED
         return True, speed
     track = numbers[TRACK, e]
     row = tracks.row[e, track] if track >= 0 else -1
@@ -238,48 +216,48 @@ def _speed_along(scene, tracks, roads, n, e):
         road = numbers[LAST_ROAD, e]
         if road < 0 or not roads.plain[road]:
             return False, math.nan
-        stays, s = stays_on_road(roads, road, f[LAST_S, e], f[X, e], f[Y, e])
-        if not stays:
+        is_on_road, s = stays_on_road(roads, road, state[LAST_S, e], state[X, e], state[Y, e])
+        if not is_on_road:
             return False, math.nan
-        f[LAST_S, e] = s
+        state[LAST_S, e] = s
         cos, sin = road_direction(roads, road, s)
     else:
-        cos, sin = math.cos(f[HEADING, e]), math.sin(f[HEADING, e])
-    return True, abs(f[GONE_X, e] * cos + f[GONE_Y, e] * sin)
+        cos, sin = math.cos(state[HEADING, e]), math.sin(state[HEADING, e])
+    return True, abs(state[GONE_X, e] * cos + state[GONE_Y, e] * sin)
 
 
 @_kernel
 def _arrive(speed, driven, m, way, time, comes, dt):
     """Speed at the end of the step, with one constant acceleration."""
-    mean = way / time
+    mean_speed = way / time
     if driven:
-        return mean
+        return mean_speed
     if comes:
         m[_MODE] = LAST
-        return speed + 2.0 * (mean - speed) / time * dt
-    waited, m[_MODE] = m[_MODE] == WAITING, WAITING
-    return speed if waited else 0.0
+        return speed + 2.0 * (mean_speed - speed) / time * dt
+    was_waiting, m[_MODE] = m[_MODE] == WAITING, WAITING
+    return speed if was_waiting else 0.0
 
 
 @_kernel
 def _arrive_with(v0, shown, m, way, time, final, comes, dt):
-    """Speed at the end of the step, with a final speed; `shown` is the entity's along its road."""
-    safe = max(abs(final), 1e-9)
-    steady_way = m[_STEADY_TIME] * final if m[_STEADY_TIME] > 0.0 else m[_STEADY_DISTANCE]
-    if steady_way > 0.0 and m[_MODE] != STEADY:
-        steady_time = steady_way / safe
-        if way - steady_way < _TINY or time - steady_time < _TINY:
+    """Speed at the end of the step, with a final speed; `shown` is the speed along the road."""
+    divisor = max(abs(final), 1e-9)
+    steady_distance = m[_STEADY_TIME] * final if m[_STEADY_TIME] > 0.0 else m[_STEADY_DISTANCE]
+    if steady_distance > 0.0 and m[_MODE] != STEADY:
+        steady_time = steady_distance / divisor
+        if way - steady_distance < _TINY or time - steady_time < _TINY:
             m[_MODE] = STEADY
         else:
-            way, time = way - steady_way, time - steady_time
+            way, time = way - steady_distance, time - steady_time
     if m[_MODE] == STEADY:
         return final
     if not comes:
-        waited, m[_MODE] = m[_MODE] == WAITING, WAITING
-        return v0 if waited else 0.0
+        was_waiting, m[_MODE] = m[_MODE] == WAITING, WAITING
+        return v0 if was_waiting else 0.0
     if m[_MODE] == WAITING:
-        # An entity that waited begins anew; with a steady state the last phase comes next, as in esmini.
-        if not (v0 > 0.0 or steady_way <= 0.0):
+        # An entity that waited starts anew; with a steady state the last phase comes next, as in esmini.
+        if not (v0 > 0.0 or steady_distance <= 0.0):
             m[_MODE] = LAST
             return 0.0
         m[_MODE] = NEW
@@ -288,7 +266,7 @@ def _arrive_with(v0, shown, m, way, time, final, comes, dt):
             m[_MODE] = NEW
         return max(v0 - HARDEST * dt, 0.0)
     if m[_MODE] == STANDING:
-        if not time < 2.0 * way / safe:
+        if not time < 2.0 * way / divisor:
             return 0.0
         m[_MODE] = LAST
     if m[_MODE] == LAST:
@@ -322,16 +300,18 @@ def _begin(v0, shown, m, way, time, final, dt):
 
 @_kernel
 def _first_phase(v0, v1, way, time):
-    """Twin of the function of that name in `actions.synchronise`."""
-    mean = way / time
+    """Acceleration and speed at the end of the first phase; NumPy version: same name in `actions.synchronise`."""
+    mean_speed = way / time
     if abs(v1 - v0) < _TINY:
-        apex = 2.0 * mean - v0
+        apex = 2.0 * mean_speed - v0
         return 2.0 * (apex - v0) / time, apex
-    root = math.sqrt(max(2.0 * (2.0 * (mean * mean) - 2.0 * (v0 + v1) * mean + v0 * v0 + v1 * v1), 0.0))
+    root = math.sqrt(
+        max(2.0 * (2.0 * (mean_speed * mean_speed) - 2.0 * (v0 + v1) * mean_speed + v0 * v0 + v1 * v1), 0.0)
+    )
     for k in range(2):
         sign = -1.0 if k == 0 else 1.0
-        x = -time * (2.0 * mean - 2.0 * v1 - sign * root) / (2.0 * (v1 - v0))
+        x = -time * (2.0 * mean_speed - 2.0 * v1 - sign * root) / (2.0 * (v1 - v0))
         if x > 0.0 and x < time:
-            apex = mean + 0.5 * sign * root
+            apex = mean_speed + 0.5 * sign * root
             return (apex - v0) / x, apex
     return 0.0, 0.0

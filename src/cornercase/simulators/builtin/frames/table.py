@@ -1,4 +1,4 @@
-"""The actions of a storyboard as compiled code sees them."""
+"""Tables of a storyboard's actions for compiled code."""
 
 from __future__ import annotations
 
@@ -10,30 +10,26 @@ import numpy as np
 from cornercase._common.typing import BoolArray, FloatArray, IntArray
 
 UNKNOWN, SPEED_ACTION, TRAJECTORY_ACTION, LANE_CHANGE, LANE_OFFSET, SYNCHRONISATION, DISTANCE_ACTION = range(7)
-"""Kinds of actions; of the first, compiled code only knows that they run."""
+"""Types of actions. A `PYTHON_ACTION` has no kernel; only whether it runs is known here."""
 
 SHAPES: Final = ("linear", "cubic", "sinusoidal", "step")
-"""Shapes of transitions, as compiled code numbers them."""
+"""Transition shapes, indexed by their numbers in compiled code."""
 DIMENSIONS: Final = ("time", "rate", "distance")
-"""Dimensions of transitions, as compiled code numbers them."""
+"""Transition dimensions, indexed by their numbers in compiled code."""
 
 OPTIONS: Final = 8
-"""How many whole numbers describe an action: its kind, its entity, and what it needs besides."""
+"""Number of integers that describe an action: type, entity and type-specific ones."""
 MEMORY: Final = 24
-"""How many numbers an action can remember of each scenario."""
+"""Number of values that an action can remember of each scenario."""
 CHANGING: Final = 8
-"""So many of these, the first ones, can change from step to step."""
+"""Number of these, the first ones, that can change from step to step."""
 
 
 class Actions(NamedTuple):
-    """J actions in N scenarios, in the order in which they act.
+    """J actions in N scenarios, in the order in which they are applied.
 
-    Attributes
-    ----------
-    options : ndarray of int64, shape (J, 8)
-    memory : ndarray of float64, shape (N, J, 24)
-        What each remembers of each scenario.
-    running : ndarray of bool, shape (N, J)
+    `options`, shape (J, 8): type, entity and type-specific integers. `memory`, shape (N, J, 24): what an action
+    remembers of a scenario. `running`, shape (N, J).
     """
 
     options: IntArray
@@ -42,41 +38,24 @@ class Actions(NamedTuple):
 
 
 class Compilable(Protocol):
-    """An action that may have a compiled twin.
-
-    Attributes
-    ----------
-    remembered : tuple of str
-        Names of its arrays (N,) that compiled code shares.
-    """
+    """An action that may have a compiled kernel. `remembered` names its arrays, shape (N,), shared with the kernel."""
 
     remembered: tuple[str, ...]
 
     def options(self) -> tuple[int, ...]:
-        """Kind, entity, and what else its twin needs to know; `UNKNOWN` alone for an action that has none."""
+        """Type, entity and type-specific integers of the action; only `PYTHON_ACTION` for one without a kernel."""
         ...
 
 
 def gather_actions(found: Sequence[Compilable | None], scenarios: int) -> Actions:
-    """Make the tables of actions; what they remember moves into them.
-
-    Parameters
-    ----------
-    found : sequence of Compilable, or None for what ends at once
-    scenarios : int
-        N.
-
-    Returns
-    -------
-    Actions
-    """
+    """Build the action tables (None: the action ends at once); arrays that actions remember move into them."""
     options = np.zeros((len(found), OPTIONS), dtype=np.int64)
     memory = np.zeros((scenarios, len(found), MEMORY))
     for j, action in enumerate(found):
         if action is not None:
-            given = action.options()
-            assert len(given) <= OPTIONS
-            options[j, : len(given)] = given
+            values = action.options()
+            assert len(values) <= OPTIONS
+            options[j, : len(values)] = values
             for k, name in enumerate(action.remembered):
                 memory[:, j, k] = getattr(action, name)
                 setattr(action, name, memory[:, j, k])
