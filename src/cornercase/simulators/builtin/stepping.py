@@ -117,11 +117,13 @@ class Stepper:
             if any(spec is None for group in groups for _, spec in group):
                 self._unknown.add(t)
                 groups = []
-            for condition, spec in (one for group in groups for one in group):
+            for condition, spec in (item for group in groups for item in group):
                 if condition.constant(self._world) is not None:
                     self._constants.append((n_conditions, condition))
                 n_conditions += len(spec.leaves)
-            self._pasts += [one.past for group in trigger.groups for one in group if one.past is not None]
+            self._pasts += [
+                condition.past for group in trigger.groups for condition in group if condition.past is not None
+            ]
             specs.append([[spec for _, spec in group] for group in groups])
         self._leaves = gather_leaves(specs, [past.delay for past in self._pasts], self._world.scenarios)
 

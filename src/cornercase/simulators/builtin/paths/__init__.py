@@ -1,1 +1,1 @@
-"""Places, and paths between them."""
+"""Positions, trajectories and distances as scenario files define them."""

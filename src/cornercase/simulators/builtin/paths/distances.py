@@ -1,4 +1,4 @@
-"""Distances between entities, in the coordinate systems that conditions may ask for."""
+"""Distances between entities in the coordinate systems of conditions."""
 
 from __future__ import annotations
 
@@ -32,13 +32,8 @@ from cornercase.simulators.builtin.world.whereabouts import ahead_on_road, lane_
 class Gap:
     """How a condition measures a distance.
 
-    Attributes
-    ----------
-    kind : {"euclidean", "longitudinal", "lateral"}
-    along_road : bool
-        Along the road and across it, instead of along the entity's heading and across it.
-    free : bool
-        Between boxes instead of reference points.
+    `kind`: euclidean, longitudinal or lateral. `along_road`: in road coordinates instead of the entity's. `free`:
+    between boxes instead of reference points.
     """
 
     kind: str
@@ -46,7 +41,7 @@ class Gap:
     free: bool
 
     def to_entity(self, world: World, e: int, other: int) -> FloatArray:
-        """Distance to another entity in m, shape (N,); negative behind, and lateral ones to the right."""
+        """Signed distance in m to another entity, shape (N,); negative behind, and to the right if lateral."""
         if self.kind == "euclidean":
             if self.free:
                 return np.where(longitudinal_gap(world, e, other) < 0.0, -1.0, 1.0) * _free_distance(world, e, other)
@@ -54,46 +49,46 @@ class Gap:
             return np.asarray(sign * _distance(world, e, world.x[other], world.y[other]))
         if self.kind == "lateral":
             if self.along_road:
-                place = lane_of(world, other)
-                linked = np.isfinite(along_roads(world, e, place))
-                apart = np.where(linked, offset_from(world, e, other) - world.offset[e], np.inf)
+                position = lane_of(world, other)
+                is_linked = np.isfinite(along_roads(world, e, position))
+                offset = np.where(is_linked, offset_from(world, e, other) - world.offset[e], np.inf)
                 half = 0.5 * (world.entities[e].width + world.entities[other].width)
                 if not self.free:
-                    return beside_on_road(world, e, place, apart)
-                narrowed = np.sign(apart) * np.maximum(np.abs(apart) - half, 0.0)
+                    return beside_on_road(world, e, position, offset)
+                narrowed = np.sign(offset) * np.maximum(np.abs(offset) - half, 0.0)
                 return free_space_on_road(world, e, other, True, narrowed)
             return lateral_gap(world, e, other) if self.free else distance_beside(world, e, other)
         if self.along_road:
-            place = lane_of(world, other)
-            way = ahead_on_road(world, e, place, along_roads(world, e, place))
+            position = lane_of(world, other)
+            distance = ahead_on_road(world, e, position, along_roads(world, e, position))
             if not self.free:
-                return way
+                return distance
             ahead, behind = longitudinal_reach(world, e, other)
-            shortened = np.where(way > 0, np.maximum(way - ahead, 0.0), np.minimum(way + behind, 0.0))
+            shortened = np.where(distance > 0, np.maximum(distance - ahead, 0.0), np.minimum(distance + behind, 0.0))
             return free_space_on_road(world, e, other, False, shortened)
         return longitudinal_gap(world, e, other) if self.free else distance_ahead(world, e, other)
 
     def to_place(self, world: World, e: int, pose: Pose) -> FloatArray:
-        """Distance to a place in m, shape (N,); negative behind, and lateral ones to the right."""
-        one = world.entities[e]
-        front, rear = 0.5 * one.length + one.center_x, 0.5 * one.length - one.center_x
+        """Signed distance in m to a point, shape (N,); negative behind, and to the right if lateral."""
+        entity = world.entities[e]
+        front, rear = 0.5 * entity.length + entity.center_x, 0.5 * entity.length - entity.center_x
         dx, dy = pose.x - world.x[e], pose.y - world.y[e]
         if self.kind == "euclidean":
             cos, sin = np.cos(world.heading[e]), np.sin(world.heading[e])
             along, across = dx * cos + dy * sin, dy * cos - dx * sin
             if not self.free:
                 return np.where(along > 0.0, np.hypot(dx, dy), -np.hypot(dx, dy))
-            along = along - one.center_x
-            beyond = np.maximum(np.abs(along) - 0.5 * one.length, 0.0)
-            sign = np.where(along < -0.5 * one.length, -1.0, 1.0)
-            return np.asarray(sign * np.hypot(beyond, np.maximum(np.abs(across) - 0.5 * one.width, 0.0)))
+            along = along - entity.center_x
+            beyond = np.maximum(np.abs(along) - 0.5 * entity.length, 0.0)
+            sign = np.where(along < -0.5 * entity.length, -1.0, 1.0)
+            return np.asarray(sign * np.hypot(beyond, np.maximum(np.abs(across) - 0.5 * entity.width, 0.0)))
         cos, sin = np.cos(world.heading[e]), np.sin(world.heading[e])
         if self.kind == "lateral":
             across = dy * cos - dx * sin
             if self.along_road:
-                linked = np.isfinite(along_roads(world, e, pose))
-                across = np.where(linked, offset_of(world, e, pose.x, pose.y) - world.offset[e], np.inf)
-            result = np.asarray(np.sign(across) * np.maximum(np.abs(across) - 0.5 * one.width * self.free, 0.0))
+                is_linked = np.isfinite(along_roads(world, e, pose))
+                across = np.where(is_linked, offset_of(world, e, pose.x, pose.y) - world.offset[e], np.inf)
+            result = np.asarray(np.sign(across) * np.maximum(np.abs(across) - 0.5 * entity.width * self.free, 0.0))
             if not self.along_road:
                 return result
             return (
@@ -101,33 +96,17 @@ class Gap:
                 if self.free
                 else beside_on_road(world, e, pose, result)
             )
-        way = dx * cos + dy * sin
+        distance = dx * cos + dy * sin
         if self.along_road:
-            way = ahead_on_road(world, e, pose, along_roads(world, e, pose))
+            distance = ahead_on_road(world, e, pose, along_roads(world, e, pose))
         if self.free:
-            way = np.where(way > 0, np.maximum(way - front, 0.0), np.minimum(way + rear, 0.0))
-            way = free_space_to_place(world, e, pose, False, way) if self.along_road else way
-        return np.asarray(way)
+            distance = np.where(distance > 0, np.maximum(distance - front, 0.0), np.minimum(distance + rear, 0.0))
+            distance = free_space_to_place(world, e, pose, False, distance) if self.along_road else distance
+        return np.asarray(distance)
 
 
 def read_gap(element: etree._Element, scope: Scope) -> Gap:
-    """Read how an element's distance is to be measured.
-
-    Parameters
-    ----------
-    element : lxml element
-    scope : Scope
-        Values of the parameters there.
-
-    Returns
-    -------
-    Gap
-
-    Raises
-    ------
-    InputError
-        A coordinate system or kind of distance does not exist.
-    """
+    """Read how an element's distance is measured; `InputError` for an unknown system or type."""
     kind = scope.text(element, "relativeDistanceType", "euclidianDistance")
     system = scope.text(element, "coordinateSystem", "entity")
     kinds = {
@@ -153,23 +132,23 @@ def _distance(world: World, e: int, x: FloatArray, y: FloatArray) -> FloatArray:
 
 
 def _free_distance(world: World, e: int, other: int) -> FloatArray:
-    """Least distance between two boxes, 0 where they overlap."""
-    one, two = (_corners(world, k) for k in (e, other))
-    apart = np.full(world.scenarios, np.inf)
-    for points, box in ((one, two), (two, one)):
+    """Smallest distance between two boxes, 0 if they overlap."""
+    corners_a, corners_b = (_corners(world, k) for k in (e, other))
+    smallest = np.full(world.scenarios, np.inf)
+    for points, box in ((corners_a, corners_b), (corners_b, corners_a)):
         for k in range(4):
             a, b = box[:, k], box[:, (k + 1) % 4]
             edge = b - a
             length = np.maximum((edge**2).sum(axis=1), 1e-12)
             for p in range(4):
-                part = np.clip(((points[:, p] - a) * edge).sum(axis=1) / length, 0.0, 1.0)
-                nearest = a + part[:, None] * edge
-                apart = np.minimum(apart, np.hypot(*(points[:, p] - nearest).T))
-    return np.where(overlap(world, e, other), 0.0, apart)
+                fraction = np.clip(((points[:, p] - a) * edge).sum(axis=1) / length, 0.0, 1.0)
+                nearest = a + fraction[:, None] * edge
+                smallest = np.minimum(smallest, np.hypot(*(points[:, p] - nearest).T))
+    return np.where(overlap(world, e, other), 0.0, smallest)
 
 
 def _corners(world: World, e: int) -> FloatArray:
-    one = world.entities[e]
-    x = world.x[e] + one.center_x * np.cos(world.heading[e])
-    y = world.y[e] + one.center_x * np.sin(world.heading[e])
-    return box_corners(x, y, world.heading[e], np.array(one.length), np.array(one.width))
+    entity = world.entities[e]
+    x = world.x[e] + entity.center_x * np.cos(world.heading[e])
+    y = world.y[e] + entity.center_x * np.sin(world.heading[e])
+    return box_corners(x, y, world.heading[e], np.array(entity.length), np.array(entity.width))

@@ -1,4 +1,4 @@
-"""OpenSCENARIO positions, resolved for all scenarios of a batch at the instant they are asked for."""
+"""OpenSCENARIO positions, resolved for all scenarios of a batch when they are needed."""
 
 from __future__ import annotations
 
@@ -20,29 +20,14 @@ from cornercase.simulators.builtin.world.lanes import lane_track
 from cornercase.simulators.builtin.world.state import World
 from cornercase.simulators.builtin.world.whereabouts import lane_of, looks_along, road_heading
 
-# A place this little beyond the end of a road, in m, is at the end.
+# m; a position this little beyond the end of a road is at the end.
 _EDGE: Final = 0.1
 
 
 def read_position(holder: etree._Element, scope: Scope, world: World) -> Position:
-    """Read the position inside `holder`, a ``Position`` or an element of that type.
+    """Read the position inside `holder`, as a function that resolves it in a world.
 
-    Parameters
-    ----------
-    holder : lxml element
-    scope : Scope
-        Values of the parameters there.
-    world : World
-
-    Returns
-    -------
-    Position
-        Called with the world, it gives the place at that instant.
-
-    Raises
-    ------
-    InputError
-        There is none, it is of a kind that is not supported, or it names what does not exist.
+    `InputError` if there is none, its kind is not supported, or it refers to something that does not exist.
     """
     element = next(iter(holder.iterchildren("*")), None)
     if element is None:
@@ -56,36 +41,13 @@ def read_position(holder: etree._Element, scope: Scope, world: World) -> Positio
 
 
 def stays_put(holder: etree._Element) -> bool:
-    """Whether the position inside `holder` is the same at every instant.
-
-    Parameters
-    ----------
-    holder : lxml element
-        ``Position``, or an element of that type.
-
-    Returns
-    -------
-    bool
-    """
+    """Whether the position inside `holder` is the same at all times."""
     element = next(iter(holder.iterchildren("*")), None)
     return element is not None and element.tag in ("WorldPosition", "LanePosition", "RoadPosition")
 
 
 def entity_index(element: etree._Element, scope: Scope, world: World, attribute: str = "entityRef") -> int:
-    """Row of the entity that an attribute names.
-
-    Parameters
-    ----------
-    element : lxml element
-    scope : Scope
-        Values of the parameters there.
-    world : World
-    attribute : str, default "entityRef"
-
-    Returns
-    -------
-    int
-    """
+    """Row of the entity that an attribute names."""
     name = scope.text(element, attribute)
     if name not in world.names:
         raise InputError(
@@ -96,26 +58,13 @@ def entity_index(element: etree._Element, scope: Scope, world: World, attribute:
 
 
 def entities_in(holder: etree._Element, scope: Scope, world: World) -> list[int]:
-    """Rows of the entities that the ``EntityRef`` in an element name, themselves or as members of a selection.
-
-    Parameters
-    ----------
-    holder : lxml element
-    scope : Scope
-        Values of the parameters there.
-    world : World
-
-    Returns
-    -------
-    list of int
-        Without repetitions, in the file's order.
-    """
-    found = []
+    """Rows of the entities that ``EntityRef`` elements name, directly or as members of a selection; no duplicates."""
+    rows = []
     for element in holder.iterfind("EntityRef"):
         name = scope.text(element, "entityRef")
         members = world.selections.get(name)
-        found += [entity_index(element, scope, world)] if members is None else members
-    return list(dict.fromkeys(found))
+        rows += [entity_index(element, scope, world)] if members is None else members
+    return list(dict.fromkeys(rows))
 
 
 def _world_position(element: etree._Element, scope: Scope, world: World) -> Position:
@@ -131,11 +80,11 @@ def _lane_position(element: etree._Element, scope: Scope, world: World) -> Posit
     n = scope.scenarios
     name, length = network.roads[road].name, network.roads[road].length
     missing = ~network.has_lane_at(road, lane, s) & (s >= -_EDGE) & (s <= length + _EDGE)
-    for where in np.unique(s[missing]):
+    for missing_s in np.unique(s[missing]):
         world.fail(
-            missing & (s == where),
+            missing & (s == missing_s),
             f"{scope.source}, line {element.sourceline}: <{element.tag}>: road '{name}' has no lane {lane} at s ="
-            f" {where:g} m",
+            f" {missing_s:g} m",
         )
 
     def resolve(world: World) -> Pose:
@@ -167,7 +116,7 @@ def _relative_lane_position(element: etree._Element, scope: Scope, world: World)
 
     def resolve(world: World) -> Pose:
         base = lane_of(world, entity)
-        # With dsLane, both distances count as the entity drives; with ds, along the road's s and by its lane numbers.
+        # dsLane counts both distances in the entity's direction; ds counts along s and by lane numbers.
         ahead = looks_along(world, base)
         forward = np.where(ahead | (not along_lane), 1, -1)
         base = _moved(world, base, forward * ds)
@@ -185,51 +134,40 @@ def _relative_lane_position(element: etree._Element, scope: Scope, world: World)
 
 
 def shifted_lane(lane: IntArray, by: IntArray) -> IntArray:
-    """Number of the lane that is a number of lanes further to the left as seen along s; there is no lane 0.
-
-    Parameters
-    ----------
-    lane : ndarray of int64, shape (N,)
-    by : ndarray of int64, shape (N,)
-        Number of lanes; negative to the right.
-
-    Returns
-    -------
-    ndarray of int64, shape (N,)
-    """
+    """Lane number `by` lanes to the left seen along s (negative: right), each (N,). There is no lane 0."""
     moved = lane + by
     return np.where((moved == 0) | (np.sign(moved) != np.sign(lane)), moved + np.sign(by), moved)
 
 
 def _moved(world: World, base: Pose, ds: FloatArray) -> Pose:
-    """Return `base`, further along the roads by `ds`, which is negative against the road's s."""
+    """Move `base` along the roads by `ds` m (negative: against s)."""
     assert world.network is not None
     assert base.road is not None
     assert base.s is not None
     assert base.lane is not None
     road, lane, s = base.road.copy(), base.lane.copy(), base.s + ds
-    short = np.zeros(world.scenarios, dtype=np.bool_)
+    is_too_short = np.zeros(world.scenarios, dtype=np.bool_)
     beyond = np.flatnonzero((s < 0.0) | (s > world.network.lengths[road]))
     for i in beyond[world.running[beyond]]:
         route = 0 if world.actor is None else int(world.route[world.actor, i])
         track = lane_track(world, int(road[i]), int(lane[i]), float(base.s[i]), bool(ds[i] >= 0.0), route)
         if track is not None:
-            way, path = np.abs(ds[i : i + 1]), track.path
-            distance = path.ahead(track.distance_of(base.s[i : i + 1]), way)
-            gone = np.interp(distance, path.distance, path.reference)
-            begun = np.interp(track.distance_of(base.s[i : i + 1]), path.distance, path.reference)
-            short[i] = bool(gone - begun < way - _EDGE)
+            distance_to_go, path = np.abs(ds[i : i + 1]), track.path
+            distance = path.ahead(track.distance_of(base.s[i : i + 1]), distance_to_go)
+            end_distance = np.interp(distance, path.distance, path.reference)
+            start_distance = np.interp(track.distance_of(base.s[i : i + 1]), path.distance, path.reference)
+            is_too_short[i] = bool(end_distance - start_distance < distance_to_go - _EDGE)
             k = int(path.sample_at(distance)[0])
             road[i], lane[i], s[i] = path.road[k], path.lane[k], path.s_at(distance)[0]
-    return Pose(base.x, base.y, base.heading, road, lane, s, base.offset, short)
+    return Pose(base.x, base.y, base.heading, road, lane, s, base.offset, is_too_short)
 
 
 def _at_the_end(pose: Pose, moved: Pose, element: etree._Element, scope: Scope) -> Pose:
-    """Pose that counts as meant where the way to it ended with the road."""
+    """Pose with `beyond` set where the path to it ended with the road."""
     assert pose.beyond is not None
     assert moved.beyond is not None
-    place = f"{Path(scope.source).name}, line {element.sourceline}"
-    return replace(pose, beyond=pose.beyond | moved.beyond, relative=place)
+    location = f"{Path(scope.source).name}, line {element.sourceline}"
+    return replace(pose, beyond=pose.beyond | moved.beyond, relative=location)
 
 
 def _relative_road_position(element: etree._Element, scope: Scope, world: World) -> Position:
@@ -245,7 +183,7 @@ def _relative_road_position(element: etree._Element, scope: Scope, world: World)
         assert moved.s is not None
         assert moved.lane is not None
         assert base.lane is not None
-        # Beyond a junction the road may run in the opposite direction, which swaps left and right.
+        # Beyond a junction, s may run in the opposite direction, which swaps left and right.
         t = _lateral(world, base) * np.sign(moved.lane * base.lane)
         return _at_the_end(_on_road(world, moved.road, moved.s, t + dt, turn, relative), moved, element, scope)
 
@@ -269,19 +207,19 @@ def _on_road(world: World, road: IntArray, s: FloatArray, t: FloatArray, turn: F
     assert world.network is not None
     x, y, heading = (np.full(len(s), np.nan) for _ in range(3))
     s, beyond = _on_the_road(world, road, s)
-    for one in np.unique(road):
-        rows = (road == one) & np.isfinite(s)
-        x[rows], y[rows], heading[rows] = world.network.road_world(int(one), s[rows], t[rows])
+    for road_index in np.unique(road):
+        rows = (road == road_index) & np.isfinite(s)
+        x[rows], y[rows], heading[rows] = world.network.road_world(int(road_index), s[rows], t[rows])
     heading = heading + turn if relative else np.where(np.isnan(heading), np.nan, turn)
     lane, offset = np.zeros(len(s), dtype=np.int64), np.zeros(len(s))
-    for one in np.unique(road):
-        rows = np.flatnonzero((road == one) & np.isfinite(x))
-        lane[rows], offset[rows] = world.network.lane_at(int(one), s[rows], t[rows])
+    for road_index in np.unique(road):
+        rows = np.flatnonzero((road == road_index) & np.isfinite(x))
+        lane[rows], offset[rows] = world.network.lane_at(int(road_index), s[rows], t[rows])
     return Pose(x, y, heading, road, lane, s, offset, beyond)
 
 
 def _on_the_road(world: World, road: IntArray, s: FloatArray) -> tuple[FloatArray, BoolArray]:
-    """Coordinates s, or the ends of the roads for what lies beyond them, and whether it does so, each (N,)."""
+    """Coordinate s clipped to the roads, and whether it was beyond them, each (N,)."""
     assert world.network is not None
     lengths = world.network.lengths[road]
     return np.clip(s, 0.0, lengths), (s < -_EDGE) | (s > lengths + _EDGE)
@@ -291,29 +229,29 @@ def _route_position(element: etree._Element, scope: Scope, world: World) -> Posi
     network = _network(element, scope, world)
     holder = element.find("RouteRef")
     route = None if holder is None else read_route(holder, scope, world)
-    place = element.find("InRoutePosition")
-    inner = None if place is None else next(iter(place.iterchildren("*")), None)
+    in_route = element.find("InRoutePosition")
+    inner = None if in_route is None else next(iter(in_route.iterchildren("*")), None)
     if route is None or inner is None or inner.tag not in ("FromLaneCoordinates", "FromRoadCoordinates"):
         raise InputError(
             f"{scope.source}, line {element.sourceline}: <RoutePosition> needs a <RouteRef> and an <InRoutePosition>"
             " from lane or road coordinates."
         )
     on_lane = inner.tag == "FromLaneCoordinates"
-    way = scope.number(inner, "pathS")
+    distance = scope.number(inner, "pathS")
     lane = scope.whole_number(inner, "laneId") if on_lane else 0
-    side = scope.number(inner, "laneOffset", 0.0) if on_lane else scope.number(inner, "t")
+    lateral = scope.number(inner, "laneOffset", 0.0) if on_lane else scope.number(inner, "t")
     turn, relative = _orientation(element, scope)
-    turned = element.find("Orientation") is not None
+    has_orientation = element.find("Orientation") is not None
 
     def resolve(world: World) -> Pose:
-        road, s, along = _along_route(network, route(world), way)
+        road, s, along = _along_route(network, route(world), distance)
         if on_lane:
-            pose = _on_lane(world, road, np.full(scope.scenarios, lane), s, side, turn, relative)
+            pose = _on_lane(world, road, np.full(scope.scenarios, lane), s, lateral, turn, relative)
         else:
-            pose = _on_road(world, road, s, np.where(along, side, -side), turn, relative)
-        # An orientation against the route is turned round, as in esmini.
+            pose = _on_road(world, road, s, np.where(along, lateral, -lateral), turn, relative)
+        # As in esmini, an orientation against the route is turned around.
         forward = road_heading(world, pose) + np.where(along, 0.0, np.pi)
-        against = turned & (np.cos(pose.heading - forward) < 0.0)
+        against = has_orientation & (np.cos(pose.heading - forward) < 0.0)
         return replace(pose, heading=pose.heading + np.where(against, np.pi, 0.0))
 
     return resolve
@@ -322,26 +260,26 @@ def _route_position(element: etree._Element, scope: Scope, world: World) -> Posi
 def _along_route(
     network: RoadNetwork, waypoints: list[Pose], way: FloatArray
 ) -> tuple[IntArray, FloatArray, BoolArray]:
-    """Road, s, and whether the route runs along it, after some way from the first of its waypoints, each (N,)."""
+    """Road, s, and whether the route runs along s, `way` m after the first waypoint, each (N,)."""
     roads = np.stack([_road_of(pose) for pose in waypoints])
     first = waypoints[0]
     assert first.lane is not None
     assert first.s is not None
     section = np.zeros(len(way), dtype=np.int64)
-    for one in np.unique(roads[0]):
-        rows = roads[0] == one
-        section[rows] = network.roads[int(one)].section_at(first.s[rows])
+    for index in np.unique(roads[0]):
+        rows = roads[0] == index
+        section[rows] = network.roads[int(index)].section_at(first.s[rows])
     road, s, along = roads[0].copy(), first.s.copy(), np.zeros(len(way), dtype=np.bool_)
     keys = np.concatenate([roads, first.lane[None], section[None]])
     for key in np.unique(keys, axis=1).T:
         rows = (keys == key[:, None]).all(axis=0)
-        *passed, lane, k = (int(one) for one in key)
-        start, end = network.roads[passed[0]].section_span(k)
-        # From where the section is entered, so that all who begin in it take the same walk.
-        forward = network.runs_along(passed[0], lane, 0.5 * (start + end))
-        edge = start if forward else end - 1e-9
-        extra = (first.s[rows] - edge) * (1.0 if forward else -1.0)
-        walk = [(passed[0], lane, edge), *((one, 0, 0.0) for one in passed[1:])]
+        *road_indices, lane, k = (int(index) for index in key)
+        start, end = network.roads[road_indices[0]].section_span(k)
+        # Start at the section's entry, so that all positions in it share one walk.
+        forward = network.runs_along(road_indices[0], lane, 0.5 * (start + end))
+        section_start = start if forward else end - 1e-9
+        extra = (first.s[rows] - section_start) * (1.0 if forward else -1.0)
+        walk = [(road_indices[0], lane, section_start), *((index, 0, 0.0) for index in road_indices[1:])]
         road[rows], s[rows], along[rows] = network.along_route(walk, way[rows] + extra)
     return road, s, along
 
@@ -355,30 +293,15 @@ Route = Callable[[World], list[Pose]]
 
 
 def read_route(holder: etree._Element, scope: Scope, world: World) -> Route:
-    """Read the ``Route`` or ``CatalogReference`` in `holder`, as the poses of its waypoints on the roads.
+    """Read the ``Route`` or ``CatalogReference`` in `holder`, as a function that resolves its waypoints in a world.
 
-    Parameters
-    ----------
-    holder : lxml element
-    scope : Scope
-        Values of the parameters there.
-    world : World
-
-    Returns
-    -------
-    Route
-        Called with the world, it gives the waypoints.
-
-    Raises
-    ------
-    InputError
-        There is none, or it has fewer than two waypoints.
+    `InputError` if there is none, or it has fewer than two waypoints.
     """
     element, scope = scope.referred(holder, "Route")
     waypoints = [
-        read_position(one, scope, world)
-        for one in (waypoint.find("Position") for waypoint in element.iterfind("Waypoint"))
-        if one is not None
+        read_position(position, scope, world)
+        for position in (waypoint.find("Position") for waypoint in element.iterfind("Waypoint"))
+        if position is not None
     ]
     if len(waypoints) < 2:
         raise InputError(f"{scope.source}, line {element.sourceline}: a <Route> needs at least two waypoints.")
@@ -433,8 +356,8 @@ def _relative_world_position(element: etree._Element, scope: Scope, world: World
 def _located(world: World, x: FloatArray, y: FloatArray, heading: FloatArray) -> Pose:
     if world.network is None:
         return Pose(x, y, heading)
-    place = world.network.locate(x, y)
-    return Pose(x, y, heading, place.road, place.lane, place.s, place.offset)
+    position = world.network.locate(x, y)
+    return Pose(x, y, heading, position.road, position.lane, position.s, position.offset)
 
 
 def _on_lane(
@@ -452,8 +375,8 @@ def _on_lane(
     for one_road, one_lane in sorted({*zip(road.tolist(), lane.tolist(), strict=True)}):
         inside = (road == one_road) & (lane == one_lane) & world.network.has_lane_at(one_road, one_lane, s)
         if inside.any():
-            place = world.network.world(one_road, one_lane, s[inside], offset[inside])
-            x[inside], y[inside], heading[inside] = place
+            pose = world.network.world(one_road, one_lane, s[inside], offset[inside])
+            x[inside], y[inside], heading[inside] = pose
     heading = heading + turn if relative else np.where(np.isnan(heading), np.nan, turn)
     return Pose(x, y, heading, road, lane, s, offset, beyond)
 

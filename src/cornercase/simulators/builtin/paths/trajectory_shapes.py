@@ -1,4 +1,4 @@
-"""Shapes of trajectories, as they stand in a file or a catalog."""
+"""Trajectory shapes as files and catalogs define them."""
 
 from __future__ import annotations
 
@@ -27,43 +27,33 @@ PositionReader = Callable[[etree._Element, Scope, World], Position]
 
 
 class WorldPlace:
-    """A place that a file gives by its coordinates; on which road it is, is looked up only for who asks.
-
-    Parameters
-    ----------
-    pose : Pose
-        Without a road.
-
-    Attributes
-    ----------
-    pose : Pose
-    """
+    """A position given by coordinates; its road is looked up only when needed."""
 
     def __init__(self, pose: Pose) -> None:
         self.pose = pose
 
     def __call__(self, world: World) -> Pose:
-        """Return the place with its road."""
+        """Return the pose with its road."""
         if world.network is None:
             return self.pose
         return replace(self.pose, **world.network.locate(self.pose.x, self.pose.y)._asdict())
 
 
-# Times that differ by less, in s, are the same.
+# s; times that differ by less are equal.
 _SAME_TIME: Final = 1e-6
 
 
 @dataclass(frozen=True)
 class Clock:
-    """How the times of a file become those of a trajectory: scaled, then shifted, each (N,)."""
+    """Conversion of a file's times into a trajectory's: scaled, then shifted, each (N,)."""
 
     scale: FloatArray
     shift: FloatArray
 
     def times(self, given: FloatArray) -> FloatArray:
-        """Times of the trajectory of those in the file, each (N, V).
+        """Convert times of the file, each (N, V).
 
-        Where they go back on the way to the latest, they stand still until the time is reached again.
+        If they go back before the latest one, time stands still until it is reached again.
         """
         times = given * self.scale[:, None] + self.shift[:, None]
         latest = np.maximum.accumulate(times, axis=1)
@@ -71,10 +61,9 @@ class Clock:
 
 
 class Shape(Protocol):
-    """Lays a trajectory out in the world as it is now.
+    """Builds a trajectory in the world's current state.
 
-    `smooth` is the following mode ``follow``; without a `clock` the trajectory has no times. `entity` is who follows
-    it.
+    `smooth` is the following mode ``follow``; without `clock` the trajectory has no times; `entity` follows it.
     """
 
     def __call__(
@@ -85,20 +74,9 @@ class Shape(Protocol):
 
 
 def read_trajectory(holder: etree._Element, scope: Scope, world: World, read: PositionReader) -> Shape:
-    """Read the ``Trajectory`` or ``CatalogReference`` in `holder`.
+    """Read the ``Trajectory`` or ``CatalogReference`` in `holder`; `read` reads positions of its vertices.
 
-    Parameters
-    ----------
-    holder : lxml element
-    scope : Scope
-    world : World
-    read : callable
-        Reads the positions of its vertices, which may lie on trajectories themselves.
-
-    Raises
-    ------
-    InputError
-        There is none, or it is malformed.
+    `InputError` if there is none, or it is malformed.
     """
     element, inner = scope.referred(holder, "Trajectory")
     shape = element.find("Shape")
@@ -120,48 +98,40 @@ def read_trajectory(holder: etree._Element, scope: Scope, world: World, read: Po
 
 
 def takes_time(holder: etree._Element, scope: Scope) -> bool:
-    """Whether the times of the ``Trajectory`` or ``CatalogReference`` in `holder` differ.
+    """Whether the trajectory in `holder` has different times.
 
-    Parameters
-    ----------
-    holder : lxml element
-    scope : Scope
-
-    Returns
-    -------
-    bool
-
-    Raises
-    ------
-    InputError
-        They do, and the trajectory is closed: no time says when its first vertex is reached again.
-    VariesError
-        They do in some scenarios only.
+    `InputError` if it has, but is closed: no time says when its first vertex is reached again. `BatchSplitError` if it
+    has in some scenarios only.
     """
     element, inner = scope.referred(holder, "Trajectory")
     timed = [
-        (one, name)
-        for one in element.iterfind("Shape//*")
+        (part, name)
+        for part in element.iterfind("Shape//*")
         for name in ("time", "startTime", "stopTime", "timeStart", "timeEnd")
-        if one.get(name) is not None
+        if part.get(name) is not None
     ]
-    given = [inner.number(one, name) for one, name in timed]
-    origins = {origin for one, name in timed for origin in inner.origins(one.get(name, ""))}
+    times_given = [inner.number(part, name) for part, name in timed]
+    origins = {origin for part, name in timed for origin in inner.origins(part.get(name, ""))}
     if element.find("Shape/Polyline") is None and element.find("Shape/Nurbs") is None:
-        # The times of clothoids are 0 where they are left out.
-        given.append(np.zeros(scope.scenarios))
+        # Missing times of clothoids are 0.
+        times_given.append(np.zeros(scope.scenarios))
     differ = np.zeros(scope.scenarios, dtype=np.bool_)
-    for one in given:
-        differ |= np.abs(one - given[0]) > _SAME_TIME
+    for values in times_given:
+        differ |= np.abs(values - times_given[0]) > _SAME_TIME
     if differ.any() != differ.all():
         raise VariesError(origins)
     inner.used |= origins
-    times = np.array(given)
+    times = np.array(times_given)
     if {name for _, name in timed} == {"time"} and (times[-1] == times.max(axis=0)).all():
         back = next((k for k in range(1, len(timed)) if (times[k] < times[k - 1] - _SAME_TIME).any()), None)
         if back is not None:
-            why = f"time goes back to {times[back].min():g} s; vertices are passed over until it is reached again"
-            adapt(timed[back][0], f"time of <{timed[back][0].tag}>", why, "times of a trajectory never go back")
+            reason = f"time goes back to {times[back].min():g} s; vertices are passed over until it is reached again"
+            adapt(
+                timed[back][0],
+                f"time of <{timed[back][0].tag}>",
+                reason,
+                "times of a trajectory never go back",
+            )
     if differ.all() and inner.flag(element, "closed", False):
         raise InputError(
             f"{scope.source}, line {element.sourceline}: no time says when a closed <Trajectory> is back at its first"
@@ -174,7 +144,7 @@ def _polyline(element: etree._Element, scope: Scope, world: World, read: Positio
     vertices = list(element.iterfind("Vertex"))
     if len(vertices) < 2:
         raise InputError(f"{scope.source}, line {element.sourceline}: a <Polyline> needs at least two vertices.")
-    corners = _corners(element, vertices, scope, world, read)
+    resolve_vertices = _corners(element, vertices, scope, world, read)
 
     def lay_out(
         world: World, smooth: bool = False, clock: Clock | None = None, entity: int | None = None
@@ -184,7 +154,7 @@ def _polyline(element: etree._Element, scope: Scope, world: World, read: Positio
             turning = world.entities[entity].turning or turning
         if smooth:
             begin_speed = np.zeros(world.scenarios) if entity is None else world.speed[entity].copy()
-        x, y, heading, times = corners(world)
+        x, y, heading, times = resolve_vertices(world)
         reached = None if clock is None else clock.times(times)
         return Polyline(x, y, heading, reached, closed, turning, begin_speed)
 
@@ -198,14 +168,14 @@ _Corners = tuple[FloatArray, FloatArray, FloatArray, FloatArray]
 def _corners(
     element: etree._Element, vertices: list[etree._Element], scope: Scope, world: World, read: PositionReader
 ) -> Callable[[World], _Corners]:
-    """Read the vertices of a polyline; what is found is asked where they are now."""
-    fixed = made_once(element, "corners", lambda: _fixed_corners(vertices, scope, world, read))
-    if fixed is not None:
-        x, y, heading, times = (np.tile(one, (scope.scenarios, 1)) for one in fixed)
+    """Read the vertices of a polyline; the returned function resolves them in a world."""
+    constant = made_once(element, "corners", lambda: _fixed_corners(vertices, scope, world, read))
+    if constant is not None:
+        x, y, heading, times = (np.tile(vertex, (scope.scenarios, 1)) for vertex in constant)
         return lambda world: (x, y, heading, times)
-    positions = [read(_position(one, scope), scope, world) for one in vertices]
+    positions = [read(_position(vertex, scope), scope, world) for vertex in vertices]
     oriented = _oriented(vertices)
-    times = np.stack([scope.number(one, "time", 0.0) for one in vertices], axis=1)
+    times = np.stack([scope.number(vertex, "time", 0.0) for vertex in vertices], axis=1)
 
     def corners(world: World) -> _Corners:
         poses = [_coordinates(position, world) for position in positions]
@@ -222,25 +192,29 @@ def _corners(
 def _fixed_corners(
     vertices: list[etree._Element], scope: Scope, world: World, read: PositionReader
 ) -> tuple[FloatArray, ...] | None:
-    """Rows of `_Corners` that no parameter changes, each (V,); None where one may, or a place is given otherwise."""
-    held = [_position(one, scope) for one in vertices]
-    if any(len(one) != 1 or one[0].tag != "WorldPosition" or len(one[0]) for one in held):
+    """Rows of vertices, each (V,), if no parameter changes them and all are world positions; else None."""
+    elements = [_position(vertex, scope) for vertex in vertices]
+    if any(len(vertex) != 1 or vertex[0].tag != "WorldPosition" or len(vertex[0]) for vertex in elements):
         return None
-    if any("$" in text for one in vertices for below in one.iter() for text in below.attrib.values()):
+    if any("$" in text for vertex in vertices for below in vertex.iter() for text in below.attrib.values()):
         return None
-    places = [read(one, scope, world) for one in held]
-    times = np.array([scope.one_number(one, "time", 0.0) for one in vertices])
+    positions = [read(vertex, scope, world) for vertex in elements]
+    times = np.array([scope.one_number(vertex, "time", 0.0) for vertex in vertices])
     x, y, heading = np.array(
-        [(one.pose.x[0], one.pose.y[0], one.pose.heading[0]) for one in places if isinstance(one, WorldPlace)]
+        [
+            (vertex.pose.x[0], vertex.pose.y[0], vertex.pose.heading[0])
+            for vertex in positions
+            if isinstance(vertex, WorldPlace)
+        ]
     ).T
     return x, y, np.where(_oriented(vertices), heading, np.nan), times
 
 
 def _oriented(vertices: list[etree._Element]) -> list[bool]:
-    """Whether the file says the heading of each vertex."""
+    """Whether the file gives the heading of each vertex."""
     return [
-        one.find("Position//Orientation[@h]") is not None or next(one.iterfind("Position/*")).get("h") is not None
-        for one in vertices
+        vertex.find("Position//Orientation[@h]") is not None or next(vertex.iterfind("Position/*")).get("h") is not None
+        for vertex in vertices
     ]
 
 
@@ -248,11 +222,11 @@ def _clothoids(element: etree._Element, scope: Scope, world: World, read: Positi
     segments = [element] if element.tag == "Clothoid" else list(element.iterfind("ClothoidSplineSegment"))
     if not segments:
         raise InputError(f"{scope.source}, line {element.sourceline}: a <ClothoidSpline> has no segments.")
-    length = np.stack([scope.number(one, "length") for one in segments], axis=1)
-    for one, each in zip(segments, length.T, strict=True):
-        if not scope.origins(one.get("length", "")) and not each[0] > 0:
-            raise InputError(f"{scope.source}, line {one.sourceline}: length of <{one.tag}> is not above 0.")
-        scope.refuse(one, "length", "is not above 0", ~(each > 0))
+    length = np.stack([scope.number(segment, "length") for segment in segments], axis=1)
+    for segment, values in zip(segments, length.T, strict=True):
+        if not scope.origins(segment.get("length", "")) and not values[0] > 0:
+            raise InputError(f"{scope.source}, line {segment.sourceline}: length of <{segment.tag}> is not above 0.")
+        scope.refuse(segment, "length", "is not above 0", ~(values > 0))
     length = np.where(length > 0, length, 1.0)
     if element.tag == "Clothoid":
         start = scope.number(element, "curvature")[:, None]
@@ -261,15 +235,15 @@ def _clothoids(element: etree._Element, scope: Scope, world: World, read: Positi
         times = np.stack([scope.number(element, name, 0.0) for name in ("startTime", "stopTime")], axis=1)
         holder = element.find("Position")
     else:
-        start = np.stack([scope.number(one, "curvatureStart") for one in segments], axis=1)
-        end = np.stack([scope.number(one, "curvatureEnd") for one in segments], axis=1)
+        start = np.stack([scope.number(segment, "curvatureStart") for segment in segments], axis=1)
+        end = np.stack([scope.number(segment, "curvatureEnd") for segment in segments], axis=1)
         times = _segment_times(element, segments, length, scope)
         holder = segments[0].find("PositionStart")
     position = None if holder is None else read(holder, scope, world)
-    # Where later segments begin elsewhere than the ones before them end.
-    holders = {k: one.find("PositionStart") for k, one in enumerate(segments[1:], start=1)}
-    later = {k: read(holder, scope, world) for k, holder in holders.items() if holder is not None}
-    turns = np.stack([scope.number(one, "hOffset", 0.0) for one in segments], axis=1)
+    # Start positions of later segments that do not continue the previous one.
+    holders = {k: segment.find("PositionStart") for k, segment in enumerate(segments[1:], start=1)}
+    later_starts = {k: read(holder, scope, world) for k, holder in holders.items() if holder is not None}
+    turns = np.stack([scope.number(segment, "hOffset", 0.0) for segment in segments], axis=1)
 
     def lay_out(
         world: World, smooth: bool = False, clock: Clock | None = None, entity: int | None = None
@@ -281,7 +255,7 @@ def _clothoids(element: etree._Element, scope: Scope, world: World, read: Positi
             x, y, heading = world.x[entity].copy(), world.y[entity].copy(), world.heading[entity].copy()
         else:
             raise InputError(f"{scope.source}, line {element.sourceline}: the trajectory has no start position.")
-        begins = {k: place(world) for k, place in later.items()}
+        begins = {k: place(world) for k, place in later_starts.items()}
         reached = None if clock is None else clock.times(times)
         return ClothoidSpline(x, y, heading, start, end, length, reached, begins, turns)
 
@@ -291,34 +265,36 @@ def _clothoids(element: etree._Element, scope: Scope, world: World, read: Positi
 def _segment_times(
     element: etree._Element, segments: list[etree._Element], length: FloatArray, scope: Scope
 ) -> FloatArray:
-    """Times at which the segments of a spline begin, and the last one ends; even between those that are given."""
+    """Times at which spline segments begin, and the last one ends; evenly interpolated where not given."""
     given: dict[int, FloatArray] = {
-        k: scope.number(one, "timeStart") for k, one in enumerate(segments) if one.get("timeStart") is not None
+        k: scope.number(segment, "timeStart")
+        for k, segment in enumerate(segments)
+        if segment.get("timeStart") is not None
     }
-    places = np.concatenate([np.zeros((len(length), 1)), np.cumsum(length, axis=1)], axis=1)
+    distances = np.concatenate([np.zeros((len(length), 1)), np.cumsum(length, axis=1)], axis=1)
     given = {0: np.zeros(len(length)), **given, len(segments): scope.number(element, "timeEnd", 0.0)}
-    known = sorted(given)
-    at, times = places[:, known], np.stack([given[k] for k in known], axis=1)
-    # As a rule the file gives the same times to all scenarios.
-    if (times == times[0]).all() and (places == places[0]).all():
-        return np.tile(np.interp(places[0], at[0], times[0]), (len(places), 1))
-    return np.stack([np.interp(*one) for one in zip(places, at, times, strict=True)])
+    indices = sorted(given)
+    given_distances, times = distances[:, indices], np.stack([given[k] for k in indices], axis=1)
+    # Usually the times are the same in all scenarios.
+    if (times == times[0]).all() and (distances == distances[0]).all():
+        return np.tile(np.interp(distances[0], given_distances[0], times[0]), (len(distances), 1))
+    return np.stack([np.interp(*row) for row in zip(distances, given_distances, times, strict=True)])
 
 
 def _nurbs(element: etree._Element, scope: Scope, world: World, read: PositionReader) -> Shape:
     controls, order = list(element.iterfind("ControlPoint")), scope.whole_number(element, "order")
-    knots = np.array([scope.one_number(one, "value") for one in element.iterfind("Knot")])
-    where = f"{scope.source}, line {element.sourceline}"
+    knots = np.array([scope.one_number(control, "value") for control in element.iterfind("Knot")])
+    location = f"{scope.source}, line {element.sourceline}"
     if not 2 <= order <= len(controls) or len(knots) != len(controls) + order or (np.diff(knots) < 0).any():
         raise InputError(
-            f"{where}: a <Nurbs> of order {order} with {len(controls)} control points needs"
+            f"{location}: a <Nurbs> of order {order} with {len(controls)} control points needs"
             f" {len(controls) + order} rising knots, and at least as many control points as its order."
         )
-    weights = np.array([scope.one_number(one, "weight", 1.0) for one in controls])
+    weights = np.array([scope.one_number(control, "weight", 1.0) for control in controls])
     if not (weights > 0).all():
-        raise InputError(f"{where}: a weight of a <Nurbs> is not above 0.")
-    positions = [read(_position(one, scope), scope, world) for one in controls]
-    times = np.stack([scope.number(one, "time", 0.0) for one in controls], axis=1)
+        raise InputError(f"{location}: a weight of a <Nurbs> is not above 0.")
+    positions = [read(_position(control, scope), scope, world) for control in controls]
+    times = np.stack([scope.number(control, "time", 0.0) for control in controls], axis=1)
 
     def lay_out(
         world: World, smooth: bool = False, clock: Clock | None = None, entity: int | None = None
@@ -326,19 +302,19 @@ def _nurbs(element: etree._Element, scope: Scope, world: World, read: PositionRe
         poses = [_coordinates(position, world) for position in positions]
         x, y = np.stack([pose.x for pose in poses], axis=1), np.stack([pose.y for pose in poses], axis=1)
         px, py, heading, reached = nurbs_points(x, y, times, weights, knots, order)
-        # On a curve, every heading is that of the curve, and turns from point to point.
+        # On a curve, all headings are tangents, and change from point to point.
         return Polyline(px, py, heading, None if clock is None else clock.times(reached), False, ALONG_LEGS)
 
     return lay_out
 
 
 def _coordinates(position: Position, world: World) -> Pose:
-    """Place as it is now, with a road only where it is found by its road."""
+    """Current pose; with a road only if the position is given by its road."""
     return position.pose if isinstance(position, WorldPlace) else position(world)
 
 
 def _position(element: etree._Element, scope: Scope) -> etree._Element:
-    found = element.find("Position")
-    if found is None or not len(found):
+    position = element.find("Position")
+    if position is None or not len(position):
         raise InputError(f"{scope.source}, line {element.sourceline}: <{element.tag}> has no <Position>.")
-    return found
+    return position

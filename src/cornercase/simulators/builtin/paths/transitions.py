@@ -1,4 +1,4 @@
-"""How values change over time: the shapes and dimensions of ``TransitionDynamics``."""
+"""Transitions of values over time: shapes and dimensions of ``TransitionDynamics``."""
 
 from __future__ import annotations
 
@@ -11,15 +11,15 @@ from cornercase._common.errors import InputError
 from cornercase._common.typing import BoolArray, FloatArray
 from cornercase.scenario import Scope
 
-# The largest slope of a transition from 0 to 1 over unit time.
+# Largest slope of a transition from 0 to 1 over unit time.
 _PEAK: Final = {"linear": 1.0, "cubic": 1.5, "sinusoidal": 0.5 * np.pi, "step": 1.0}
 
-# Times and speeds that differ by less, in s and m/s, are the same.
+# s and m/s; smaller differences are ignored.
 _TINY: Final = 1e-6
 
 
 class Transition:
-    """A change from one value to another, as an element with shape, dimension and value describes it."""
+    """A change from one value to another, as an element's shape, dimension and value describe it."""
 
     def __init__(self, element: etree._Element, scope: Scope) -> None:
         self.shape = scope.text(element, "dynamicsShape")
@@ -31,23 +31,17 @@ class Transition:
                 f"{scope.source}, line {element.sourceline}: dynamicsDimension '{self.dimension}' of"
                 f" <{element.tag}> is not time, rate or distance."
             )
-        # A rate counts by its amount: files write that of braking with a minus.
+        # The sign of a rate is ignored, as files give braking with a minus.
         if self.dimension != "rate":
             scope.refuse(element, "value", "is below 0", self.value < 0.0)
 
     def time_span(
         self, start: FloatArray, end: FloatArray, asked: FloatArray, steepest: FloatArray
     ) -> tuple[FloatArray, FloatArray]:
-        """Time that a change of speed takes, and by how much it is stretched, each (N,).
+        """Duration of a change of speed, and the factor by which it is stretched, each (N,).
 
-        Parameters
-        ----------
-        start, end : ndarray of float64, shape (N,)
-            m/s.
-        asked : ndarray of float64, shape (N,)
-            What `end` would be without the vehicle's largest speed, in m/s; a distance is one to get there.
-        steepest : ndarray of float64, shape (N,)
-            Largest slope in m/s²; the change is stretched in time so that it is not steeper.
+        `asked` is `end` without the vehicle's maximum speed; `steepest` the largest slope in m/s², which the stretched
+        change does not exceed. All speeds in m/s.
         """
         change, peak = np.abs(end - start), _PEAK[self.shape]
         if self.shape == "step":
@@ -62,24 +56,24 @@ class Transition:
             return span, np.maximum(slope / np.maximum(steepest, _TINY), 1.0)
 
     def time_by_rate(self, change: FloatArray) -> FloatArray:
-        """Time for a change whose largest slope is the rate, shape (N,)."""
+        """Duration of a change whose largest slope is the rate, shape (N,)."""
         if self.shape == "step":
             return np.zeros_like(change)
         span = _PEAK[self.shape] * np.abs(change) / np.maximum(np.abs(self.value), _TINY)
         return np.asarray(np.maximum(span, _TINY))
 
     def is_step(self, span: FloatArray) -> BoolArray:
-        """Where the change is made at once, shape (N,)."""
+        """Whether the change is immediate, shape (N,)."""
         return np.asarray((span < _TINY) & (self.shape == "step" or self.dimension != "rate"))
 
     def between(self, start: FloatArray, end: FloatArray, parameter: FloatArray, span: FloatArray) -> FloatArray:
         """Value after a part of the span, shape (N,)."""
         step = self.is_step(span)
-        part = self.at(parameter / np.where(step, 1.0, np.maximum(span, _TINY)))
-        return np.where(step, end, start + part * (end - start))
+        fraction = self.at(parameter / np.where(step, 1.0, np.maximum(span, _TINY)))
+        return np.where(step, end, start + fraction * (end - start))
 
     def extent(self, start: FloatArray, end: FloatArray) -> FloatArray:
-        """Time or distance that a lateral change takes, shape (N,)."""
+        """Duration or distance of a lateral change, shape (N,)."""
         if self.shape == "step":
             return np.zeros_like(start)
         if self.dimension != "rate":
@@ -89,35 +83,28 @@ class Transition:
             return np.where(change > 0, _PEAK[self.shape] * change / np.abs(self.value), 0.0)
 
     def at(self, part: FloatArray) -> FloatArray:
-        """Share of the change that is done after a share of the time, shape (N,)."""
+        """Fraction of the change done after a fraction of the time, shape (N,)."""
         return shaped(self.shape, part)
 
     def slope(self, part: FloatArray) -> FloatArray:
-        """Derivative of `at`, shape (N,)."""
+        """Derivative of `fraction_done`, shape (N,)."""
         return steepness(self.shape, part)
 
     def _time_for_distance(self, start: FloatArray, end: FloatArray) -> FloatArray:
-        # A change of sign is one change to 0 and one from 0; their distances are in the ratio of the squared speeds.
+        # A change of sign is a change to 0 and one from 0; their distances have the ratio of the squared speeds.
         with np.errstate(divide="ignore", invalid="ignore"):
-            share = start**2 / (start**2 + end**2)
-            through_zero = 2.0 * share * self.value / np.abs(start) + 2.0 * (1.0 - share) * self.value / np.abs(end)
+            fraction = start**2 / (start**2 + end**2)
+            through_zero = 2.0 * fraction * self.value / np.abs(start) + 2.0 * (1.0 - fraction) * self.value / np.abs(
+                end
+            )
             direct = 2.0 * self.value / np.abs(start + end)
-        changes = (np.sign(start) * np.sign(end)) < 0
-        changes &= (np.abs(start) > _TINY) & (np.abs(end) > _TINY)
-        return np.where(np.abs(start - end) < _TINY, 0.0, np.where(changes, through_zero, direct))
+        changes_sign = (np.sign(start) * np.sign(end)) < 0
+        changes_sign &= (np.abs(start) > _TINY) & (np.abs(end) > _TINY)
+        return np.where(np.abs(start - end) < _TINY, 0.0, np.where(changes_sign, through_zero, direct))
 
 
 def require_shape(shape: str, element: etree._Element, scope: Scope) -> None:
-    """Raise an `InputError` where a shape does not exist.
-
-    Parameters
-    ----------
-    shape : str
-        As in ``dynamicsShape``.
-    element : lxml element
-    scope : Scope
-        Values of the parameters there.
-    """
+    """Raise `InputError` if a ``dynamicsShape`` does not exist."""
     if shape not in _PEAK:
         raise InputError(
             f"{scope.source}, line {element.sourceline}: dynamicsShape '{shape}' of <{element.tag}> is not one of"
@@ -126,20 +113,7 @@ def require_shape(shape: str, element: etree._Element, scope: Scope) -> None:
 
 
 def shaped(shape: str, part: FloatArray) -> FloatArray:
-    """Share of a change that is done after a share of the time, shape (N,).
-
-    Parameters
-    ----------
-    shape : str
-        As in ``dynamicsShape``.
-    part : ndarray of float64, shape (N,)
-        Share of the time, clipped to 0 and 1.
-
-    Returns
-    -------
-    ndarray of float64, shape (N,)
-        From 0 to 1.
-    """
+    """Fraction of a change done after a fraction of the time, clipped to [0, 1], shape (N,)."""
     part = np.clip(part, 0.0, 1.0)
     if shape == "cubic":
         return part * part * (3.0 - 2.0 * part)
@@ -149,19 +123,7 @@ def shaped(shape: str, part: FloatArray) -> FloatArray:
 
 
 def steepness(shape: str, part: FloatArray) -> FloatArray:
-    """Derivative of `shaped`, shape (N,).
-
-    Parameters
-    ----------
-    shape : str
-        As in ``dynamicsShape``.
-    part : ndarray of float64, shape (N,)
-        Share of the time, clipped to 0 and 1.
-
-    Returns
-    -------
-    ndarray of float64, shape (N,)
-    """
+    """Derivative of `transition_fraction`, shape (N,)."""
     part = np.clip(part, 0.0, 1.0)
     if shape == "cubic":
         return 6.0 * part * (1.0 - part)
@@ -171,22 +133,7 @@ def steepness(shape: str, part: FloatArray) -> FloatArray:
 
 
 def time_by_acceleration(shape: str, change: FloatArray, most: FloatArray) -> FloatArray:
-    """Time for a lateral change whose acceleration peaks at `most`, shape (N,); a linear one is taken as cubic.
-
-    Parameters
-    ----------
-    shape : str
-        As in ``dynamicsShape``.
-    change : ndarray of float64, shape (N,)
-        m.
-    most : ndarray of float64, shape (N,)
-        m/s².
-
-    Returns
-    -------
-    ndarray of float64, shape (N,)
-        s.
-    """
+    """Duration in s of a lateral change of `change` m with peak acceleration `most` m/s²; linear counts as cubic."""
     with np.errstate(divide="ignore"):
         if shape == "step":
             return np.zeros_like(change)

@@ -1,4 +1,4 @@
-"""Compiled twins of `ClothoidSpline`, for one scenario at a time."""
+"""Kernels of `ClothoidSpline`, for one scenario at a time."""
 
 # Compiled functions have no static types.
 # mypy: disable-error-code="no-untyped-def, untyped-decorator, call-arg, var-annotated"
@@ -16,100 +16,53 @@ _kernel = kernel(error_model="numpy", forceinline=True, _nrt=False)
 
 @_kernel
 def place_on_chords(tracks, g, n, distance, offset):
-    """Place at a distance along a spline.
-
-    Parameters
-    ----------
-    tracks : Tracks
-    g, n : int
-        Row of the track, and scenario.
-    distance, offset : float
-        m along it, and to the left.
-
-    Returns
-    -------
-    x, y, heading : float
-        m, m, rad.
-    """
+    """x, y (m) and heading (rad) at a distance along a spline, and an offset to the left."""
     length, chord = chords_length(tracks, g, n), floats_at(tracks.address[g, columns.CHORD], n + 1)[n]
     last = integers_at(tracks.address[g, columns.LAST], n + 1)[n]
-    along = min(max(distance, 0.0), length)
-    # What is no number is nowhere.
-    place = along / chord
-    k = min(int(place), last) if place >= 0.0 else 0
+    clipped = min(max(distance, 0.0), length)
+    # NaN maps to chord 0, and stays NaN in the result.
+    position = clipped / chord
+    k = min(int(position), last) if position >= 0.0 else 0
     before = chord * k
     span = min(before + chord, length) - before
-    part = (along - before) / (span if span > 0.0 else 1.0)
+    fraction = (clipped - before) / (span if span > 0.0 else 1.0)
     after = k + min(1, tracks.size[g] - 1)
-    at_x, at_y = _mixed(tracks, g, n, columns.X, k, after, part), _mixed(tracks, g, n, columns.Y, k, after, part)
-    heading = _mixed(tracks, g, n, columns.HEADING, k, after, part)
-    beyond = distance - along
+    point_x, point_y = (
+        _mixed(tracks, g, n, columns.X, k, after, fraction),
+        _mixed(tracks, g, n, columns.Y, k, after, fraction),
+    )
+    heading = _mixed(tracks, g, n, columns.HEADING, k, after, fraction)
+    beyond = distance - clipped
     if beyond != 0.0 or offset != 0.0:
         cos, sin = math.cos(heading), math.sin(heading)
-        at_x, at_y = at_x + beyond * cos - offset * sin, at_y + beyond * sin + offset * cos
-    return at_x, at_y, heading
+        point_x, point_y = point_x + beyond * cos - offset * sin, point_y + beyond * sin + offset * cos
+    return point_x, point_y, heading
 
 
 @_kernel
 def chords_length(tracks, g, n):
-    """Length of a spline in m.
-
-    Parameters
-    ----------
-    tracks : Tracks
-    g, n : int
-        Row of the track, and scenario.
-
-    Returns
-    -------
-    float
-    """
+    """Length of a spline in m."""
     return floats_at(tracks.address[g, columns.LENGTH], n + 1)[n]
 
 
 @_kernel
 def chords_last_time(tracks, g, n):
-    """Time at which a spline with a clock ends, on that clock, in s.
-
-    Parameters
-    ----------
-    tracks : Tracks
-    g, n : int
-        Row of the track, and scenario.
-
-    Returns
-    -------
-    float
-    """
+    """Time in s at which a spline with times ends, on its own clock."""
     count = tracks.bends[g]
     return floats_at(tracks.address[g, columns.TIME] + 8 * count * n, count)[count - 1]
 
 
 @_kernel
 def distance_on_chords_at(tracks, g, n, time):
-    """Distance along a spline with a clock, at a time of that clock.
-
-    Parameters
-    ----------
-    tracks : Tracks
-    g, n : int
-        Row of the track, and scenario.
-    time : float
-        s.
-
-    Returns
-    -------
-    float
-        m.
-    """
+    """Distance in m along a spline at a time in s of its own clock."""
     count = tracks.bends[g]
-    clock = floats_at(tracks.address[g, columns.TIME] + 8 * count * n, count)
+    times = floats_at(tracks.address[g, columns.TIME] + 8 * count * n, count)
     table = floats_at(tracks.address[g, columns.DISTANCE] + 8 * count * n, count)
     k = 0
-    while k + 2 < count and clock[k + 1] <= time:
+    while k + 2 < count and times[k + 1] <= time:
         k += 1
-    begin, span = clock[k], clock[k + 1] - clock[k]
-    speed = (table[k + 1] - table[k]) / (span if clock[k + 1] > clock[k] else 1.0)
+    begin, span = times[k], times[k + 1] - times[k]
+    speed = (table[k + 1] - table[k]) / (span if times[k + 1] > times[k] else 1.0)
     return table[k] + min(max(time - begin, 0.0), span) * speed
 
 

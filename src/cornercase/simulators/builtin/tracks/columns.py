@@ -1,7 +1,7 @@
-"""Columns of `Tracks.address`: where the arrays of a track lie.
+"""Columns of `TrackTable.addresses`: arrays of a track.
 
-Those of a lane, in the order of the arrays of its path, have an element for each sample, or for each bend; those of a
-line a row of vertices or legs for each scenario.
+Arrays of a lane, in the order of its path's arrays, have an element per sample or curvature; arrays of a polyline have
+a row of vertices or segments per scenario.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Where a track passes nearest to a place, compiled, for one scenario at a time."""
+"""Project points onto tracks, for one scenario at a time."""
 
 # Compiled functions have no static types.
 # mypy: disable-error-code="no-untyped-def, untyped-decorator, call-arg, var-annotated"
@@ -14,34 +14,21 @@ from cornercase._common.compiling import kernel
 from cornercase.simulators.builtin.tracks import columns
 from cornercase.simulators.builtin.tracks.lane_kernels import place_on_path
 
-# A track may pass a point several times. So many of its nearest samples are compared; those whose distance is larger
-# than the smallest by at most so many m count as passing, too.
+# A track may pass a point several times. Number of nearest samples that are compared, and the excess over the smallest
+# gap, in m, up to which a sample counts as a pass.
 _PASSES = 16
 _SAME = 0.3
-# Points lie no further out than this, in m.
+# m; no valid coordinate is larger.
 _ANYWHERE = 1e12
-# Every so many samples are looked at first; a power of two.
+# Stride of the first coarse search; a power of two.
 _COARSE = 64
 
 
 @kernel(error_model="numpy", forceinline=True)
 def nearest_on_lane(tracks, g, x, y, after):
-    """Distance along a lane of its point nearest to a place.
+    """Distance in m along a lane of its point nearest to (x, y).
 
-    Parameters
-    ----------
-    tracks : Tracks
-    g : int
-        Row of the track.
-    x, y : float
-        m.
-    after : float
-        Where the track passes the place more than once, the first time after this distance in m counts.
-
-    Returns
-    -------
-    float
-        m.
+    If it passes the point more than once, the first time after the distance `after` counts.
     """
     return _nearest(
         tracks.address[g, columns.DISTANCE],
@@ -59,21 +46,7 @@ def nearest_on_lane(tracks, g, x, y, after):
 
 @kernel(error_model="numpy", forceinline=True)
 def nearest_on_line(tracks, g, n, x, y):
-    """Distance along a line of its point nearest to a place.
-
-    Parameters
-    ----------
-    tracks : Tracks
-    g, n : int
-        Row of the track, and scenario.
-    x, y : float
-        m.
-
-    Returns
-    -------
-    float
-        m.
-    """
+    """Distance in m along a polyline of its point nearest to (x, y)."""
     count = tracks.size[g]
     begin = 8 * count * n
     return _nearest_leg(
@@ -87,25 +60,9 @@ def nearest_on_line(tracks, g, n, x, y):
 
 @kernel(error_model="numpy")
 def nearest_on_path(addresses, count, chord, x, y, after):
-    """Distances along a path of lanes of its points nearest to places.
+    """Distances in m, shape (R,), along a lane path of its points nearest to (x, y), the first ones after `after`.
 
-    Parameters
-    ----------
-    addresses : ndarray of int64, shape (14,)
-        Where the columns of the path lie.
-    count : int
-        Its samples.
-    chord : float
-        Largest gap between two samples that follow each other, in m.
-    x, y : ndarray of float64, shape (R,)
-        m.
-    after : ndarray of float64, shape (R,)
-        m; the first time after it counts.
-
-    Returns
-    -------
-    ndarray of float64, shape (R,)
-        m.
+    `count` is the number of samples, `chord` the largest gap between consecutive samples in m.
     """
     result = np.empty(len(x))
     for i in range(len(x)):
@@ -130,56 +87,56 @@ def _nearest(distances, xs, ys, headings, curvatures, count, chord, x, y, after)
     if not (abs(x) < _ANYWHERE and abs(y) < _ANYWHERE):
         x, y = px[0], py[0]
     gaps, samples = np.empty(_PASSES), np.empty(_PASSES, dtype=np.int64)
-    known = _closest(px, py, count, chord, x, y, gaps, samples)
-    far, step = gaps[0] + _SAME, distance[1]
-    # Of several passes the next one counts.
-    least, ahead = math.inf, math.inf
-    for i in range(known):
-        if gaps[i] <= far:
-            place = distance[samples[i]]
-            least = min(least, place)
-            if place >= after - 1.0:
-                ahead = min(ahead, place)
-    least = ahead if ahead < math.inf else least
+    n_found = _closest(px, py, count, chord, x, y, gaps, samples)
+    max_gap, step = gaps[0] + _SAME, distance[1]
+    # The next of several passes counts.
+    first, first_ahead = math.inf, math.inf
+    for i in range(n_found):
+        if gaps[i] <= max_gap:
+            sample_distance = distance[samples[i]]
+            first = min(first, sample_distance)
+            if sample_distance >= after - 1.0:
+                first_ahead = min(first_ahead, sample_distance)
+    first = first_ahead if first_ahead < math.inf else first
     best = 0
-    for i in range(known):
-        # At an end of the track, all the nearest samples may lie on one side.
-        if gaps[i] <= far and least <= distance[samples[i]] < least + _PASSES * step:
+    for i in range(n_found):
+        # At an end of the track, all nearest samples may be on one side.
+        if gaps[i] <= max_gap and first <= distance[samples[i]] < first + _PASSES * step:
             best = samples[i]
             break
-    # Between samples, which are close together, the point is projected on the tangent.
-    at_x, at_y, heading = place_on_path(distances, xs, ys, headings, curvatures, count, distance[best], 0.0)
-    beyond = (x - at_x) * math.cos(heading) + (y - at_y) * math.sin(heading)
+    # Samples are close together, so the point is projected onto the tangent between them.
+    point_x, point_y, heading = place_on_path(distances, xs, ys, headings, curvatures, count, distance[best], 0.0)
+    beyond = (x - point_x) * math.cos(heading) + (y - point_y) * math.sin(heading)
     return distance[best] + min(max(beyond, -step), step)
 
 
 @kernel(error_model="numpy")
 def _closest(px, py, count, chord, x, y, gaps, samples):
-    """Fill in the nearest samples, the nearest first, and return how many these are."""
-    limit, known, most = _bound(px, py, count, x, y), 0, min(_PASSES, count)
+    """Fill in the nearest samples, nearest first, and return their number."""
+    limit, n_found, n_wanted = _bound(px, py, count, x, y), 0, min(_PASSES, count)
     i = 0
     while i < count:
         gap = math.sqrt((px[i] - x) * (px[i] - x) + (py[i] - y) * (py[i] - y))
         if gap > limit:
-            # The gap to none of so many that follow can be so small.
+            # None of the next samples can be within the limit.
             i += max(int(min((gap - limit) / chord, count)), 1)
             continue
-        if known < most or gap < gaps[known - 1]:
-            known = min(known + 1, most)
-            k = known - 1
+        if n_found < n_wanted or gap < gaps[n_found - 1]:
+            n_found = min(n_found + 1, n_wanted)
+            k = n_found - 1
             while k > 0 and gaps[k - 1] > gap:
                 gaps[k], samples[k] = gaps[k - 1], samples[k - 1]
                 k -= 1
             gaps[k], samples[k] = gap, i
-            if known == most:
-                limit = min(limit, gaps[known - 1])
+            if n_found == n_wanted:
+                limit = min(limit, gaps[n_found - 1])
         i += 1
-    return known
+    return n_found
 
 
 @kernel(error_model="numpy")
 def _bound(px, py, count, x, y):
-    """A gap that as many samples as are looked for do not exceed."""
+    """Upper bound of the gap to the `_MAX_PASSES` nearest samples."""
     best, least = 0, math.inf
     for i in range(0, count, _COARSE):
         squared = (px[i] - x) * (px[i] - x) + (py[i] - y) * (py[i] - y)
@@ -196,18 +153,18 @@ def _bound(px, py, count, x, y):
     begin = min(max(best - _PASSES // 2, 0), max(count - _PASSES, 0))
     for i in range(begin, min(begin + _PASSES, count)):
         least = max(least, (px[i] - x) * (px[i] - x) + (py[i] - y) * (py[i] - y))
-    # So much that rounding leaves none of them out.
+    # Slightly larger, so that rounding excludes none of them.
     return math.sqrt(least) * (1.0 + 1e-12)
 
 
 @kernel(error_model="numpy")
 def _nearest_leg(distance, px, py, x, y):
-    best, least, share = 0, math.inf, math.nan if math.isnan(x + y) else 0.0
-    for leg in range(px.size - 1):
-        dx, dy = px[leg + 1] - px[leg], py[leg + 1] - py[leg]
-        part = ((x - px[leg]) * dx + (y - py[leg]) * dy) / max(dx * dx + dy * dy, 1e-30)
-        part = min(max(part, 0.0), 1.0)
-        gap = math.hypot(px[leg] + part * dx - x, py[leg] + part * dy - y)
+    best, least, best_fraction = 0, math.inf, math.nan if math.isnan(x + y) else 0.0
+    for segment in range(px.size - 1):
+        dx, dy = px[segment + 1] - px[segment], py[segment + 1] - py[segment]
+        fraction = ((x - px[segment]) * dx + (y - py[segment]) * dy) / max(dx * dx + dy * dy, 1e-30)
+        fraction = min(max(fraction, 0.0), 1.0)
+        gap = math.hypot(px[segment] + fraction * dx - x, py[segment] + fraction * dy - y)
         if gap < least:
-            best, least, share = leg, gap, part
-    return distance[best] + share * (distance[best + 1] - distance[best])
+            best, least, best_fraction = segment, gap, fraction
+    return distance[best] + best_fraction * (distance[best + 1] - distance[best])

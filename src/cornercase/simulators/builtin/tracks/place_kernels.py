@@ -1,4 +1,4 @@
-"""Where a distance along a track of any kind that kernels know is, for one scenario at a time."""
+"""Poses on tracks of any compiled kind, for one scenario at a time."""
 
 # Compiled functions have no static types.
 # mypy: disable-error-code="no-untyped-def, untyped-decorator"
@@ -14,21 +14,7 @@ _kernel = kernel(error_model="numpy", forceinline=True, _nrt=False)
 
 @_kernel
 def place_on(tracks, g, n, distance, offset):
-    """Place at a distance along a track of a kind that kernels know.
-
-    Parameters
-    ----------
-    tracks : Tracks
-    g, n : int
-        Row of the track, and scenario.
-    distance, offset : float
-        m along it, and to the left.
-
-    Returns
-    -------
-    x, y, heading : float
-        m, m, rad.
-    """
+    """x, y (m) and heading (rad) at a distance along track row `g`, and an offset to the left."""
     if tracks.kind[g] == pool.LANE:
         return place_on_lane(tracks, g, distance, offset)
     if tracks.kind[g] == pool.LINE:
@@ -38,18 +24,7 @@ def place_on(tracks, g, n, distance, offset):
 
 @_kernel
 def trajectory_length(tracks, g, n):
-    """Length of a line or spline in m, infinite for a closed one.
-
-    Parameters
-    ----------
-    tracks : Tracks
-    g, n : int
-        Row of the track, and scenario.
-
-    Returns
-    -------
-    float
-    """
+    """Length of a trajectory in m, inf for a closed one."""
     if tracks.kind[g] == pool.LINE:
         return line_kernels.line_length(tracks, g, n)
     return chord_kernels.chords_length(tracks, g, n)
@@ -57,20 +32,7 @@ def trajectory_length(tracks, g, n):
 
 @_kernel
 def trajectory_direction(tracks, g, n, distance):
-    """Direction of a line or spline itself, whatever heading an entity has there, in rad.
-
-    Parameters
-    ----------
-    tracks : Tracks
-    g, n : int
-        Row of the track, and scenario.
-    distance : float
-        m.
-
-    Returns
-    -------
-    float
-    """
+    """Direction of a trajectory in rad, whatever the entity's heading is."""
     if tracks.kind[g] == pool.LINE:
         return line_kernels.direction_on(tracks, g, n, distance)
     return chord_kernels.place_on_chords(tracks, g, n, distance, 0.0)[2]
@@ -78,37 +40,13 @@ def trajectory_direction(tracks, g, n, distance):
 
 @_kernel
 def trajectory_oriented(tracks, g, n, distance):
-    """Whether the file says which heading an entity has on a line or spline at a distance; on a spline it never does.
-
-    Parameters
-    ----------
-    tracks : Tracks
-    g, n : int
-        Row of the track, and scenario.
-    distance : float
-        m.
-
-    Returns
-    -------
-    bool
-    """
+    """Whether the file gives the heading at a distance; never on a spline."""
     return tracks.kind[g] == pool.LINE and line_kernels.oriented_on(tracks, g, n, distance)
 
 
 @_kernel
 def trajectory_end(tracks, g, n):
-    """Time at which a line or spline with a clock ends, on that clock, in s.
-
-    Parameters
-    ----------
-    tracks : Tracks
-    g, n : int
-        Row of the track, and scenario.
-
-    Returns
-    -------
-    float
-    """
+    """Time in s at which a trajectory with times ends, on its own clock."""
     if tracks.kind[g] == pool.LINE:
         return line_kernels.last_time(tracks, g, n)
     return chord_kernels.chords_last_time(tracks, g, n)
@@ -116,21 +54,7 @@ def trajectory_end(tracks, g, n):
 
 @_kernel
 def trajectory_distance_at(tracks, g, n, time):
-    """Distance along a line or spline with a clock, at a time of that clock.
-
-    Parameters
-    ----------
-    tracks : Tracks
-    g, n : int
-        Row of the track, and scenario.
-    time : float
-        s.
-
-    Returns
-    -------
-    float
-        m.
-    """
+    """Distance in m along a trajectory at a time in s of its own clock."""
     if tracks.kind[g] == pool.LINE:
         return line_kernels.distance_at(tracks, g, n, time)
     return chord_kernels.distance_on_chords_at(tracks, g, n, time)

@@ -1,4 +1,4 @@
-"""All tracks of a batch, as kernels read them."""
+"""Tables of all tracks of a batch for compiled code."""
 
 from __future__ import annotations
 
@@ -31,32 +31,32 @@ TURNINGS: Final = (ALONG_LEGS, AT_CORNERS, AT_VERTICES)
 
 
 class Tracks(NamedTuple):
-    """Tables of G tracks of E entities, as these are until one is started again.
+    """Tables of G tracks of E entities.
 
     Attributes
     ----------
     row : ndarray of int64, shape (E, K)
-        Which of the tracks each track of each entity is; -1 where it has fewer.
+        Index of each entity's tracks among all tracks; -1 for none.
     kind : ndarray of int64, shape (G,)
-        `LANE`, `LINE`, `CHORDS` or `OTHER`.
+        `LANE_TRACK`, `POLYLINE_TRACK`, `CLOTHOID_TRACK` or `PYTHON_TRACK`.
     address : ndarray of int64, shape (G, 14)
-        Where its arrays lie.
+        Memory addresses of its arrays.
     size : ndarray of int64, shape (G,)
-        Samples of a lane, vertices of a line, ends of a spline's chords.
+        Samples of a lane, vertices of a polyline, chord ends of a spline.
     bends : ndarray of int64, shape (G,)
-        Places along a lane at which the bend of the reference line is known; ends of a spline's segments.
+        Curvature samples of a lane's reference line; segment ends of a spline.
     chord : ndarray of float64, shape (G,)
-        Largest gap between two samples of a lane that follow each other, in m.
+        Largest gap in m between consecutive samples of a lane.
     length : ndarray of float64, shape (G,)
-        Length of a lane in m; NaN for others, which differ from scenario to scenario.
+        Length of a lane in m; NaN for others, which depend on the scenario.
     span : ndarray of float64, shape (G, 2)
-        Distances in m between which a lane is followed; beyond them another one leads on.
+        Range of distances in m where a lane is followed; beyond it, another track continues.
     closed, timed : ndarray of bool, shape (G,)
-        Whether a line goes on from its end to its start, and whether a line or spline has a clock.
+        Whether a polyline is a loop, and whether a trajectory has times.
     turning : ndarray of int64, shape (G,)
-        Where the heading turns along a line, as place in `TURNINGS`.
+        Heading interpolation of a polyline, as index into `HEADING_INTERPOLATIONS`.
     alike : ndarray of bool, shape (G,)
-        Whether a line or the chords of a spline are the same in all scenarios, so that one row stands for all.
+        Whether a trajectory is the same in all scenarios, so that it is stored in one row.
     """
 
     row: IntArray
@@ -74,51 +74,38 @@ class Tracks(NamedTuple):
 
 
 class TrackPool:
-    """Keeps the tracks of all entities of a batch together for kernels.
-
-    Attributes
-    ----------
-    tracks : Tracks
-        As of the last `gather`.
-    """
+    """Collects the tracks of all entities of a batch for compiled code; `tracks` are the latest tables."""
 
     def __init__(self) -> None:
         self._counts: list[int] | None = None
         self._rows: dict[int, int] = {}
-        # The tables hold addresses of what these hold.
+        # Keeps the arrays alive whose addresses are in the tables.
         self._held: list[Track] = []
-        # What is started again can run otherwise then: by row, and as of which version.
+        # By row: trajectories that may change when they are restarted, and their version.
         self._drawn: dict[int, tuple[Polyline | ClothoidSpline, int]] = {}
         self.tracks = _tables(0)
 
     def gather(self, followed: Sequence[Sequence[Track]]) -> Tracks:
-        """Return tables of the tracks of each entity: the same as before where none has come.
+        """Return the tables of each entity's tracks; rebuilt only if tracks were added or changed.
 
-        Parameters
-        ----------
-        followed : sequence of sequence of Track
-            By entity; of a pool asked before, only longer than then.
-
-        Returns
-        -------
-        Tracks
+        `followed` lists the tracks by entity; compared to earlier calls it may only grow.
         """
         counts = [len(tracks) for tracks in followed]
-        for g, (drawn, version) in self._drawn.items():
-            if drawn.version != version:
-                self._enter_drawn(self.tracks, g, g, drawn)
+        for g, (trajectory, version) in self._drawn.items():
+            if trajectory.version != version:
+                self._enter_drawn(self.tracks, g, g, trajectory)
         if counts == self._counts:
             return self.tracks
-        new = {id(track): track for tracks in followed for track in tracks if id(track) not in self._rows}
-        self._rows.update(zip(new, range(len(self._rows), len(self._rows) + len(new)), strict=True))
-        tables = _tables(len(new))
-        for g, track in enumerate(new.values()):
+        new_tracks = {id(track): track for tracks in followed for track in tracks if id(track) not in self._rows}
+        self._rows.update(zip(new_tracks, range(len(self._rows), len(self._rows) + len(new_tracks)), strict=True))
+        tables = _tables(len(new_tracks))
+        for g, track in enumerate(new_tracks.values()):
             self._enter(tables, g, track)
         row = np.full((len(followed), max([*counts, 1])), -1)
         for e, tracks in enumerate(followed):
             row[e, : len(tracks)] = [self._rows[id(track)] for track in tracks]
-        joined = (np.concatenate(pair) for pair in zip(self.tracks[1:], tables[1:], strict=True))
-        self.tracks, self._counts = Tracks(row, *joined), counts
+        columns = (np.concatenate(pair) for pair in zip(self.tracks[1:], tables[1:], strict=True))
+        self.tracks, self._counts = Tracks(row, *columns), counts
         return self.tracks
 
     def _enter(self, tables: Tracks, g: int, track: Track) -> None:
@@ -146,19 +133,19 @@ class TrackPool:
 
 
 def _tables(count: int) -> Tracks:
-    """Tables of so many tracks that kernels do not know, of no entity."""
-    whole = [np.zeros(count, dtype=np.int64) for _ in range(3)]
+    """Tables of `count` tracks without kernels, for no entities."""
+    integers = [np.zeros(count, dtype=np.int64) for _ in range(3)]
     return Tracks(
         np.full((0, 1), -1),
         np.full(count, OTHER),
         np.zeros((count, COLUMNS), dtype=np.int64),
-        whole[0],
-        whole[1],
+        integers[0],
+        integers[1],
         np.full(count, np.nan),
         np.full(count, np.nan),
         np.full((count, 2), np.nan),
         np.zeros(count, dtype=np.bool_),
         np.zeros(count, dtype=np.bool_),
-        whole[2],
+        integers[2],
         np.zeros(count, dtype=np.bool_),
     )

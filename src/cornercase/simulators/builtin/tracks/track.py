@@ -1,4 +1,4 @@
-"""Lanes and trajectories that entities follow."""
+"""Base classes of lanes and trajectories that entities follow."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ ALONG_LEGS, AT_CORNERS, AT_VERTICES = "legs", "corners", "vertices"
 
 @dataclass(frozen=True, eq=False)
 class Pose:
-    """A place for each scenario.
+    """A position and heading for each scenario, and its road coordinates if known.
 
     Attributes
     ----------
@@ -28,11 +28,11 @@ class Pose:
         Index of the road in the network.
     lane : ndarray of int64, shape (N,), optional
     s, offset : ndarray of float64, shape (N,), optional
-        Along the road, and to the left of the lane's centre as seen along the road, in m.
+        Along the road, and to the left of the lane's centre seen along s, in m.
     beyond : ndarray of bool, shape (N,), optional
-        Where the file names a place beyond the end of its road, which is then that end.
+        Whether the file gives a position beyond the end of its road; the pose is that end then.
     relative : str
-        Where the file names it, if it does so relative to an entity, so that it is that end that is meant.
+        File and line of a position relative to an entity, for which the road end is what is meant.
     """
 
     x: FloatArray
@@ -47,61 +47,26 @@ class Pose:
 
 
 def same_in_all(*arrays: FloatArray | None) -> bool:
-    """Whether each array holds the same of all scenarios, to the last bit.
-
-    Parameters
-    ----------
-    *arrays : ndarray of float64, shape (N, …), or None for what is not there
-
-    Returns
-    -------
-    bool
-    """
-    whole = (one.view(np.int64) for one in arrays if one is not None)
-    return all(bool((one == one[:1]).all()) for one in whole)
+    """Whether each array, shape (N, …), is bitwise the same in all scenarios; None is skipped."""
+    bits = (array.view(np.int64) for array in arrays if array is not None)
+    return all(bool((array == array[:1]).all()) for array in bits)
 
 
 class Track(ABC):
-    """A curve that an entity follows, by the distance along it.
+    """A curve that an entity follows, by distance along it.
 
-    It may run otherwise in each scenario; R of the scenarios are asked for at once, by their `rows`.
+    It may differ between scenarios; methods take R scenarios, the `rows`.
     """
 
     @abstractmethod
     def at(self, distance: FloatArray, offset: FloatArray, rows: IntArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Return x, y and heading at distances along the track.
-
-        Parameters
-        ----------
-        distance : ndarray of float64, shape (R,)
-            m.
-        offset : ndarray of float64, shape (R,)
-            m to the left of the track.
-        rows : ndarray of int64, shape (R,)
-            Scenarios.
-
-        Returns
-        -------
-        tuple of ndarray of float64, each (R,)
-            m, m, rad.
-        """
+        """x, y (m) and heading (rad) at distances and left offsets in m, each (R,)."""
 
     @abstractmethod
     def nearest(self, x: FloatArray, y: FloatArray, rows: IntArray, after: FloatArray | None = None) -> FloatArray:
-        """Distance along the track of its point nearest to (x, y), in m.
+        """Distance along the track, in m, of its point nearest to (x, y).
 
-        Parameters
-        ----------
-        x, y : ndarray of float64, shape (R,)
-            m.
-        rows : ndarray of int64, shape (R,)
-            Scenarios.
-        after : ndarray of float64, shape (R,), optional
-            Where a track passes a place more than once, the first time after this distance counts.
-
-        Returns
-        -------
-        ndarray of float64, shape (R,)
+        If it passes the point more than once, the first time after the distance `after` counts.
         """
 
     @abstractmethod
@@ -110,14 +75,9 @@ class Track(ABC):
 
 
 class Trajectory(Track):
-    """A track that a scenario file draws, with or without times.
+    """A track that a scenario file defines, with or without times.
 
-    Attributes
-    ----------
-    lengths : ndarray of float64, shape (N,)
-        m; infinite for a closed one.
-    version : int
-        How often `adopt` has changed it.
+    `lengths`, shape (N,), in m, is inf for closed ones. `version` counts the changes by `copy_rows_from`.
     """
 
     lengths: FloatArray
@@ -126,30 +86,30 @@ class Trajectory(Track):
     @property
     @abstractmethod
     def time(self) -> FloatArray | None:
-        """Times in s of its vertices, or of its start and its end, shape (N, V); None without a clock."""
+        """Times in s of its vertices, or of start and end, shape (N, V); None without times."""
 
     @abstractmethod
     def distance_at(self, time: FloatArray) -> FloatArray:
-        """Distance along the trajectory in m, at times of its own clock, shape (N,)."""
+        """Distance along the trajectory in m at its own times, shape (N,)."""
 
     @abstractmethod
     def clock_at(self, distance: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Time of its own clock in s, and speed in m/s, at distances along the trajectory, each (N,)."""
+        """Its own time in s and speed in m/s at distances along it, each (N,)."""
 
     @abstractmethod
     def oriented(self, distance: FloatArray, rows: IntArray) -> BoolArray:
-        """Whether the file says which heading an entity has there, shape (R,)."""
+        """Whether the file gives the heading at a distance, shape (R,)."""
 
     @abstractmethod
     def direction(self, distance: FloatArray, rows: IntArray) -> FloatArray:
-        """Direction of the line itself in rad, whatever heading an entity has there, shape (R,)."""
+        """Direction of the line in rad, whatever the entity's heading is, shape (R,)."""
 
     def adopt(self, other: Trajectory, rows: BoolArray) -> None:
-        """Take over how another trajectory of the same kind runs in the scenarios of a mask, shape (N,)."""
+        """Copy another trajectory of the same kind in the scenarios of a mask, shape (N,)."""
         for name in self._arrays:
-            mine = getattr(self, name)
-            if mine is not None:
-                mine[rows] = getattr(other, name)[rows]
+            own = getattr(self, name)
+            if own is not None:
+                own[rows] = getattr(other, name)[rows]
         self.version += 1
 
     _arrays: tuple[str, ...]
