@@ -34,7 +34,6 @@ LARGE = {
     "exploration/estimating.py estimate": "part of the API: one parameter for each option of the command",
     "exploration/exploring.py explore": "part of the API: one parameter for each option of the command",
     "simulators/simulating_many.py simulate_many": "part of the API: one parameter for each option of the command",
-    "simulators/builtin/tracks/lane_kernels.py _advance": "the columns of a path, which compiled code takes one by one",
     "suite/testing.py test": "part of the API: one parameter for each option of the command",
     "reduction/reducing.py reduce": "part of the API: one parameter for each option of the command",
     "roads/lane_path.py of_points": "one parameter for each array of the path",

@@ -13,7 +13,7 @@ import road_networks as rn
 from conftest import examples
 from cornercase._common.typing import FloatArray
 from cornercase.roads import LanePath, RoadNetwork, road_heading, road_tables
-from cornercase.simulators.builtin.tracks import columns, lane_kernels, line_kernels, nearest_kernels, pool
+from cornercase.simulators.builtin.tracks import columns, lane_kernels, line_kernels, pool
 from cornercase.simulators.builtin.tracks.lane import LaneTrack
 from cornercase.simulators.builtin.tracks.place_kernels import place_on
 from cornercase.simulators.builtin.tracks.polyline import Polyline
@@ -59,7 +59,6 @@ def test_lines_are_the_same_compiled(line: Polyline, shares: list[float], offset
             assert line_kernels.oriented_on(tracks, 0, n, distance[n]) == oriented[n]
     for n in rows.tolist():
         assert line_kernels.line_length(tracks, 0, n) == line.lengths[n]
-    assert line_kernels.has_clock(tracks, 0) == (line.time is not None)
     if line.time is None:
         return
     instants = [line.time[:, k] + d for k in range(line.x.shape[1]) for d in (-0.3, 0.0, 0.3)]
@@ -196,8 +195,8 @@ def test_the_nearest_points_of_lanes_are_found_without_looking_at_all_samples(tm
     ring = rn.network(tmp_path, rn.road("ring", 40 * np.pi, shape='<arc curvature="0.05"/>', links=links))
     lanes = [*_tracks_of(ring), *_tracks_of(RoadNetwork.read(_ROOT / _FILES[0]))[::9]]
     assert lanes[0].path.passed.size > 2 * 400 * np.pi
-    tracks, random = pool.TrackPool().gather([lanes]), np.random.default_rng(3)
-    for g, lane in enumerate(lanes):
+    random = np.random.default_rng(3)
+    for lane in lanes:
         distance = random.uniform(-20.0, lane.length + 20.0, 60)
         offset = random.normal(0.0, 1.0, 60) * random.choice([0.0, 0.5, 5.0, 50.0], 60)
         x, y, _ = lane.at(distance, offset, np.arange(60))
@@ -206,15 +205,3 @@ def test_the_nearest_points_of_lanes_are_found_without_looking_at_all_samples(tm
         found = lane.nearest(x, y, np.arange(60), after)
         for i in range(60):
             assert found[i] == pytest.approx(_nearest(lane.path, x[i], y[i], after[i]), abs=1e-9)
-            assert found[i] == nearest_kernels.nearest_on_lane(tracks, g, x[i], y[i], after[i])
-
-
-@given(_lines(), st.floats(-250.0, 250.0), st.floats(-250.0, 250.0))
-@settings(max_examples=examples(100), deadline=None)
-def test_the_nearest_points_of_lines_are_the_same_compiled(line: Polyline, x: float, y: float) -> None:
-    tracks, rows = pool.TrackPool().gather([[line]]), np.arange(len(line.x))
-    for at_x, at_y in ((x, y), (np.nan, y)):
-        there = line.nearest(np.full(len(rows), at_x), np.full(len(rows), at_y), rows)
-        for n in rows.tolist():
-            found = nearest_kernels.nearest_on_line(tracks, 0, n, at_x, at_y)
-            assert found == pytest.approx(there[n], rel=1e-12, abs=1e-9, nan_ok=True)

@@ -74,16 +74,12 @@ _part = kernel(error_model="numpy", _nrt=False, forceinline=True)
 
 
 class Kept(NamedTuple):
-    """What J actions may change of one scenario, saved before each action.
+    """What J actions may change of one scenario, saved before each action."""
 
-    `live`, shape (J + 1,): running actions in order, then -1. `floats`, shape (J, 10). `flag`, shape (J,). `memory`,
-    shape (J, 8).
-    """
-
-    live: IntArray
-    floats: FloatArray
-    flag: BoolArray
-    memory: FloatArray
+    live: IntArray  # (J + 1,): running actions in order, then -1
+    floats: FloatArray  # (J, 10)
+    flag: BoolArray  # (J,)
+    memory: FloatArray  # (J, 8)
 
 
 @kernel(error_model="numpy")

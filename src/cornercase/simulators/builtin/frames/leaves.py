@@ -58,62 +58,35 @@ _part = kernel(error_model="numpy", _nrt=False, forceinline=True)
 
 
 class Leaf(NamedTuple):
-    """A by-entity or by-value condition without edge and delay.
+    """A by-entity or by-value condition without edge and delay."""
 
-    `kind`: `TIME_CONDITION` and so on. `other`: row of the other entity, or -1. `rule`: `GREATER` and so on. `option`:
-    velocity component, kind of distance, or whether a heading is tested. `values`: arrays (N,).
-    """
-
-    kind: int
-    other: int = -1
-    rule: int = 0
-    option: int = 0
-    values: tuple[FloatArray, ...] = ()
+    kind: int  # `TIME_CONDITION` and so on
+    other: int = -1  # row of the other entity, or -1
+    rule: int = 0  # `GREATER` and so on
+    option: int = 0  # velocity component, kind of distance, or whether a heading is tested
+    values: tuple[FloatArray, ...] = ()  # each (N,)
 
 
 class Asked(NamedTuple):
-    """A condition of a trigger: leaf conditions, each with the row of its entity (-1 for none).
+    """A condition of a trigger, made of leaf conditions."""
 
-    Leaves of one entity follow each other, and one of them has to hold. `every`: the condition has to hold for all
-    entities, not any. `plain`: it holds if its leaves do, without edge and delay.
-    """
-
-    leaves: list[tuple[int, Leaf]]
-    every: bool
-    plain: bool
+    leaves: list[tuple[int, Leaf]]  # with rows of entities (-1 for none); any leaf of an entity has to hold
+    every: bool  # whether it has to hold for all entities, not any
+    plain: bool  # whether it holds if its leaves do, without edge and delay
 
 
 class Leaves(NamedTuple):
-    """T triggers of N scenarios with G groups of C conditions with L leaves, D of which hold with a delay.
+    """T triggers of N scenarios with G groups of C conditions with L leaves, D of which hold with a delay."""
 
-    Attributes
-    ----------
-    codes : ndarray of int64, shape (L, 5)
-        Kind, entity (-1 for none), other entity, rule, option.
-    values : ndarray of float64, shape (N, L, 4)
-    truth : ndarray of bool, shape (N, L)
-        Values in the last frame that the storyboard has evaluated.
-    conditions : ndarray of int64, shape (C, 3)
-        Range [first, last) of leaves, and whether the condition has to hold for every entity.
-    groups : ndarray of int64, shape (G, 2)
-        Range [first, last) of conditions.
-    triggers : ndarray of int64, shape (T, 3)
-        Range [first, last) of groups, and whether the trigger does not depend on earlier values.
-    watched : ndarray of bool, shape (N, T)
-        Whether something waits for the trigger.
-    pending, delay : ndarray of float64, shape (N, D)
-        Time in s of the oldest change that waits for its delay (inf for none); the delay in s.
-    """
-
-    codes: IntArray
-    values: FloatArray
-    truth: BoolArray
-    conditions: IntArray
-    groups: IntArray
-    triggers: IntArray
-    watched: BoolArray
-    pending: FloatArray
-    delay: FloatArray
+    codes: IntArray  # (L, 5): kind, entity (-1 for none), other entity, rule, option
+    values: FloatArray  # (N, L, 4)
+    truth: BoolArray  # (N, L): values in the last frame that the storyboard has evaluated
+    conditions: IntArray  # (C, 3): range [first, last) of leaves, whether it has to hold for every entity
+    groups: IntArray  # (G, 2): range [first, last) of conditions
+    triggers: IntArray  # (T, 3): range [first, last) of groups, whether it is independent of earlier values
+    watched: BoolArray  # (N, T): whether something waits for the trigger
+    pending: FloatArray  # (N, D): time in s of the oldest change that waits for its delay; inf for none
+    delay: FloatArray  # (N, D), s
 
 
 def gather_leaves(found: list[list[list[Asked]]], delays: list[FloatArray], scenarios: int) -> Leaves:
@@ -150,14 +123,10 @@ def gather_leaves(found: list[list[list[Asked]]], delays: list[FloatArray], scen
 
 
 class Watched(NamedTuple):
-    """Conditions that can change in a scenario before its storyboard is evaluated.
+    """Conditions that can change in a scenario before its storyboard is evaluated."""
 
-    `groups`, shape (G + 1,): condition groups that may become true. `leaves`, shape (L + 1,): leaves that may change.
-    Both are terminated by -1.
-    """
-
-    groups: IntArray
-    leaves: IntArray
+    groups: IntArray  # (G + 1,): condition groups that may become true, then -1
+    leaves: IntArray  # (L + 1,): leaves that may change, then -1
 
 
 @kernel(error_model="numpy")

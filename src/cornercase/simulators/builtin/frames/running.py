@@ -46,46 +46,32 @@ _part = kernel(error_model="numpy", _nrt=False, forceinline=True)
 
 
 class Course(NamedTuple):
-    """State of the loop for N scenarios.
+    """State of the loop for N scenarios."""
 
-    Attributes
-    ----------
-    status : ndarray of int8, shape (N,)
-        `ACT`, `ACTED`, `MOVE` or `IDLE` before; the state reached after.
-    looks : ndarray of bool, shape (N,)
-        Whether the storyboard has to be evaluated in each frame.
-    driven : ndarray of int64, shape (D,)
-        Entity of each driver.
-    """
-
-    status: npt.NDArray[np.int8]
-    looks: BoolArray
-    driven: IntArray
+    status: npt.NDArray[np.int8]  # (N,): `ACT`, `ACTED`, `MOVE` or `IDLE` before; the state reached after
+    looks: BoolArray  # (N,): whether the storyboard has to be evaluated in each frame
+    driven: IntArray  # (D,): entity of each driver
 
 
 class Rules(NamedTuple):
-    """Options of the loop: time step in s, maximum number of frames, and whether drivers decide in it."""
+    """Options of the loop."""
 
-    time_step: float
-    most: int
+    time_step: float  # s
+    most: int  # maximum number of frames
     stop_at_collision: bool
-    drives: bool
+    drives: bool  # whether drivers decide in the loop
 
 
 class Desk(NamedTuple):
-    """Buffers of a thread that runs scenarios [first, last) of E entities, one after the other.
-
-    `rest`, shape (E,): `AWAKE` and so on. `others`, shape (4, E - 1): x, y, heading and speed of entities that a driver
-    may see.
-    """
+    """Buffers of a thread that runs scenarios [first, last) of E entities, one after the other."""
 
     first: int
     last: int
     kept: Kept
     watched: Watched
-    rest: npt.NDArray[np.int8]
-    others: FloatArray
-    work: Workspace
+    rest: npt.NDArray[np.int8]  # (E,): `AWAKE` and so on
+    others: FloatArray  # (4, E - 1): x, y, heading and speed of entities that a driver may see
+    work: Workspace  # of a driver
 
 
 @kernel(error_model="numpy")

@@ -10,7 +10,7 @@ from cornercase._common.typing import BoolArray, FloatArray, IntArray
 from cornercase.simulators.builtin.world.state import World
 
 LENGTH, WIDTH, CENTER_X, MAX_SPEED, MAX_ACCELERATION, MAX_DECELERATION, REACH = range(7)
-"""Columns of constant properties of an entity."""
+"""Constant properties of an entity: columns of `dimensions`. The last is how far the box reaches from the pose."""
 
 QUANTITIES: Final = ("x", "y", "heading", "speed", "acceleration")
 """Recorded quantities of an entity, in this order."""
@@ -20,45 +20,21 @@ PAGE: Final = 32
 
 
 class Scene(NamedTuple):
-    """State of E entities in N scenarios, and their recordings, stored in pages of 32 instants.
+    """State of E entities in N scenarios, and their recordings, stored in pages of 32 instants."""
 
-    Attributes
-    ----------
-    floats, flags, numbers : ndarray, each (N, K, E)
-        Tables of the world.
-    overlaps : ndarray of bool, shape (N, E, E)
-    time, last_step : ndarray of float64, shape (N,)
-        s.
-    boxes : ndarray of float64, shape (E, 7)
-        Length, width and longitudinal centre in m; maximum speed, acceleration and deceleration; largest distance of
-        the box from the reference point in m.
-    tows : ndarray of float64, shape (T, 4)
-        Rows of vehicle and trailer; hitch and coupler in m.
-    frames : ndarray of int64, shape (N,)
-        Number of recorded frames.
-    pages : ndarray of float64, shape (P, 5, E, 32)
-        Recorded quantities; NaN for absent entities.
-    page : ndarray of int64, shape (N, R)
-        Pages of each scenario; R pages hold the maximum duration, P = R N.
-    taken : ndarray of int64, shape (N,)
-        Number of pages in use, at the first of the scenarios that run together.
-    collided : ndarray of float64, shape (N, E, E)
-        Time in s of the first collision of two entities; NaN before, and below the diagonal.
-    """
-
-    floats: FloatArray
-    flags: BoolArray
-    numbers: IntArray
-    overlaps: BoolArray
-    time: FloatArray
-    last_step: FloatArray
-    boxes: FloatArray
-    tows: FloatArray
-    frames: IntArray
-    pages: FloatArray
-    page: IntArray
-    taken: IntArray
-    collided: FloatArray
+    floats: FloatArray  # (N, K, E): the world's table; rows as in `world/layout.py`
+    flags: BoolArray  # (N, K, E)
+    numbers: IntArray  # (N, K, E)
+    overlaps: BoolArray  # (N, E, E)
+    time: FloatArray  # (N,), s
+    last_step: FloatArray  # (N,), s
+    boxes: FloatArray  # (E, 7): columns as above, in m and s
+    tows: FloatArray  # (T, 4): rows of vehicle and trailer; hitch and coupler in m
+    frames: IntArray  # (N,): number of recorded frames
+    pages: FloatArray  # (P, 5, E, 32): recorded quantities; NaN for absent entities
+    page: IntArray  # (N, R): pages of each scenario; R pages hold the maximum duration, P = R N
+    taken: IntArray  # (N,): number of pages in use, at the first of the scenarios that run together
+    collided: FloatArray  # (N, E, E): time in s of the first collision; NaN before, and below the diagonal
 
 
 def scene_of(world: World, instants: int) -> Scene:

@@ -26,15 +26,11 @@ CHANGING: Final = 8
 
 
 class Actions(NamedTuple):
-    """J actions in N scenarios, in the order in which they are applied.
+    """J actions in N scenarios, in the order in which they are applied."""
 
-    `options`, shape (J, 8): type, entity and type-specific integers. `memory`, shape (N, J, 24): what an action
-    remembers of a scenario. `running`, shape (N, J).
-    """
-
-    options: IntArray
-    memory: FloatArray
-    running: BoolArray
+    options: IntArray  # (J, 8): type, entity and type-specific integers
+    memory: FloatArray  # (N, J, 24): what an action remembers of a scenario
+    running: BoolArray  # (N, J)
 
 
 class Compilable(Protocol):

@@ -194,19 +194,14 @@ def _fixed_corners(
 ) -> tuple[FloatArray, ...] | None:
     """Rows of vertices, each (V,), if no parameter changes them and all are world positions; else None."""
     elements = [_position(vertex, scope) for vertex in vertices]
-    if any(len(vertex) != 1 or vertex[0].tag != "WorldPosition" or len(vertex[0]) for vertex in elements):
+    if any(len(element) != 1 or element[0].tag != "WorldPosition" or len(element[0]) for element in elements):
         return None
     if any("$" in text for vertex in vertices for below in vertex.iter() for text in below.attrib.values()):
         return None
-    positions = [read(vertex, scope, world) for vertex in elements]
+    positions = [read(element, scope, world) for element in elements]
     times = np.array([scope.one_number(vertex, "time", 0.0) for vertex in vertices])
-    x, y, heading = np.array(
-        [
-            (vertex.pose.x[0], vertex.pose.y[0], vertex.pose.heading[0])
-            for vertex in positions
-            if isinstance(vertex, WorldPlace)
-        ]
-    ).T
+    poses = [position.pose for position in positions if isinstance(position, WorldPlace)]
+    x, y, heading = np.array([(pose.x[0], pose.y[0], pose.heading[0]) for pose in poses]).T
     return x, y, np.where(_oriented(vertices), heading, np.nan), times
 
 

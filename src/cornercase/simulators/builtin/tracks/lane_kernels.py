@@ -27,31 +27,23 @@ _JUMP = 0.2
 @kernel(error_model="numpy", forceinline=True, _nrt=False)
 def place_on_lane(tracks, g, distance, offset):
     """x, y (m) and heading (rad) at a distance along a lane, and an offset to the left."""
-    return place_on_path(
-        tracks.address[g, columns.DISTANCE],
-        tracks.address[g, columns.X],
-        tracks.address[g, columns.Y],
-        tracks.address[g, columns.HEADING],
-        tracks.address[g, columns.CURVATURE],
-        tracks.size[g],
-        distance,
-        offset,
-    )
+    return place_on_path(tracks.address[g], tracks.size[g], distance, offset)
 
 
 @kernel(error_model="numpy", forceinline=True, _nrt=False)
-def place_on_path(distances, xs, ys, headings, curvatures, count, distance, offset):
+def place_on_path(addresses, count, distance, offset):
     """Same as `pose_on_lane`, for a lane path given by the addresses of its columns and `count` samples."""
-    table = floats_at(distances, count)
+    table = floats_at(addresses[columns.DISTANCE], count)
     step = table[1]
     if math.isnan(distance) or not step > 0.0:
         return math.nan, math.nan, math.nan
     position = min(max(distance, 0.0), table[count - 1]) / step
     k = min(int(position), count - 2)
     fraction = position - k
-    heading = _mixed(floats_at(headings, count), k, fraction)
-    x, y = _mixed(floats_at(xs, count), k, fraction), _mixed(floats_at(ys, count), k, fraction)
-    curvature = _mixed(floats_at(curvatures, count), k, fraction)
+    heading = _mixed(floats_at(addresses[columns.HEADING], count), k, fraction)
+    x = _mixed(floats_at(addresses[columns.X], count), k, fraction)
+    y = _mixed(floats_at(addresses[columns.Y], count), k, fraction)
+    curvature = _mixed(floats_at(addresses[columns.CURVATURE], count), k, fraction)
     if abs(curvature) * step < KINK:
         offset = offset - 0.5 * curvature * fraction * (1.0 - fraction) * (step * step)
     return x - offset * math.sin(heading), y + offset * math.cos(heading), heading
@@ -60,19 +52,7 @@ def place_on_path(distances, xs, ys, headings, curvatures, count, distance, offs
 @kernel(error_model="numpy", forceinline=True, _nrt=False)
 def advance_lane(tracks, g, distance, offset, way):
     """Distance in m along a lane after a step of `way` m (negative: backwards) along the reference line."""
-    return _advance(
-        tracks.address[g, columns.DISTANCE],
-        tracks.address[g, columns.REFERENCE],
-        tracks.address[g, columns.CENTER],
-        tracks.size[g],
-        tracks.address[g, columns.BEND_AT],
-        tracks.address[g, columns.BEND],
-        tracks.bends[g],
-        tracks.address[g, columns.HEADING],
-        distance,
-        offset,
-        way,
-    )
+    return _advance(tracks.address[g], tracks.size[g], tracks.bends[g], distance, offset, way)
 
 
 @kernel(error_model="numpy")
@@ -83,39 +63,30 @@ def advance_on_path(addresses, count, known, distance, offset, way):
     """
     result = np.empty(len(distance))
     for i in range(len(distance)):
-        result[i] = _advance(
-            addresses[columns.DISTANCE],
-            addresses[columns.REFERENCE],
-            addresses[columns.CENTER],
-            count,
-            addresses[columns.BEND_AT],
-            addresses[columns.BEND],
-            known,
-            addresses[columns.HEADING],
-            distance[i],
-            offset[i],
-            way[i],
-        )
+        result[i] = _advance(addresses, count, known, distance[i], offset[i], way[i])
     return result
 
 
 @kernel(error_model="numpy", _nrt=False)
-def _advance(distances, references, centers, count, bends_at, bends, known, headings, distance, offset, way):
+def _advance(addresses, count, known, distance, offset, way):
     if math.isnan(distance + offset + way):
         return math.nan
-    table, reference = floats_at(distances, count), floats_at(references, count)
-    bend_at = floats_at(bends_at, known)
+    table = floats_at(addresses[columns.DISTANCE], count)
+    reference = floats_at(addresses[columns.REFERENCE], count)
+    center = floats_at(addresses[columns.CENTER], count)
+    bend_at, bend = floats_at(addresses[columns.BEND_AT], known), floats_at(addresses[columns.BEND], known)
     j = _sample(table, count, distance)
     reference_distance = _between(table, reference, count, distance, j)
-    offset_from_reference = _between(table, floats_at(centers, count), count, distance, j) + offset
+    offset_from_reference = _between(table, center, count, distance, j) + offset
     k = _last_within(bend_at, known, reference_distance, 0)
-    scale = 1.0 - _between(bend_at, floats_at(bends, known), known, reference_distance, k) * offset_from_reference
+    scale = 1.0 - _between(bend_at, bend, known, reference_distance, k) * offset_from_reference
     # Near the centre of a bend, the reference line degenerates; follow the lane instead.
     if scale < _SHRUNK:
         return min(max(distance + way, 0.0), table[count - 1])
     target = reference_distance + way / scale
     reached = _between(reference, table, count, target, _last_within(reference, count, target, max(j, 0)))
-    return _over_ground(table, reference, floats_at(headings, count), count, distance, offset, way, reached)
+    heading = floats_at(addresses[columns.HEADING], count)
+    return _over_ground(table, reference, heading, count, distance, offset, way, reached)
 
 
 @kernel(error_model="numpy", forceinline=True, _nrt=False)

@@ -14,8 +14,10 @@ from cornercase.simulators.builtin.tracks.polyline import CORNER, TINY
 
 _ALONG_LEGS, _AT_CORNERS = 0, 1
 
+_kernel = kernel(error_model="numpy", forceinline=True, _nrt=False)
 
-@kernel(error_model="numpy", forceinline=True, _nrt=False)
+
+@_kernel
 def place_on_line(tracks, g, n, distance, offset):
     """x, y (m) and heading (rad) at a distance along a polyline, and an offset to the left."""
     table = floats_at(_row(tracks, g, n, columns.DISTANCE), tracks.size[g])
@@ -33,7 +35,7 @@ def place_on_line(tracks, g, n, distance, offset):
     return point_x, point_y, _heading(tracks, g, n, table, distance)
 
 
-@kernel(error_model="numpy", forceinline=True, _nrt=False)
+@_kernel
 def line_length(tracks, g, n):
     """Length of a polyline in m, inf for a closed one."""
     count, closed = tracks.size[g], tracks.closed[g]
@@ -41,7 +43,7 @@ def line_length(tracks, g, n):
     return math.inf if closed else length
 
 
-@kernel(error_model="numpy", forceinline=True, _nrt=False)
+@_kernel
 def direction_on(tracks, g, n, distance):
     """Direction of the polyline in rad, whatever the entity's heading is."""
     table = floats_at(_row(tracks, g, n, columns.DISTANCE), tracks.size[g])
@@ -49,7 +51,7 @@ def direction_on(tracks, g, n, distance):
     return floats_at(_legs(tracks, g, n), tracks.size[g] - 1)[segment]
 
 
-@kernel(error_model="numpy", forceinline=True, _nrt=False)
+@_kernel
 def oriented_on(tracks, g, n, distance):
     """Whether the file gives the heading at a distance."""
     table, last = floats_at(_row(tracks, g, n, columns.DISTANCE), tracks.size[g]), tracks.size[g] - 1
@@ -59,19 +61,13 @@ def oriented_on(tracks, g, n, distance):
     return not math.isnan(floats_at(_row(tracks, g, n, columns.HEADING), tracks.size[g])[vertex])
 
 
-@kernel(error_model="numpy", forceinline=True, _nrt=False)
-def has_clock(tracks, g):
-    """Whether a polyline has times."""
-    return tracks.timed[g]
-
-
-@kernel(error_model="numpy", forceinline=True, _nrt=False)
+@_kernel
 def last_time(tracks, g, n):
     """Time in s at which a polyline with times ends, on its own clock."""
     return floats_at(_row(tracks, g, n, columns.TIME), tracks.size[g])[tracks.size[g] - 1]
 
 
-@kernel(error_model="numpy", forceinline=True, _nrt=False)
+@_kernel
 def distance_at(tracks, g, n, time):
     """Distance in m along a polyline at a time in s of its own clock."""
     count = tracks.size[g]
@@ -95,27 +91,27 @@ def distance_at(tracks, g, n, time):
     return begin + speed * elapsed + 0.5 * rate * (elapsed * elapsed)
 
 
-@kernel(error_model="numpy", forceinline=True, _nrt=False)
+@_kernel
 def _row(tracks, g, n, column):
     """Address of a column of vertices in a scenario."""
     count = tracks.size[g]
     return tracks.address[g, column] + (0 if tracks.alike[g] else 8 * count * n)
 
 
-@kernel(error_model="numpy", forceinline=True, _nrt=False)
+@_kernel
 def _legs(tracks, g, n):
     """Address of the segment directions in a scenario."""
     count = tracks.size[g] - 1
     return tracks.address[g, columns.DIRECTION] + (0 if tracks.alike[g] else 8 * count * n)
 
 
-@kernel(error_model="numpy", forceinline=True, _nrt=False)
+@_kernel
 def _round(tracks, g, table, distance):
     """Distance within one lap of a closed polyline, as `numpy.mod` computes it."""
     return distance % table[table.size - 1] if tracks.closed[g] else distance
 
 
-@kernel(error_model="numpy", forceinline=True, _nrt=False)
+@_kernel
 def _leg_begun(table, place, beyond):
     """Last segment that begins `beyond` before `place`; at least the first one."""
     low, high = 0, table.size - 1
@@ -128,7 +124,7 @@ def _leg_begun(table, place, beyond):
     return low
 
 
-@kernel(error_model="numpy", forceinline=True, _nrt=False)
+@_kernel
 def _leg(table, distance, beyond):
     """Distance clipped to the line, its segment, and the fraction of the segment."""
     clipped = max(distance, 0.0)
@@ -138,7 +134,7 @@ def _leg(table, distance, beyond):
     return clipped, segment, (clipped - table[segment]) / span if span > 0.0 else 0.0
 
 
-@kernel(error_model="numpy", forceinline=True, _nrt=False)
+@_kernel
 def _heading(tracks, g, n, table, distance):
     clipped, segment, fraction = _leg(table, distance, TINY)
     vertex_headings, last = floats_at(_row(tracks, g, n, columns.FACING), tracks.size[g]), tracks.size[g] - 2

@@ -24,40 +24,6 @@ _ANYWHERE = 1e12
 _COARSE = 64
 
 
-@kernel(error_model="numpy", forceinline=True)
-def nearest_on_lane(tracks, g, x, y, after):
-    """Distance in m along a lane of its point nearest to (x, y).
-
-    If it passes the point more than once, the first time after the distance `after` counts.
-    """
-    return _nearest(
-        tracks.address[g, columns.DISTANCE],
-        tracks.address[g, columns.X],
-        tracks.address[g, columns.Y],
-        tracks.address[g, columns.HEADING],
-        tracks.address[g, columns.CURVATURE],
-        tracks.size[g],
-        tracks.chord[g],
-        x,
-        y,
-        after,
-    )
-
-
-@kernel(error_model="numpy", forceinline=True)
-def nearest_on_line(tracks, g, n, x, y):
-    """Distance in m along a polyline of its point nearest to (x, y)."""
-    count = tracks.size[g]
-    begin = 8 * count * n
-    return _nearest_leg(
-        floats_at(tracks.address[g, columns.DISTANCE] + begin, count),
-        floats_at(tracks.address[g, columns.X] + begin, count),
-        floats_at(tracks.address[g, columns.Y] + begin, count),
-        x,
-        y,
-    )
-
-
 @kernel(error_model="numpy")
 def nearest_on_path(addresses, count, chord, x, y, after):
     """Distances in m, shape (R,), along a lane path of its points nearest to (x, y), the first ones after `after`.
@@ -66,24 +32,14 @@ def nearest_on_path(addresses, count, chord, x, y, after):
     """
     result = np.empty(len(x))
     for i in range(len(x)):
-        result[i] = _nearest(
-            addresses[columns.DISTANCE],
-            addresses[columns.X],
-            addresses[columns.Y],
-            addresses[columns.HEADING],
-            addresses[columns.CURVATURE],
-            count,
-            chord,
-            x[i],
-            y[i],
-            after[i],
-        )
+        result[i] = _nearest(addresses, count, chord, x[i], y[i], after[i])
     return result
 
 
 @kernel(error_model="numpy")
-def _nearest(distances, xs, ys, headings, curvatures, count, chord, x, y, after):
-    distance, px, py = floats_at(distances, count), floats_at(xs, count), floats_at(ys, count)
+def _nearest(addresses, count, chord, x, y, after):
+    distance = floats_at(addresses[columns.DISTANCE], count)
+    px, py = floats_at(addresses[columns.X], count), floats_at(addresses[columns.Y], count)
     if not (abs(x) < _ANYWHERE and abs(y) < _ANYWHERE):
         x, y = px[0], py[0]
     gaps, samples = np.empty(_PASSES), np.empty(_PASSES, dtype=np.int64)
@@ -105,7 +61,7 @@ def _nearest(distances, xs, ys, headings, curvatures, count, chord, x, y, after)
             best = samples[i]
             break
     # Samples are close together, so the point is projected onto the tangent between them.
-    point_x, point_y, heading = place_on_path(distances, xs, ys, headings, curvatures, count, distance[best], 0.0)
+    point_x, point_y, heading = place_on_path(addresses, count, distance[best], 0.0)
     beyond = (x - point_x) * math.cos(heading) + (y - point_y) * math.sin(heading)
     return distance[best] + min(max(beyond, -step), step)
 
@@ -155,16 +111,3 @@ def _bound(px, py, count, x, y):
         least = max(least, (px[i] - x) * (px[i] - x) + (py[i] - y) * (py[i] - y))
     # Slightly larger, so that rounding excludes none of them.
     return math.sqrt(least) * (1.0 + 1e-12)
-
-
-@kernel(error_model="numpy")
-def _nearest_leg(distance, px, py, x, y):
-    best, least, best_fraction = 0, math.inf, math.nan if math.isnan(x + y) else 0.0
-    for segment in range(px.size - 1):
-        dx, dy = px[segment + 1] - px[segment], py[segment + 1] - py[segment]
-        fraction = ((x - px[segment]) * dx + (y - py[segment]) * dy) / max(dx * dx + dy * dy, 1e-30)
-        fraction = min(max(fraction, 0.0), 1.0)
-        gap = math.hypot(px[segment] + fraction * dx - x, py[segment] + fraction * dy - y)
-        if gap < least:
-            best, least, best_fraction = segment, gap, fraction
-    return distance[best] + best_fraction * (distance[best + 1] - distance[best])

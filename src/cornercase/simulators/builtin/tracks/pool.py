@@ -31,46 +31,20 @@ TURNINGS: Final = (ALONG_LEGS, AT_CORNERS, AT_VERTICES)
 
 
 class Tracks(NamedTuple):
-    """Tables of G tracks of E entities.
+    """Tables of G tracks of E entities."""
 
-    Attributes
-    ----------
-    row : ndarray of int64, shape (E, K)
-        Index of each entity's tracks among all tracks; -1 for none.
-    kind : ndarray of int64, shape (G,)
-        `LANE_TRACK`, `POLYLINE_TRACK`, `CLOTHOID_TRACK` or `PYTHON_TRACK`.
-    address : ndarray of int64, shape (G, 14)
-        Memory addresses of its arrays.
-    size : ndarray of int64, shape (G,)
-        Samples of a lane, vertices of a polyline, chord ends of a spline.
-    bends : ndarray of int64, shape (G,)
-        Curvature samples of a lane's reference line; segment ends of a spline.
-    chord : ndarray of float64, shape (G,)
-        Largest gap in m between consecutive samples of a lane.
-    length : ndarray of float64, shape (G,)
-        Length of a lane in m; NaN for others, which depend on the scenario.
-    span : ndarray of float64, shape (G, 2)
-        Range of distances in m where a lane is followed; beyond it, another track continues.
-    closed, timed : ndarray of bool, shape (G,)
-        Whether a polyline is a loop, and whether a trajectory has times.
-    turning : ndarray of int64, shape (G,)
-        Heading interpolation of a polyline, as index into `HEADING_INTERPOLATIONS`.
-    alike : ndarray of bool, shape (G,)
-        Whether a trajectory is the same in all scenarios, so that it is stored in one row.
-    """
-
-    row: IntArray
-    kind: IntArray
-    address: IntArray
-    size: IntArray
-    bends: IntArray
-    chord: FloatArray
-    length: FloatArray
-    span: FloatArray
-    closed: BoolArray
-    timed: BoolArray
-    turning: IntArray
-    alike: BoolArray
+    row: IntArray  # (E, K): index of each entity's tracks among all tracks; -1 for none
+    kind: IntArray  # (G,): `LANE_TRACK`, `POLYLINE_TRACK`, `CLOTHOID_TRACK` or `PYTHON_TRACK`
+    address: IntArray  # (G, 14): memory addresses of its arrays, see `_track_layout`
+    size: IntArray  # (G,): samples of a lane, vertices of a polyline, chord ends of a spline
+    bends: IntArray  # (G,): curvature samples of a lane's reference line; segment ends of a spline
+    chord: FloatArray  # (G,): largest gap in m between consecutive samples of a lane
+    length: FloatArray  # (G,): of a lane in m; NaN for others, which depend on the scenario
+    span: FloatArray  # (G, 2): distances in m between which a lane is followed; beyond, another track continues
+    closed: BoolArray  # (G,): whether a polyline is a loop
+    timed: BoolArray  # (G,): whether a trajectory has times
+    turning: IntArray  # (G,): index into `HEADING_INTERPOLATIONS`, of a polyline
+    alike: BoolArray  # (G,): whether a trajectory is the same in all scenarios, and stored in one row
 
 
 class TrackPool:
