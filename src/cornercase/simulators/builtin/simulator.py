@@ -136,36 +136,33 @@ class BuiltinSimulator(Simulator):
             yield concretes[begin:]
 
     def _run(self, concretes: Sequence[ConcreteScenario]) -> Iterator[Recording | SimulationError]:
-        progress: dict[int, _Ran] = {}
         files: dict[tuple[Path, Scenario | None], list[int]] = {}
         for i, concrete in enumerate(concretes):
             files.setdefault((concrete.path, concrete.source), []).append(i)
-        with ThreadPoolExecutor(available_cpus()) as pool:
-            batch_pool = _Crew(pool, Lock(), WeakSet(), [])
+        with ThreadPoolExecutor(available_cpus()) as executor:
+            run = _PortionRun(concretes, {}, executor, Lock(), WeakSet(), [])
             try:
                 for indices in files.values():
-                    self._run_file(concretes, indices, progress, batch_pool)
+                    self._run_file(run, indices)
                 # Recordings of the first batch are made while the next ones still run.
-                yield from _made(progress, batch_pool.turn)
-                for sentences in batch_pool.remarks:
+                yield from _made(run.progress, run.gil_lock)
+                for sentences in run.remarks:
                     self.notice(sentences)
             except BaseException:
-                # The pool waits for its threads: do not let an interrupt wait for the remaining batches.
-                for batch in batch_pool.running:
+                # The executor waits for its threads: do not let an interrupt wait for the remaining batches.
+                for batch in run.batches:
                     batch.halt()
                 raise
 
-    def _run_file(
-        self, concretes: Sequence[ConcreteScenario], chosen: list[int], ran: dict[int, _Ran], crew: _Crew
-    ) -> None:
+    def _run_file(self, run: _PortionRun, indices: list[int]) -> None:
         """Start to run the scenarios of one file."""
-        prepared = self._prepare(concretes[chosen[0]])
+        prepared = self._prepare(run.concretes[indices[0]])
         for entity in self._drivers:
             prepared.scenario.require_entity(entity, "driven entity")
-        invalid = prepared.unusable([concretes[i].values for i in chosen])
-        ran.update((chosen[index], SimulationError(reason)) for index, reason in invalid.items())
-        for group in _groups(prepared, concretes, [i for i in chosen if i not in ran]):
-            self._run_group(prepared, concretes, group, ran, crew)
+        invalid = prepared.unusable([run.concretes[i].values for i in indices])
+        run.progress.update((indices[k], SimulationError(reason)) for k, reason in invalid.items())
+        for group in _groups(prepared, run.concretes, [i for i in indices if i not in run.progress]):
+            self._run_group(run, prepared, group)
 
     def _prepare(self, concrete: ConcreteScenario) -> PreparedScenario:
         """Prepared file of a concrete scenario: that of the last run, if its content is the same."""
@@ -184,49 +181,31 @@ class BuiltinSimulator(Simulator):
             self._drivers,
         )
 
-    def _run_group(
-        self,
-        prepared: PreparedScenario,
-        concretes: Sequence[ConcreteScenario],
-        chosen: list[int],
-        ran: dict[int, _Ran],
-        crew: _Crew,
-    ) -> None:
+    def _run_group(self, run: _PortionRun, prepared: PreparedScenario, indices: list[int]) -> None:
         """Start to run scenarios that could share a batch; if there is one batch, it has run on return."""
-        parts, started = self._parts(prepared, chosen), list[Future[Batch]]()
+        parts, started = self._parts(prepared, indices), list[Future[Batch]]()
         try:
             for part in parts:
-                with crew.turn:
-                    batch = self._form(prepared, concretes, part, ran)
+                with run.gil_lock:
+                    batch = self._form(run, prepared, part)
                 if batch is not None:
                     # A compiled batch already runs while the next one is made; a batch in Python would block it.
-                    started.append(crew.start(batch, 1 if batch.in_python else len(parts)))
-                    ran.update((i, (started[-1], index)) for index, i in enumerate(part))
+                    started.append(run.start(batch, 1 if batch.in_python else len(parts)))
+                    run.progress.update((i, (started[-1], k)) for k, i in enumerate(part))
                     if batch.failure is not None and len(part) > 1:
-                        self._run_apart(prepared, concretes, part, ran, crew, batch.failure.splits)
+                        # A driver failed in some of them: rerun them in smaller batches, so that only these fail.
+                        size = (len(part) + 1) // 2 if batch.failure.splits else 1
+                        for begin in range(0, len(part), size):
+                            self._run_group(run, prepared, part[begin : begin + size])
         except VariesError as split:
             wait(started)
-            distinct_values = {tuple(concretes[i].values.get(name) for name in sorted(split.names)) for i in chosen}
-            if len(distinct_values) < 2:
+            names = sorted(split.names)
+            if len({tuple(run.concretes[i].values.get(name) for name in names) for i in indices}) < 2:
                 path = prepared.scenario.path
                 raise InputError(f"{path}: an attribute that must be one value {split}.") from None
             prepared.splitting |= split.names
-            for group in _groups(prepared, concretes, chosen):
-                self._run_group(prepared, concretes, group, ran, crew)
-
-    def _run_apart(
-        self,
-        prepared: PreparedScenario,
-        concretes: Sequence[ConcreteScenario],
-        chosen: list[int],
-        ran: dict[int, _Ran],
-        crew: _Crew,
-        in_halves: bool,
-    ) -> None:
-        """Rerun scenarios after a driver failed in some of them, so that only these fail."""
-        size = (len(chosen) + 1) // 2 if in_halves else 1
-        for begin in range(0, len(chosen), size):
-            self._run_group(prepared, concretes, chosen[begin : begin + size], ran, crew)
+            for group in _groups(prepared, run.concretes, indices):
+                self._run_group(run, prepared, group)
 
     def _parts(self, prepared: PreparedScenario, chosen: list[int]) -> list[list[int]]:
         """Split scenarios that could share a batch into batches for several cores."""
@@ -239,50 +218,46 @@ class BuiltinSimulator(Simulator):
             return [chosen]
         return [chosen[begin:end] for begin, end in pairwise(len(chosen) * k // count for k in range(count + 1))]
 
-    def _form(
-        self,
-        prepared: PreparedScenario,
-        concretes: Sequence[ConcreteScenario],
-        chosen: list[int],
-        ran: dict[int, _Ran],
-    ) -> Batch | None:
+    def _form(self, run: _PortionRun, prepared: PreparedScenario, indices: list[int]) -> Batch | None:
         """Make a batch; None if the file cannot be used with the values of its scenarios."""
         try:
-            return self._batch(prepared, [concretes[i] for i in chosen])
+            return self._batch(prepared, [run.concretes[i] for i in indices])
         except InputError as error:
             # The cause is the same for the whole group.
-            first = concretes[chosen[0]]
+            first = run.concretes[indices[0]]
             own_values = ConcreteScenario(first.path, {}, prepared.scenario)
             reason = prepared.what_is_wrong(error, first.values, lambda: self._batch(prepared, [own_values]))
-            ran.update((i, SimulationError(reason)) for i in chosen)
+            run.progress.update((i, SimulationError(reason)) for i in indices)
             return None
 
 
-class _Crew(NamedTuple):
-    """Threads that run batches in parallel.
+class _PortionRun(NamedTuple):
+    """The run of scenarios that fit into memory together, in parallel batches.
 
     Only one thread is in Python at a time: this avoids GIL contention, which cost a third of the run time.
     """
 
-    pool: ThreadPoolExecutor
-    turn: Lock
-    running: WeakSet[Batch]
+    concretes: Sequence[ConcreteScenario]
+    progress: dict[int, _Ran]
+    executor: ThreadPoolExecutor
+    gil_lock: Lock
+    batches: WeakSet[Batch]
     remarks: list[list[str]]
 
-    def start(self, batch: Batch, beside: int) -> Future[Batch]:
-        """Run a batch as one of `beside` parallel ones; if it is the only one, it has run on return."""
-        self.running.add(batch)
+    def start(self, batch: Batch, n_parallel: int) -> Future[Batch]:
+        """Run a batch as one of `n_parallel`; if it is the only one, it has run on return."""
+        self.batches.add(batch)
         remarks: list[str] = []
         self.remarks.append(remarks)
-        if beside > 1:
-            return self.pool.submit(self._run, batch, max(available_cpus() // beside, 1), remarks)
+        if n_parallel > 1:
+            return self.executor.submit(self._run, batch, max(available_cpus() // n_parallel, 1), remarks)
         done: Future[Batch] = Future()
         done.set_result(self._run(batch, available_cpus(), remarks))
         return done
 
     def _run(self, batch: Batch, threads: int, remarks: list[str]) -> Batch:
-        with self.turn:
-            batch.run(threads, self.turn)
+        with self.gil_lock:
+            batch.run(threads, self.gil_lock)
             remarks += batch.remarks
         return batch
 
