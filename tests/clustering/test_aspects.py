@@ -280,10 +280,10 @@ class NumberForUnit(Aspect):
         ),
         (
             Refuses,
-            r"^The aspect 'odd' failed as it was made: RuntimeError: not today \(test_aspects\.py line .*; fix it\.$",
+            r"^The aspect 'odd' failed when it was created: RuntimeError: not today \(test_aspects\.py line .*; fix it\.$",
         ),
         (WithoutUnit, r"^The aspect 'odd' cannot be made: AttributeError: .*unit"),
-        (WithoutSeries, r"^The aspect 'odd' failed as it was made: TypeError: .*series"),
+        (WithoutSeries, r"^The aspect 'odd' failed when it was created: TypeError: .*series"),
         (NumberForUnit, r"^The aspect 'odd' has 3 as its unit; it has to be a text\.$"),
     ],
 )

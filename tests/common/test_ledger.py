@@ -71,7 +71,7 @@ def test_names_what_is_used_elsewhere_but_nobody_read(read):
     rooms = root.findall("Room")
     rooms[0].get("size")
     assert _notices(root, path) == [
-        "name of <House>, size of <Room>: nothing reads it here; [1, 3, 4]",
+        "name of <House>, size of <Room>: it is not read here; [1, 3, 4]",
     ]
 
 
@@ -80,7 +80,7 @@ def test_looking_through_a_file_is_not_reading_it(read):
     assert {e.tag for e in root.iter()} == {"House", "Room"}
     assert dict(root.attrib) == {"name": "a"}
     root.get("name")
-    assert _notices(root, path) == ["<Room> in <House>: nothing reads it here; [1]"]
+    assert _notices(root, path) == ["<Room> in <House>: it is not read here; [1]"]
 
 
 @pytest.mark.parametrize(

@@ -269,7 +269,7 @@ def test_43_4_only_the_permanent_lanes_are_driven_on(tmp_path):
     assert recording.x[0, -1] == pytest.approx(151.0)
     found = [str(one) for one in check(scenario).notices if "road.xodr" in str(one)]
     assert found == [
-        "<lanes> in <road> (road.xodr, line 1): nothing reads it here; only the lanes of the layer 'permanent' are driven on"
+        "<lanes> in <road> (road.xodr, line 1): it is not read here; only the lanes of the layer 'permanent' are driven on"
     ]
 
 

@@ -134,7 +134,7 @@ def test_times_that_pass_in_some_scenarios_only_make_none_of_the_others_keep_to_
 def test_a_closed_trajectory_with_times_in_one_scenario_costs_none_of_the_others(tmp_path):
     found = words(timed(tmp_path, closed="true"), {"end": 0.0}, {"end": 4.0}, {"end": 0.0})
     assert [bool(one) for one in found] == [False, True, False]
-    assert "no time says when a closed <Trajectory> is back" in found[1]
+    assert "a closed <Trajectory> has no time for its return" in found[1]
 
 
 def test_times_that_go_back_are_refused_in_their_own_scenario(tmp_path):

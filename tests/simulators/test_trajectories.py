@@ -118,7 +118,7 @@ def test_back_at_its_start_a_trajectory_ends_there(tmp_path):
 @pytest.mark.parametrize(
     ("shape", "timing", "why"),
     [
-        (polyline(vertex(60, 0, 0), vertex(80, 5, 2)), TIMED, "no time says when a closed <Trajectory> is back"),
+        (polyline(vertex(60, 0, 0), vertex(80, 5, 2)), TIMED, "a closed <Trajectory> has no time for its return"),
         ('<Clothoid curvature="0" curvaturePrime="0" length="20"/>', "<None/>", "has to be a <Polyline> here"),
     ],
 )

@@ -309,7 +309,7 @@ def _called(element: etree._Element, path: tuple[str, ...]) -> str:
 
 
 def _unread(entry: Entry) -> str:
-    return f"nothing reads it here; {entry.note}" if entry.note else "nothing reads it here"
+    return f"it is not read here; {entry.note}" if entry.note else "it is not read here"
 
 
 def local_name(element: etree._Element) -> str:

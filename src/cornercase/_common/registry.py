@@ -104,10 +104,10 @@ class Registry(Generic[T]):
             if name != base:
                 raise InputError(f"The {self._kind} '{name}' ends in a colon; give options as in '{base}:name=value'.")
             require_options(self._kind, base, factory, options)
-            with guarded(f"The {self._kind} '{name}'", maker_of(factory), "as it was made"):
+            with guarded(f"The {self._kind} '{name}'", maker_of(factory), "when it was created"):
                 return factory(**options)
         if any(parameter.kind is parameter.POSITIONAL_ONLY for parameter in signature(factory).parameters.values()):
-            with guarded(f"The {self._kind} '{name}'", maker_of(factory), "as it was made"):
+            with guarded(f"The {self._kind} '{name}'", maker_of(factory), "when it was created"):
                 instance: Any = factory(text, **options)
             instance.name = name
             return cast(T, instance)
@@ -115,7 +115,7 @@ class Registry(Generic[T]):
         given = {*options, *(factory.keywords if isinstance(factory, partial) else ())}
         options |= read_options(self._kind, base, factory, text, given)
         require_options(self._kind, base, factory, options)
-        with guarded(f"The {self._kind} '{name}'", maker_of(factory), "as it was made"):
+        with guarded(f"The {self._kind} '{name}'", maker_of(factory), "when it was created"):
             try:
                 configured: Any = factory(**options)
             except (TypeError, AttributeError) as error:

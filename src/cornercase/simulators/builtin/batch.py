@@ -81,7 +81,7 @@ class Batch:
             if not objects:
                 raise InputError("has no entities, so there is nothing to simulate.")
             if len(objects) > _MOST_ENTITIES:
-                raise InputError(f"has {len(objects)} entities; the builtin simulator moves {_MOST_ENTITIES}.")
+                raise InputError(f"has {len(objects)} entities; the builtin simulator supports {_MOST_ENTITIES}.")
         entities, tows = read_entities(objects, scope)
         self._world = World(entities, scope.scenarios, network, tows)
         self._world.signal_controllers = read_signal_controllers(scenario.root, scope)

@@ -125,7 +125,7 @@ def takes_time(holder: etree._Element, scope: Scope) -> bool:
     if {name for _, name in timed} == {"time"} and (times[-1] == times.max(axis=0)).all():
         back = next((k for k in range(1, len(timed)) if (times[k] < times[k - 1] - _SAME_TIME).any()), None)
         if back is not None:
-            reason = f"time goes back to {times[back].min():g} s; vertices are passed over until it is reached again"
+            reason = f"time goes back to {times[back].min():g} s; vertices are skipped until it is reached again"
             adapt(
                 timed[back][0],
                 f"time of <{timed[back][0].tag}>",
@@ -134,8 +134,8 @@ def takes_time(holder: etree._Element, scope: Scope) -> bool:
             )
     if differ.all() and inner.flag(element, "closed", False):
         raise InputError(
-            f"{scope.source}, line {element.sourceline}: no time says when a closed <Trajectory> is back at its first"
-            " vertex; give closed as false, and the first vertex once more at the end, with its time."
+            f"{scope.source}, line {element.sourceline}: a closed <Trajectory> has no time for its return to the"
+            " first vertex; set closed to false, and repeat the first vertex at the end, with its time."
         )
     return bool(differ.all())
 
