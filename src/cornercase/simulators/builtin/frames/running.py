@@ -48,7 +48,7 @@ _part = kernel(error_model="numpy", _nrt=False, forceinline=True)
 class Course(NamedTuple):
     """State of the loop for N scenarios."""
 
-    status: npt.NDArray[np.int8]  # (N,): `ACT`, `ACTED`, `MOVE` or `IDLE` before; the state reached after
+    status: npt.NDArray[np.int8]  # (N,): `ACT`, `ACTIONS_DONE`, `MOVE` or `IDLE` before; the state reached after
     looks: BoolArray  # (N,): whether the storyboard has to be evaluated in each frame
     driven: IntArray  # (D,): entity of each driver
 
