@@ -39,21 +39,15 @@ class Status(StrEnum):
 
 @dataclass(frozen=True)
 class Entry:
-    """Support of an element, or of an attribute (`attribute` is empty for the element itself).
+    """Support of an element, or of an attribute (`attribute` is empty for the element itself)."""
 
-    `element` may name parents: ``"Init/Actions"``. `unless` lists values that change nothing and need no notice
-    (numbers are compared as numbers; ``"*"``: never a notice). `values` lists the only values accepted, if there are
-    few. `note` says what happens or what to do instead, without capital and full stop. `matters`: a simulator that used
-    it could give other positions, speeds or verdicts; of what is used, whether that is so if nobody reads it.
-    """
-
-    element: str
+    element: str  # may name parents: "Init/Actions"
     attribute: str
     status: Status
-    unless: tuple[str, ...]
-    note: str
-    values: tuple[str, ...] = ()
-    matters: bool = True
+    unless: tuple[str, ...]  # values without a notice, as they change nothing; numbers compare as numbers; "*" for all
+    note: str  # what happens or what to do instead, without capital and full stop
+    values: tuple[str, ...] = ()  # the only values accepted, if there are few
+    matters: bool = True  # whether a simulator that used it, or did not read it, could give another result
 
     def is_silent(self, value: str) -> bool:
         """Whether this value of the attribute changes nothing."""

@@ -19,35 +19,17 @@ _STRAIGHT: Final = 1e-7
 
 
 class ClothoidSpline(Trajectory):
-    """A trajectory whose curvature changes linearly over each of its segments.
+    """A trajectory whose curvature changes linearly over each of its K segments.
 
     It is travelled on chords of 1 m, as in esmini: within millimetres of the curve, and much faster to compute.
 
-    Parameters
-    ----------
-    x, y, heading : ndarray of float64, shape (N,)
-        Start pose.
-    start, end, length : ndarray of float64, shape (N, K)
-        Curvature at both ends of the segments in 1/m, and their lengths in m.
-    clock : ndarray of float64, shape (N, K + 1), optional
-        Times in s at which the segments begin, and the last one ends; each is travelled at constant speed.
-    begins : mapping of int to Pose, optional
-        Start poses of segments that do not begin where the previous one ends.
-    turns : ndarray of float64, shape (N, K), optional
-        Heading offset in rad of each segment at its beginning.
+    The start pose has shape (N,); `start`, `end` (curvatures in 1/m) and `length` have (N, K). `clock`, (N, K + 1), are
+    times in s at which segments begin, and the last one ends; each is travelled at constant speed. `begins` are start
+    poses of segments that do not continue the previous one, `turns`, (N, K), heading offsets in rad at their beginning.
 
-    Attributes
-    ----------
-    begin : ndarray of float64, shape (N, K + 1)
-        Distance in m at which the segments begin, and the last one ends.
-    x, y, heading : ndarray of float64, shape (N, C), or (1, C) if `alike`
-        Ends of the chords in m and rad.
-    chord : ndarray of float64, shape (N,)
-        Length in m of all chords but the last one.
-    last : ndarray of int64, shape (N,)
-        Index of the last chord.
-    alike : bool
-        Whether the curve is the same in all scenarios.
+    Attributes: `begin`, (N, K + 1), distances in m at which segments begin, and the last one ends. `x`, `y`, `heading`,
+    (N, C) or (1, C) if `alike` (the same in all scenarios), ends of the chords. `chord`, (N,), length in m of all
+    chords but the last. `last`, (N,), index of the last chord.
     """
 
     _arrays = ("_start", "_rate", "begin", "lengths", "_x", "_y", "_turn", "_clock")

@@ -17,34 +17,16 @@ TINY: Final = 1e-6
 
 
 class Polyline(Trajectory):
-    """A trajectory through vertices.
+    """A trajectory through V vertices.
 
-    Parameters
-    ----------
-    x, y : ndarray of float64, shape (N, V)
-        Vertices in m.
-    heading : ndarray of float64, shape (N, V)
-        rad; NaN where the file gives none, and the segment's direction is used.
-    time : ndarray of float64, shape (N, V), optional
-        s, not decreasing.
-    closed : bool
-        Whether it is a loop.
-    turning : {"legs", "corners", "vertices"}, default "corners"
-        Where the heading changes from one vertex to the next: over whole segments, near corners, or at once.
-    begin_speed : ndarray of float64, shape (N,), optional
-        Speed at the first vertex in m/s: acceleration is then constant on each segment, so that the next vertex is
-        reached in time; otherwise, speed is.
+    `x`, `y` (m), `heading` (rad; NaN: direction of the segment) and `time` (s, not decreasing) have shape (N, V). A
+    `closed` one is a loop. `turning` says where the heading changes: over whole segments, near corners, or at the
+    vertices. With `begin_speed`, (N,), in m/s, acceleration is constant on each segment, so that the next vertex is
+    reached in time; without it, speed is.
 
-    Attributes
-    ----------
-    distance, facing : ndarray of float64, shape (N, V)
-        Distance along the line in m, and unwrapped heading in rad, at its vertices.
-    directions : ndarray of float64, shape (N, V - 1)
-        Directions of its segments in rad.
-    speeds, rates : ndarray of float64, shape (N, V), optional
-        Speeds at the vertices in m/s, and accelerations in m/s² on the segments that begin there.
-    alike : bool
-        Whether all of that is the same in all scenarios.
+    Attributes at vertices, (N, V): `distance` along the line in m; `facing`, unwrapped heading in rad; `speeds` in m/s,
+    and `rates`, accelerations in m/s² on the segment that begins there. `directions`, (N, V - 1), in rad. `alike`: all
+    of that is the same in all scenarios.
     """
 
     _arrays = (

@@ -19,31 +19,17 @@ ALONG_LEGS, AT_CORNERS, AT_VERTICES = "legs", "corners", "vertices"
 
 @dataclass(frozen=True, eq=False)
 class Pose:
-    """A position and heading for each scenario, and its road coordinates if known.
-
-    Attributes
-    ----------
-    x, y, heading : ndarray of float64, shape (N,)
-    road : ndarray of int64, shape (N,), optional
-        Index of the road in the network.
-    lane : ndarray of int64, shape (N,), optional
-    s, offset : ndarray of float64, shape (N,), optional
-        Along the road, and to the left of the lane's centre seen along s, in m.
-    beyond : ndarray of bool, shape (N,), optional
-        Whether the file gives a position beyond the end of its road; the pose is that end then.
-    relative : str
-        File and line of a position relative to an entity, for which the road end is what is meant.
-    """
+    """A position and heading for each scenario, arrays (N,), with road coordinates if known."""
 
     x: FloatArray
     y: FloatArray
     heading: FloatArray
-    road: IntArray | None = None
+    road: IntArray | None = None  # index of the road in the network
     lane: IntArray | None = None
     s: FloatArray | None = None
-    offset: FloatArray | None = None
-    beyond: BoolArray | None = None
-    relative: str = ""
+    offset: FloatArray | None = None  # m, to the left of the lane's centre seen along s
+    beyond: BoolArray | None = None  # whether the file's position is beyond the end of its road, and moved there
+    relative: str = ""  # file and line of a position relative to an entity, for which that end is what is meant
 
 
 def same_in_all(*arrays: FloatArray | None) -> bool:
