@@ -8,7 +8,6 @@ from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from functools import partial
 from pathlib import Path
-from types import FrameType
 from typing import Final
 
 from cornercase._common.errors import InputError, LostError, PartError, SimulationError, is_of_the_machine
@@ -116,7 +115,7 @@ def _over_instants(texts: list[str]) -> str:
 def _last_lines(error: BaseException) -> list[str]:
     """Last lines of a traceback, starting where it leaves this package."""
     frames = list(traceback.walk_tb(error.__traceback__))
-    foreign = [k for k, (frame, _) in enumerate(frames) if not _is_ours(frame)]
+    foreign = [k for k, (frame, _) in enumerate(frames) if not frame.f_code.co_filename.startswith(_PACKAGE)]
     frames = frames[foreign[0] :] if foreign else []
     summaries = traceback.StackSummary.extract(iter(frames[-_MOST_LINES:]))
     return [_line(summary) for summary in summaries]
@@ -126,7 +125,3 @@ def _line(one: traceback.FrameSummary) -> str:
     location = f"{Path(one.filename).name} line {one.lineno} in {one.name}"
     text = " ".join((one.line or "").split())
     return f"{location}: {shorten(text, _LONGEST_LINE)}" if text else location
-
-
-def _is_ours(frame: FrameType) -> bool:
-    return frame.f_code.co_filename.startswith(_PACKAGE)

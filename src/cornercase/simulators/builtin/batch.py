@@ -30,6 +30,7 @@ from cornercase.simulators.builtin.world.signals import read_signal_controllers
 from cornercase.simulators.builtin.world.state import World
 
 _MOST_ENTITIES: Final = 500
+_OBJECT_TYPES: Final = {"pedestrian": "pedestrian", "misc": "miscellaneous"}
 
 
 class Batch:
@@ -236,11 +237,9 @@ def _selections(root: etree._Element, world: World, scope: Scope) -> dict[str, l
         rows = entities_in(members, scope, world)
         for by_type in members.iterfind("ByType"):
             object_type = scope.text(by_type, "objectType")
-            of_type = [k for k, entity in enumerate(world.entities) if _object_type(entity.kind) == object_type]
+            of_type = [
+                k for k, entity in enumerate(world.entities) if _OBJECT_TYPES.get(entity.kind, "vehicle") == object_type
+            ]
             rows += [k for k in of_type if k not in rows]
         selections[scope.text(selection, "name")] = rows
     return selections
-
-
-def _object_type(kind: str) -> str:
-    return {"pedestrian": "pedestrian", "misc": "miscellaneous"}.get(kind, "vehicle")

@@ -135,13 +135,12 @@ def check(scenario: Path | str | Scenario, space: Path | str | None = None, *, s
         invalid=tuple(schema_violations),
         space=parameter_space,
         trouble=tuple(run_errors),
-        adapted=tuple(_breach(notice) for notice in notices if strict and notice.label is Label.ADAPTED),
+        adapted=tuple(
+            f"{notice}. The standard: {notice.rule}" if notice.rule else str(notice)
+            for notice in notices
+            if strict and notice.label is Label.ADAPTED
+        ),
     )
-
-
-def _breach(notice: Notice) -> str:
-    """A violation of the standard, with the rule."""
-    return f"{notice}. The standard: {notice.rule}" if notice.rule else str(notice)
 
 
 def schema_errors(root: etree._Element) -> list[str] | None:

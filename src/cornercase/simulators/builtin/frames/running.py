@@ -105,7 +105,8 @@ def _run_all(scene, tracks, roads, fleet, actions, leaves, course, rules, desk):
                 if not stays(scene, leaves, desk.watched, n):
                     status = WAITS
                     break
-                _note_speeds(scene, n)
+                for e in range(scene.floats.shape[2]):
+                    scene.floats[n, BEFORE, e] = scene.floats[n, SPEED, e]
             outcome = ACTED
             if status != BEGUN:
                 outcome = act(scene, tracks, roads, actions, desk.kept, n, dt)
@@ -141,12 +142,6 @@ def _wake(scene, actions, course, n, desk):
         rest[course.driven[d]] = MOVED_BY_OTHERS
     for t in range(scene.tows.shape[0]):
         rest[int(scene.tows[t, 0])] = rest[int(scene.tows[t, 1])] = MOVED_BY_OTHERS
-
-
-@_part
-def _note_speeds(scene, n):
-    for e in range(scene.floats.shape[2]):
-        scene.floats[n, BEFORE, e] = scene.floats[n, SPEED, e]
 
 
 @_part

@@ -120,11 +120,9 @@ def _relative_lane_position(element: etree._Element, scope: Scope, world: World)
         ahead = looks_along(world, base)
         forward = np.where(ahead | (not along_lane), 1, -1)
         base = _moved(world, base, forward * ds)
-        assert base.lane is not None
-        assert base.road is not None
-        assert base.s is not None
-        lane = shifted_lane(base.lane, lanes * forward)
-        pose = _on_lane(world, base.road, lane, base.s, offset * forward, turn, relative)
+        road, lane, s = base.road_coordinates()
+        lane = shifted_lane(lane, lanes * forward)
+        pose = _on_lane(world, road, lane, s, offset * forward, turn, relative)
         pose = _at_the_end(pose, base, element, scope)
         if along_lane or not relative:
             return pose
@@ -142,20 +140,18 @@ def shifted_lane(lane: IntArray, by: IntArray) -> IntArray:
 def _moved(world: World, base: Pose, ds: FloatArray) -> Pose:
     """Move `base` along the roads by `ds` m (negative: against s)."""
     assert world.network is not None
-    assert base.road is not None
-    assert base.s is not None
-    assert base.lane is not None
-    road, lane, s = base.road.copy(), base.lane.copy(), base.s + ds
+    road, lane, start = base.road_coordinates()
+    road, lane, s = road.copy(), lane.copy(), start + ds
     is_too_short = np.zeros(world.scenarios, dtype=np.bool_)
     beyond = np.flatnonzero((s < 0.0) | (s > world.network.lengths[road]))
     for i in beyond[world.running[beyond]]:
         route = 0 if world.actor is None else int(world.route[world.actor, i])
-        track = lane_track(world, int(road[i]), int(lane[i]), float(base.s[i]), bool(ds[i] >= 0.0), route)
+        track = lane_track(world, int(road[i]), int(lane[i]), float(start[i]), bool(ds[i] >= 0.0), route)
         if track is not None:
             distance_to_go, path = np.abs(ds[i : i + 1]), track.path
-            distance = path.ahead(track.distance_of(base.s[i : i + 1]), distance_to_go)
+            distance = path.ahead(track.distance_of(start[i : i + 1]), distance_to_go)
             end_distance = np.interp(distance, path.distance, path.reference)
-            start_distance = np.interp(track.distance_of(base.s[i : i + 1]), path.distance, path.reference)
+            start_distance = np.interp(track.distance_of(start[i : i + 1]), path.distance, path.reference)
             is_too_short[i] = bool(end_distance - start_distance < distance_to_go - _EDGE)
             k = int(path.sample_at(distance)[0])
             road[i], lane[i], s[i] = path.road[k], path.lane[k], path.s_at(distance)[0]
@@ -179,13 +175,10 @@ def _relative_road_position(element: etree._Element, scope: Scope, world: World)
     def resolve(world: World) -> Pose:
         base = lane_of(world, entity)
         moved = _moved(world, base, ds)
-        assert moved.road is not None
-        assert moved.s is not None
-        assert moved.lane is not None
-        assert base.lane is not None
+        road, lane, s = moved.road_coordinates()
         # Beyond a junction, s may run in the opposite direction, which swaps left and right.
-        t = _lateral(world, base) * np.sign(moved.lane * base.lane)
-        return _at_the_end(_on_road(world, moved.road, moved.s, t + dt, turn, relative), moved, element, scope)
+        t = _lateral(world, base) * np.sign(lane * base.road_coordinates()[1])
+        return _at_the_end(_on_road(world, road, s, t + dt, turn, relative), moved, element, scope)
 
     return resolve
 
@@ -193,12 +186,11 @@ def _relative_road_position(element: etree._Element, scope: Scope, world: World)
 def _lateral(world: World, pose: Pose) -> FloatArray:
     """Coordinate t of poses on their roads."""
     assert world.network is not None
-    assert pose.road is not None
-    assert pose.s is not None
+    roads, _, s = pose.road_coordinates()
     t = np.zeros(world.scenarios)
-    for road in np.unique(pose.road):
-        rows = pose.road == road
-        x, y, heading = world.network.roads[int(road)].reference(pose.s[rows])
+    for road in np.unique(roads):
+        rows = roads == road
+        x, y, heading = world.network.roads[int(road)].reference(s[rows])
         t[rows] = (pose.y[rows] - y) * np.cos(heading) - (pose.x[rows] - x) * np.sin(heading)
     return t
 
@@ -261,16 +253,14 @@ def _along_route(
     network: RoadNetwork, waypoints: list[Pose], way: FloatArray
 ) -> tuple[IntArray, FloatArray, BoolArray]:
     """Road, s, and whether the route runs along s, `way` m after the first waypoint, each (N,)."""
-    roads = np.stack([_road_of(pose) for pose in waypoints])
-    first = waypoints[0]
-    assert first.lane is not None
-    assert first.s is not None
+    roads = np.stack([pose.road_coordinates()[0] for pose in waypoints])
+    _, first_lane, first_s = waypoints[0].road_coordinates()
     section = np.zeros(len(way), dtype=np.int64)
     for index in np.unique(roads[0]):
         rows = roads[0] == index
-        section[rows] = network.roads[int(index)].section_at(first.s[rows])
-    road, s, along = roads[0].copy(), first.s.copy(), np.zeros(len(way), dtype=np.bool_)
-    keys = np.concatenate([roads, first.lane[None], section[None]])
+        section[rows] = network.roads[int(index)].section_at(first_s[rows])
+    road, s, along = roads[0].copy(), first_s.copy(), np.zeros(len(way), dtype=np.bool_)
+    keys = np.concatenate([roads, first_lane[None], section[None]])
     for key in np.unique(keys, axis=1).T:
         rows = (keys == key[:, None]).all(axis=0)
         *road_indices, lane, k = (int(index) for index in key)
@@ -278,15 +268,10 @@ def _along_route(
         # Start at the section's entry, so that all positions in it share one walk.
         forward = network.runs_along(road_indices[0], lane, 0.5 * (start + end))
         section_start = start if forward else end - 1e-9
-        extra = (first.s[rows] - section_start) * (1.0 if forward else -1.0)
+        extra = (first_s[rows] - section_start) * (1.0 if forward else -1.0)
         walk = [(road_indices[0], lane, section_start), *((index, 0, 0.0) for index in road_indices[1:])]
         road[rows], s[rows], along[rows] = network.along_route(walk, way[rows] + extra)
     return road, s, along
-
-
-def _road_of(pose: Pose) -> IntArray:
-    assert pose.road is not None
-    return pose.road
 
 
 Route = Callable[[World], list[Pose]]

@@ -71,12 +71,10 @@ class LaneTrack(Track):
 
     def lane_pose(self, pose: Pose, rows: IntArray, distance: FloatArray, offset: FloatArray) -> Pose:
         """Return `pose` with the road coordinates of `rows` on this track."""
-        assert pose.road is not None
-        assert pose.lane is not None
-        assert pose.s is not None
         assert pose.offset is not None
         sample = self.path.sample_at(distance)
-        road, lane, s, t = pose.road.copy(), pose.lane.copy(), pose.s.copy(), pose.offset.copy()
+        road, lane, s = pose.road_coordinates()
+        road, lane, s, t = road.copy(), lane.copy(), s.copy(), pose.offset.copy()
         road[rows], lane[rows] = self.path.road[sample], self.path.lane[sample]
         s[rows] = self.path.s_at(distance)
         t[rows] = np.where(self.path.along[sample], offset, -offset)

@@ -31,6 +31,13 @@ class Pose:
     beyond: BoolArray | None = None  # whether the file's position is beyond the end of its road, and moved there
     relative: str = ""  # file and line of a position relative to an entity, for which that end is what is meant
 
+    def road_coordinates(self) -> tuple[IntArray, IntArray, FloatArray]:
+        """Road, lane and s, which the pose must have."""
+        assert self.road is not None
+        assert self.lane is not None
+        assert self.s is not None
+        return self.road, self.lane, self.s
+
 
 def same_in_all(*arrays: FloatArray | None) -> bool:
     """Whether each array, shape (N, …), is bitwise the same in all scenarios; None is skipped."""
