@@ -1,4 +1,4 @@
-"""Arguments are taken for what they are, or refused in one sentence that names the parameter."""
+"""Arguments are converted, or refused in one sentence that names the parameter."""
 
 from __future__ import annotations
 

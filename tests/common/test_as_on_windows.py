@@ -1,4 +1,4 @@
-"""cornercase without what only POSIX has; the whole suite runs so by tests/as_on_windows."""
+"""cornercase without POSIX features; tests/as_on_windows runs the whole suite like this."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ def run(folder):
         return [str(one) if isinstance(one, Exception) else int(one.x[0, 0]) for one in simulator.run(concretes)]
 
 
-# The workers import this file, too.
+# Workers import this file, too.
 if __name__ == "__main__":
     print(run(Path(sys.argv[1])))
 """

@@ -1,4 +1,4 @@
-"""Machine code on disk, shared by processes that start together."""
+"""The kernel cache on disk, shared by processes that start at the same time."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ import json, sys, time
 from numba.core.caching import IndexDataCacheFile
 from cornercase._common.compiling import kernel
 
-# The others read the index in between, and who writes it first writes its machine code last.
+# The others read the index in between; the first to write it is the last to write its machine code.
 index, data = IndexDataCacheFile._save_index, IndexDataCacheFile._save_data
 delay = float(sys.argv.pop(1))
 IndexDataCacheFile._save_index = lambda *all: (time.sleep(0.5), index(*all))
@@ -61,7 +61,7 @@ def said(process):
 @pytest.mark.slow
 @pytest.mark.parametrize("count", at_night([2, 4], {4}))
 def test_processes_that_compile_at_once_do_not_mix_up_their_kernels(tmp_path, count):
-    """Each begins with another version; then all of them are loaded from the disk, none is compiled."""
+    """Each process starts with another version; then all versions are loaded from disk, and none is compiled."""
     versions = list(RESULTS)[:count]
     processes = [started(tmp_path, 0.4 * (count - 1 - k), *versions[k:], *versions[:k]) for k in range(count)]
     results = [said(process) for process in processes]
@@ -114,7 +114,7 @@ def outer(x):
     return inner(x)
 """
 FILES = {"inner": INNER, "codes": CODES, "outer": OUTER}
-# The text that changes, what it changes to, and what the kernel then gives; None where its machine code stays.
+# Text to replace, its replacement, and the kernel's new result; None if the cached code stays valid.
 CHANGES = [
     ("inner", "x + 1", "x + 2", "3.0"),
     ("outer", "# that", "# that and more\n    # of it", None),
@@ -126,7 +126,7 @@ CHANGES = [
 
 
 def test_what_a_kernel_holds_is_in_its_digest(monkeypatch):
-    """Whether it stands in its own module or in another one; and a comment is not."""
+    """In its own module or in another one; comments do not count."""
 
     def digest():
         for name, text in files.items():
@@ -152,7 +152,7 @@ def test_a_kernel_is_compiled_again_when_what_it_holds_has_changed(tmp_path, kep
     def printed():
         for name, text in files.items():
             (tmp_path / f"{name}.py").write_text(text)
-        # Python itself does not notice that a file has changed within a second to one of the same size.
+        # Python does not notice that a file changed within a second if its size is the same.
         kept = {"NUMBA_CACHE_DIR": str(tmp_path / "cache"), "PYTHONDONTWRITEBYTECODE": "1"}
         environment = {**os.environ, **kept}
         command = [sys.executable, str(tmp_path / "outer.py")]
@@ -180,7 +180,7 @@ def test_a_kernel_is_compiled_again_when_the_fields_of_a_named_tuple_have_change
 
     def printed(*names):
         (tmp_path / "reading.py").write_text(program.format(*names))
-        # Both programs are as long and as old, to the second: Python takes its bytecode of one for the other's.
+        # Both programs have the same size and age in seconds, so that Python would mix up their bytecode.
         unread = {"NUMBA_CACHE_DIR": str(tmp_path / "cache"), "PYTHONDONTWRITEBYTECODE": "1"}
         environment = {**os.environ, **unread}
         command = [sys.executable, "-c", "import reading"]
@@ -202,7 +202,7 @@ def test_who_listens_hears_what_is_compiled_and_the_user_does_not(caplog):
         return 2 * x
 
     doubled: Any = kernel()(double)
-    # Kernels of earlier tests do not count once they are gone.
+    # Kernels of earlier tests do not count once they are deleted.
     gc.collect()
     ready, known = count_kernels()
     heard: list[str] = []

@@ -1,4 +1,4 @@
-"""Gaps and first contacts of boxes, against closed forms and against searching."""
+"""Distances and contact times of boxes, compared with closed forms and numerical search."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ coordinate = st.floats(-30, 30)
 angle = st.floats(-7, 7)
 size = st.floats(0.3, 8)
 box = st.tuples(coordinate, coordinate, angle, size, size).map(lambda b: box_corners(*b))
-# Less than 1e-6 m/s leads to contacts after so many years that rounding is larger than the boxes.
+# Below 1e-6 m/s, contacts are years away, and rounding is larger than the boxes.
 vector = st.tuples(st.floats(-20, 20), st.floats(-20, 20)).map(lambda v: np.round(v, 6))
 
 

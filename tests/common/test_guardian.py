@@ -1,4 +1,4 @@
-"""Processes and folders of a process that is killed, also where it is inside compiled code."""
+"""Clean-up of child processes and folders when a process is killed, even inside compiled code."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from cornercase._common.errors import InputError
 from cornercase._common.guardian import Guardian
 from waiting import lives, until
 
-# Makes a folder, starts a process that starts another one, and waits.
+# Makes a folder, starts a child and a grandchild, and waits.
 PROGRAM = """
 import os, subprocess, sys, time
 from cornercase._common.guardian import Guardian

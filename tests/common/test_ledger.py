@@ -1,4 +1,4 @@
-"""A ledger of a file format, and elements that remember what was read of them."""
+"""Support tables of file formats, and XML elements that track what was read."""
 
 from __future__ import annotations
 

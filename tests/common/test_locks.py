@@ -85,7 +85,7 @@ def test_a_holder_that_does_not_come_back_is_waited_for_once(tmp_path, monkeypat
     assert waited[0] >= 0.4
     assert max(waited[1:]) < 0.4
     stopped.release()
-    # Whoever comes back frees it for all.
+    # A holder that continues releases it for everybody.
     with held_lock(path):
         assert taken_lock(path) is None
 

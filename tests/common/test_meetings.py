@@ -7,7 +7,7 @@ from cornercase._common.meetings import Meetings
 
 
 def runs_of(meets):
-    """Runs of a table of all pairs."""
+    """Runs of a dense table of pairs."""
     found = []
     for i, row in enumerate(meets):
         ends = np.flatnonzero(np.diff(np.concatenate([[0], row.astype(int), [0]])))

@@ -61,7 +61,7 @@ def test_data_fits_beside_python_and_what_does_not_is_refused_with_what_to_do():
     sentence = "distances need up to 21 GB, which is more than `memory` 4 GB; compare fewer."
     with pytest.raises(InputError, match=f"^{re.escape(sentence)}$"):
         limit.require(20e9, "distances", "compare fewer")
-    # What does not fit never reads as if it did.
+    # A size that does not fit is never rounded to one that does.
     with pytest.raises(InputError, match=r"need up to 4\.1 GB, which is more than `memory` 4 GB"):
         limit.require(limit.free + 1e6, "distances", "compare fewer")
 

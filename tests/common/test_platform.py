@@ -1,4 +1,4 @@
-"""What differs between platforms, as far as it can be seen on one."""
+"""Platform differences, as far as they can be tested on one platform."""
 
 from __future__ import annotations
 
@@ -52,7 +52,7 @@ def test_exit_codes_of_all_platforms_have_words(code, words):
 def test_a_parent_that_is_gone_is_noticed(monkeypatch):
     watch, parent = platform.parent_watch(), os.getppid()
     assert watch()
-    # Whoever takes over; in a container or the background that of the tests may be 1 already.
+    # Any new parent; in a container or in the background, the parent of the tests may be 1 already.
     monkeypatch.setattr(os, "getppid", lambda: parent + 1)
     assert not watch()
 
@@ -109,7 +109,7 @@ def test_the_content_is_on_the_disk_before_it_gets_its_name_and_the_name_after_i
         temporary.write_text("new")
     if sys.platform == "linux":
         assert told[:3] == [("fsync", "file"), ("replace", "file"), ("fsync", "folder")]
-        # That of the new folder, too.
+        # The new folder's, too.
         assert told[3:] == [("fsync", "folder")]
 
 
@@ -147,7 +147,7 @@ def test_what_a_writer_in_another_container_of_this_name_writes_is_not_removed(t
     subprocess.run([sys.executable, "-c", KILLED_WRITER, str(target)], check=False)
     theirs = {one.name for one in tmp_path.iterdir()}
     assert len(theirs) == 2
-    # Its processes are not seen here, so that whether it lives is not known.
+    # Its processes are invisible here, so it is unknown whether the writer is alive.
     monkeypatch.setattr("cornercase._common.pending_files._of_processes", lambda: "pid:[1]")
     with written_whole(target) as temporary:
         temporary.write_text("of this one")

@@ -1,4 +1,4 @@
-"""Bars, and lines where there is no terminal."""
+"""Progress bars, and lines without a terminal."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ def test_stumble_8_the_time_that_it_takes_to_get_ready_is_no_rate(monkeypatch, c
     clock = Clock(monkeypatch)
     bar = ProgressBar(10_001, "exploring", "scenarios")
     bar.update(0, "")
-    # What is compiled first takes a minute.
+    # Compilation at the beginning takes a minute.
     clock.now += 60.0
     bar.update(1, "")
     clock.now += 10.0

@@ -1,4 +1,4 @@
-"""Options of what is found by name."""
+"""Options of registered objects."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Rows of arrays as keys."""
+"""Rows of arrays as dictionary keys."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from conftest import examples
 from cornercase._common.rows import row_keys, surely_distinct
 
-# Few values, so that rows are alike; those of lattices differ in few bits.
+# Few distinct values, so that rows repeat; rows of a lattice differ in few bits.
 _VALUES = st.sampled_from([0.0, -0.0, 0.25, 0.5, 1.0, float(np.nextafter(0.5, 1.0))])
 
 

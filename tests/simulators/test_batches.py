@@ -1,4 +1,4 @@
-"""A scenario gives the same alone and among others, and what is wrong with one costs none of the others."""
+"""A scenario gives the same result alone and in a batch, and errors of one do not affect the others."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ def results(path, *values, duration=1.0):
 
 
 def words(path, *values, **options):
-    """What is said of each scenario; empty for one that ran."""
+    """Error of each scenario; empty for one that ran."""
     return [str(one) if isinstance(one, Exception) else "" for one in results(path, *values, **options)]
 
 
@@ -151,7 +151,7 @@ def test_a_scenario_without_entities_is_refused(tmp_path):
 
 
 def test_an_entity_that_is_not_there_yet_is_no_target(tmp_path):
-    """Its place is not known, so nothing is measured along the road to it."""
+    """Its position is unknown, so no distance along the road is measured to it."""
     condition = """<ConditionGroup><Condition name="c" delay="0" conditionEdge="none"><ByEntityCondition>
 <TriggeringEntities triggeringEntitiesRule="any"><EntityRef entityRef="Ego"/></TriggeringEntities><EntityCondition>
 <RelativeDistanceCondition entityRef="Other" relativeDistanceType="longitudinal" coordinateSystem="road" value="20"
@@ -195,7 +195,7 @@ def test_a_value_that_cannot_be_used_costs_its_scenario_alone(tmp_path, kind, va
     assert first == last == ""
     assert why in wrong
     assert str(path) not in wrong
-    # What is the matter with it is the same alone.
+    # It has the same error alone.
     assert words(path, {"p": bad}) == [wrong]
     with pytest.raises(InputError, match=r"scenario\.xosc"):
         simulate(path, {"p": bad})
@@ -205,7 +205,7 @@ def test_batches_beside_each_other_give_the_same_and_each_its_errors(tmp_path, m
     init = private(teleport("$s").replace('roadId="1"', 'roadId="$road"'), speed_action("$v"))
     declarations = declared("s", "5") + declared("v", "10") + declared("road", "1", "string")
     path = scenario_file(tmp_path, init=init, parameters=declarations)
-    # All of the last third name a road that is not there; others begin where the road does not lead.
+    # The last third name a road that does not exist; others start off the road.
     values = [{"s": 5000.0 if k == 4 else 5.0, "v": float(k), "road": "1" if k < 8 else "9"} for k in range(12)]
     one_batch = [outcome(one) for one in results(path, *values)]
     monkeypatch.setattr(builtin_simulator, "available_cpus", lambda: 3)
@@ -275,7 +275,7 @@ def test_a_trajectory_is_read_anew_only_where_a_parameter_changes_it(tmp_path):
 
 
 def test_what_is_wrong_whatever_is_varied_is_said_once(tmp_path):
-    """An unknown road that stands in the file itself cannot be varied away."""
+    """No parameter value can mend an unknown road in the file itself."""
     init = private(teleport("$s").replace('roadId="1"', 'roadId="9"'))
     path = scenario_file(tmp_path, init=init, parameters=declared("s", "0") + declared("road", "1", "string"))
     for values in ([{"s": 5.0}], [{"s": 5.0}, {"s": 6.0}], [{"road": "1"}, {"road": "2"}], [{"s": 0.0}]):
@@ -349,7 +349,7 @@ def test_batches_are_cut_by_what_they_hold_and_give_the_same(tmp_path, monkeypat
     monkeypatch.setattr(builtin_simulator, "_MOST_BYTES", 5 * one)
     assert [outcome(one) for one in results(path, *values)] == whole
     assert sizes == [5, 5, 2]
-    # However little may be held, one scenario runs.
+    # However small the limit is, one scenario runs.
     monkeypatch.setattr(builtin_simulator, "_MOST_BYTES", 1)
     assert [outcome(one) for one in results(path, *values)] == whole
 
@@ -368,9 +368,9 @@ def test_the_vertices_of_trajectories_count_for_what_a_batch_holds(tmp_path):
         path = scenario_file(tmp_path, init=private(teleport("0"), following(f"<Polyline>{shape}</Polyline>")))
         return PreparedScenario(Scenario.read(path)).bytes_for(22, False)
 
-    # About a dozen arrays, and twice that while they are made.
+    # About a dozen arrays, and twice as many while they are built.
     assert needed(3002) - needed(2) >= 3000 * 8 * 24
-    # So does the storyboard.
+    # The storyboard, too.
     few, many = (
         PreparedScenario(Scenario.read(scenario_file(tmp_path, init=private(teleport("0")), story=story_of(
             "".join(event(f"e{k}", speed_action("1"), time_trigger("1")) for k in range(count)))))).bytes_for(22, False)
@@ -420,7 +420,7 @@ def test_a_run_ends_with_its_duration(tmp_path, time_step, duration, rows):
     assert time[-1] <= duration + 1e-9
 
 
-# Files that between them use what is read for all scenarios at once: routes, trajectories, drivers, names by parameter.
+# Together, these files use everything that is read once per batch: routes, trajectories, drivers, parametrized names.
 FAST = (
     "esmini/EnvironmentSimulator/Unittest/xosc/brake_by_trajectory_100-0.xosc",
     "esmini/EnvironmentSimulator/Unittest/xosc/traj_use_cases.xosc",
@@ -436,7 +436,7 @@ FAST = (
 )
 
 
-# How many ways to vary a file by day, and for how long it is run.
+# Number of variations of a file, and the duration of a run.
 FEW = (2, 4.0)
 
 
@@ -451,7 +451,7 @@ def test_reference_scenarios_give_the_same_alone_and_among_others(name, most, du
 
 
 EXAMPLES = scenario_files(ROOT / "examples")
-# The other one of a motorway, and those of a suite that was reduced from it.
+# Another motorway file, and the files of a suite reduced from it.
 ALIKE = [path for path in EXAMPLES if "suite" in path.parts or path.stem == "cut_out"]
 
 

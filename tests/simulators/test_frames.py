@@ -1,4 +1,4 @@
-"""Compiled frames: the same as frames in which the storyboard looks each time, whoever shares the machine."""
+"""Compiled frames equal frames in which the storyboard is evaluated, with any number of threads and batches."""
 
 import signal
 import threading
@@ -89,7 +89,7 @@ def test_any_number_of_threads_gives_the_same_bytes(monkeypatch):
 @pytest.mark.skipif(not hasattr(signal, "pthread_kill"), reason="no signal can be sent to a thread here")
 def test_who_interrupts_batches_beside_each_other_does_not_wait_for_their_end(monkeypatch):
     looks, halted, waits = [], threading.Event(), threading.main_thread().ident
-    # Two batches may both look before either counts, so that neither sees the tenth look.
+    # Two batches may both be evaluated before either counts, so that neither sees the tenth evaluation.
     first = threading.Lock()
     assert waits is not None
     plain_look, plain_halt = Storyboard.look, Batch.halt

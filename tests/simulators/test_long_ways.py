@@ -1,4 +1,4 @@
-"""Entities on ways that are longer than the path that is made of them at once, and where ways end."""
+"""Entities on routes that are longer than one lane path, and at ends of roads."""
 
 from __future__ import annotations
 
@@ -145,7 +145,7 @@ def test_what_drives_on_a_road_that_connects_is_near_along_it(tmp_path):
         story=story_of(event("e", speed_action("0"), condition(
             f'<RelativeDistanceCondition {ALONG} rule="lessThan" value="200"/>'))),
     )  # fmt: skip
-    # 240 m lie between them.
+    # They are 240 m apart.
     assert recording.x[0][-1] == pytest.approx(50.0, abs=2.5)
 
 
@@ -241,7 +241,7 @@ freespace="false" continuous="true" coordinateSystem="road">{limits}</Longitudin
 
 
 def test_who_stands_at_the_end_of_its_road_stands_in_a_lane_change_too(tmp_path):
-    # It wants to go faster there for as long as the test lasts.
+    # It accelerates for the whole test.
     faster = speed_action("60", "linear", over="12")
     change = """<PrivateAction><LateralAction><LaneChangeAction><LaneChangeActionDynamics dynamicsShape="sinusoidal"
 dynamicsDimension="distance" value="20"/><LaneChangeTarget><AbsoluteTargetLane value="-1"/></LaneChangeTarget></LaneChangeAction>

@@ -1,4 +1,4 @@
-"""Compiled splines of clothoids against those that they are twins of."""
+"""Kernels of clothoid splines, compared with the NumPy versions."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ def _splines(draw: st.DrawFn) -> ClothoidSpline:
     x, y, heading = random.normal(0.0, 10.0, (3, scenarios))
     start, end = random.normal(0.0, 0.05, (2, *shape))
     if draw(st.booleans()):
-        # As a rule all scenarios have the same curve.
+        # Usually all scenarios have the same curve.
         x, y, heading, start, end, length = (
             one[:1].repeat(scenarios, 0) for one in (x, y, heading, start, end, length)
         )

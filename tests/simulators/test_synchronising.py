@@ -1,4 +1,4 @@
-"""Compiled actions between two entities, against the storyboard's own that they are twins of."""
+"""Kernels of actions between two entities, compared with the NumPy versions."""
 
 from __future__ import annotations
 
@@ -84,7 +84,7 @@ def check(path, values, monkeypatch, action):
         together = recordings(path, values)
         few = sum(steps)
         itself = recordings(path, values, monkeypatch)
-    # In most frames nobody asks the storyboard.
+    # In most frames the storyboard is not evaluated.
     assert 0 < few < 0.2 * (sum(steps) - few)
     for one, other in zip(together, itself, strict=True):
         for name in ("x", "y", "heading", "speed", "acceleration"):
@@ -94,7 +94,7 @@ def check(path, values, monkeypatch, action):
 @pytest.mark.parametrize("final", at_night(FINAL, {"none", "steady time", "difference", "factor"}))
 @pytest.mark.parametrize("track", TRACKS)
 def test_who_is_synchronised_moves_as_the_storyboard_says(tmp_path, monkeypatch, track, final):
-    # The master sets off late, slows down and stops, for a while.
+    # The master starts late, slows down and stops for a while.
     master = "".join(
         event(name, speed_action(speed, "linear", "rate", "4"), time_trigger(at), "overwrite")
         for name, speed, at in (("go", "22", "0.5"), ("slow", "0", "6"), ("on", "18", "9"))
@@ -125,7 +125,7 @@ def test_who_is_beside_the_lanes_is_looked_up_and_acts_compiled(tmp_path, monkey
     init += moving("100", "12", "Lead")
     path = scenario_file(tmp_path, init=init, story=story, entities=car("Ego") + car("Lead"), parameters=PARAMETERS)
     recordings(path, [{"speed": 11.3, "final": 9.7}])
-    # Only the frame in which it ends would be the storyboard's.
+    # Only the frame in which it ends would need the storyboard.
     assert calls["look_up"] > 0
     assert calls["step"] <= 1
 

@@ -1,4 +1,4 @@
-"""Compiled tracks against those that they are twins of."""
+"""Kernels of tracks, compared with the NumPy versions."""
 
 from __future__ import annotations
 
@@ -77,7 +77,7 @@ _CURVE = '<paramPoly3 pRange="{}" aU="0" bU="{}" cU="1e-3" dU="-1e-5" aV="0" bV=
 
 
 def _tracks_of(network: RoadNetwork) -> list[LaneTrack]:
-    """A track along each lane, both ways."""
+    """A track along each lane in both directions."""
     found = [
         LaneTrack.of_lane(network, k, lane, start + 1e-3, along, ())
         for k, road in enumerate(network.roads)
@@ -174,7 +174,7 @@ def test_the_columns_of_a_path_are_where_kernels_look_for_them(tmp_path: Path) -
 
 
 def _nearest(path: LanePath, x: float, y: float, after: float) -> float:
-    """The point of a path nearest to a place among its 16 nearest samples, the first one of several passes."""
+    """Reference: nearest point of a path among its 16 nearest samples, on the first of several passes."""
     if not (abs(x) < 1e12 and abs(y) < 1e12):
         x, y = path.x[0], path.y[0]
     gaps = np.sqrt((path.x - x) ** 2 + (path.y - y) ** 2)

@@ -1,4 +1,4 @@
-"""Following trajectories, against closed forms."""
+"""Following trajectories, compared with closed forms."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ def at(recording, time):
 
 @pytest.mark.parametrize("mode", ["follow", ""])
 def test_with_times_it_goes_on_from_the_present_speed_with_constant_acceleration(tmp_path, mode):
-    # From 10 m/s, 15 m in 2 s take a deceleration of 2.5 m/s²; then 10 m in 2 s are reached with a constant speed.
+    # From 10 m/s, 15 m in 2 s need a deceleration of 2.5 m/s²; then 10 m in 2 s need a constant speed.
     line = polyline(vertex(60, -2, 0), vertex(75, -2, 2), vertex(85, -2, 4))
     recording = run(tmp_path, follow(line, timing=TIMED, mode=mode))
     for elapsed in (0.5, 1.0, 1.5, 2.0):
