@@ -33,11 +33,7 @@ def looks_ahead(angle: npt.ArrayLike) -> BoolArray:
 
 
 def box_corners(
-    x: npt.ArrayLike,
-    y: npt.ArrayLike,
-    heading: npt.ArrayLike,
-    length: npt.ArrayLike,
-    width: npt.ArrayLike,
+    x: npt.ArrayLike, y: npt.ArrayLike, heading: npt.ArrayLike, length: npt.ArrayLike, width: npt.ArrayLike
 ) -> FloatArray:
     """Corners of boxes, shape (..., 4, 2), counter-clockwise from the front right.
 

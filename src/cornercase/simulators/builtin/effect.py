@@ -8,15 +8,7 @@ from dataclasses import replace
 from cornercase._common.errors import InputError
 from cornercase._common.ledger import UNKNOWN, Notice, adapted, local_name, merged, ranked
 from cornercase.roads import name_without_effect
-from cornercase.scenario import (
-    NEWEST,
-    Scenario,
-    Value,
-    VariesError,
-    later_version,
-    profile_notices,
-    profiles_notice,
-)
+from cornercase.scenario import NEWEST, Scenario, Value, VariesError, later_version, profile_notices, profiles_notice
 from cornercase.simulators.builtin.batch import Batch
 from cornercase.simulators.builtin.openscenario import LEDGER
 from cornercase.simulators.builtin.prepared import PreparedScenario

@@ -346,13 +346,7 @@ def _located(world: World, x: FloatArray, y: FloatArray, heading: FloatArray) ->
 
 
 def _on_lane(
-    world: World,
-    road: IntArray,
-    lane: IntArray,
-    s: FloatArray,
-    offset: FloatArray,
-    turn: FloatArray,
-    relative: bool,
+    world: World, road: IntArray, lane: IntArray, s: FloatArray, offset: FloatArray, turn: FloatArray, relative: bool
 ) -> Pose:
     assert world.network is not None
     x, y, heading = (np.full(len(s), np.nan) for _ in range(3))

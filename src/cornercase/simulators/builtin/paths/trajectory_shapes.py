@@ -126,12 +126,7 @@ def takes_time(holder: etree._Element, scope: Scope) -> bool:
         back = next((k for k in range(1, len(timed)) if (times[k] < times[k - 1] - _SAME_TIME).any()), None)
         if back is not None:
             reason = f"time goes back to {times[back].min():g} s; vertices are skipped until it is reached again"
-            adapt(
-                timed[back][0],
-                f"time of <{timed[back][0].tag}>",
-                reason,
-                "times of a trajectory never go back",
-            )
+            adapt(timed[back][0], f"time of <{timed[back][0].tag}>", reason, "times of a trajectory never go back")
     if differ.all() and inner.flag(element, "closed", False):
         raise InputError(
             f"{scope.source}, line {element.sourceline}: a closed <Trajectory> has no time for its return to the"
