@@ -152,7 +152,7 @@ def heard_compilation(listener: Callable[[str], None]) -> Iterator[None]:
 
 @contextmanager
 def companion(start: Callable[[], None]) -> Iterator[None]:
-    """Within the block, call `start` once, when numba first compiles a kernel that will be cached."""
+    """Within the block, call `callback` once, when numba first compiles a kernel that will be cached."""
     _WATCH.companions.append(start)
     try:
         yield

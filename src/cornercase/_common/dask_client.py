@@ -228,7 +228,7 @@ def leave(client: Client) -> None:
 def connected(cluster: str | Client | None, workers: int = 1, *, else_none: bool = False) -> Iterator[Client | None]:
     """Connect to a Dask cluster for the block, or yield None without `cluster`. A client that is given stays open.
 
-    With `else_none`, more than one worker without a cluster is an `InputError`.
+    With `workers_need_cluster`, more than one worker without a cluster is an `InputError`.
     """
     if cluster is None:
         if else_none and workers > 1:

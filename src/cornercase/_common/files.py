@@ -34,7 +34,7 @@ def portable_name(text: str) -> str:
 
 
 def read_file(path: Path | str, largest: int = LARGEST) -> bytes:
-    """Content of a regular file; `InputError` if it cannot be read or has more than `largest` bytes."""
+    """Content of a regular file; `InputError` if it cannot be read or has more than `max_size` bytes."""
     path = Path(path)
     # No file system allows it.
     if "\0" in str(path):

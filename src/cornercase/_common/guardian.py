@@ -100,7 +100,7 @@ class Guardian:
         return path
 
     def remove(self, folder: Path) -> None:
-        """Remove a folder of `new_folder`."""
+        """Remove a folder of `make_temporary_folder`."""
         shutil.rmtree(folder, ignore_errors=True)
         # If it cannot be removed now, the reaper may succeed when all processes have ended.
         if not folder.exists():

@@ -46,15 +46,15 @@ def last_request() -> signal.Signals:
 
 
 def requests_heard() -> int:
-    """Number of termination requests received so far, as far as they are counted: see `is_request`."""
+    """Number of termination requests received so far, as far as they are counted: see `is_termination_request`."""
     return _heard
 
 
 def is_request(error: BaseException, heard: int) -> bool:
     """Whether an exception of foreign code came from a termination request, and not from the code itself.
 
-    `heard` is `count_requests` before that code ran; the code may have replaced a `KeyboardInterrupt` by another error.
-    If nobody counts requests (outside `collect_interrupts`), every `KeyboardInterrupt` is a request.
+    `n_requests_before` is `count_requests` before that code ran; the code may have replaced a `KeyboardInterrupt` by
+    another error. If nobody counts requests (outside `collect_interrupts`), every `KeyboardInterrupt` is a request.
     """
     if threading.current_thread() is not threading.main_thread():
         return False

@@ -24,7 +24,8 @@ def identifier(words: str) -> str:
 def with_identifiers(plain: Any, names: Mapping[str, int]) -> Any:
     """Replace the keys of nested dictionaries by identifiers.
 
-    `names` says below which keys, and for how many levels, keys are names of things (such as metrics), which stay.
+    `kept_levels` says below which keys, and for how many levels, keys are names of things (such as metrics), which
+    stay.
     """
     if isinstance(plain, Mapping):
         return {identifier(key): _below(value, names.get(key, 0), names) for key, value in plain.items()}

@@ -254,7 +254,7 @@ class Ledger:
     def notices(self, element: etree._Element, file: Path | str, read: bool = True) -> tuple[Notice, ...]:
         """Notices about unused, unknown and unread parts of an element and its descendants, once the file was read.
 
-        With `read` False, the file was not read to its end, and what was not read is not reported.
+        With `is_complete` False, the file was not read to its end, and what was not read is not reported.
         """
         silent = self._silent(element, _path(element), read)
         return merged(Notice((what,), why, Path(file), (line,), matters=matters) for what, why, line, matters in silent)

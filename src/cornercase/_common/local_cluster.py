@@ -32,7 +32,7 @@ class LocalWorker(_WithoutPages, Worker):
 
 
 def start(workers: int, guardian: Guardian) -> SpecCluster:
-    """Start a scheduler in this process and workers in others, which `guardian` ends with this process.
+    """Start a scheduler in this process and workers in others, which `reaper` ends with this process.
 
     They and this process's client accept only each other, by a temporary certificate. RuntimeError if a worker died
     while it started.

@@ -51,7 +51,7 @@ class MemoryLimit:
         return self.size - _LOADED
 
     def rows(self, row: float, *, share: float = 1.0) -> int:
-        """Number of rows of `row` bytes that fit into a share of the free memory; at least 1."""
+        """Number of rows of `bytes_per_row` bytes that fit into a share of the free memory; at least 1."""
         return max(1, int(self.free * share / max(row, 1.0)))
 
     def blocks(self, count: int, row: float, *, share: float = 1.0) -> Iterator[slice]:
@@ -62,11 +62,11 @@ class MemoryLimit:
                 yield slice(start, min(start + length, count))
 
     def holds(self, need: float) -> bool:
-        """Whether `need` bytes of data fit."""
+        """Whether `n_bytes` bytes of data fit."""
         return need <= self.free
 
     def require(self, need: float, what: str, instead: str) -> None:
-        """Raise `InputError` if `need` bytes do not fit. `what` is a plural noun; `instead` says what to do."""
+        """Raise `InputError` if `n_bytes` bytes do not fit. `subject` is a plural noun; `advice` says what to do."""
         if not self.holds(need):
             raise InputError(
                 f"{what} need up to {size_in_words(need + _LOADED)}, which is more than `memory`"
@@ -89,7 +89,7 @@ def size_in_words(size: float) -> str:
 
 
 def state_need(what: str, need: float) -> None:
-    """Print on standard error how much memory something needs, if it is at least 500 MB. `what` is a plural noun."""
+    """Print on standard error how much memory something needs, if it is at least 500 MB. `subject` is a plural noun."""
     if need >= _WORTH_SAYING:
         print(f"{what} need about {size_in_words(need + _LOADED)} of memory.", file=sys.stderr, flush=True)
 

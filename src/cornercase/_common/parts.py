@@ -27,8 +27,8 @@ _INSTANT: Final = re.compile(r" at t = (\d[\d.e+-]*) s\b")
 def guarded(name: str, part: object, doing: str = "") -> Iterator[None]:
     """Turn exceptions of a plug-in in the block into `InputError`; keep `InputError` and termination requests.
 
-    `name` starts the sentence: ``"The simulator 'braking'"``; `doing` says when: ``"in ask"``. Exceptions of built-in
-    parts are bugs of cornercase, and stay as they are.
+    `name` starts the sentence: ``"The simulator 'braking'"``; `activity` says when: ``"in ask"``. Exceptions of
+    built-in parts are bugs of cornercase, and stay as they are.
     """
     with noted_interrupts():
         n_requests = requests_heard()
@@ -58,7 +58,8 @@ def failure_of(part: str, error: BaseException, heard: int, time: float | None =
     """Make the failure of a scenario from an exception of a plug-in.
 
     It is a `RunLostError` (the scenario may be run again) if the machine is at fault, such as a full disk.
-    KeyboardInterrupt is raised if somebody asked the program to end. `heard` is `count_requests` before the code ran.
+    KeyboardInterrupt is raised if somebody asked the program to end. `n_requests_before` is `count_requests` before the
+    code ran.
     """
     raise_if_request(error, heard)
     message = f"{part} failed{format_instant(time)}: {describe_error(error)}"

@@ -22,7 +22,7 @@ Placed = Any
 
 
 def file_of(element: etree._Element, otherwise: str) -> str:
-    """Name of the file that an element was read from, or `otherwise`."""
+    """Name of the file that an element was read from, or `default`."""
     return element.getroottree().docinfo.URL or otherwise
 
 
@@ -49,7 +49,7 @@ def placed(element: Placed | None, source: str) -> Iterator[None]:
 
 
 def at_line(where: str, element: Placed) -> str:
-    """Replace the line in `where` (file, line and road) by that of an element."""
+    """Replace the line in `location` (file, line and road) by that of an element."""
     return _LINE.sub(f", line {element.sourceline}", where, count=1)
 
 

@@ -135,9 +135,9 @@ def leave_terminal() -> None:
 
 @contextmanager
 def interrupts_kept(*others: signal.Signals) -> Iterator[None]:
-    """Block Ctrl-C, and `others`, in this thread and in the processes and threads that it starts within the block.
+    """Block Ctrl-C, and `other_signals`, in this thread and in processes and threads that it starts.
 
-    A child keeps it blocked until `leave_terminal`, so that it is not interrupted while it imports. Without effect
+    A child keeps it blocked until `detach_from_terminal`, so that it is not interrupted while it imports. Without effect
     where the platform has no signal masks.
     """
     if not hasattr(signal, "pthread_sigmask"):
@@ -177,7 +177,7 @@ def started_apart() -> dict[str, Any]:
 
 
 def process_tree(number: int, *, group: bool = True) -> list[Process]:
-    """The running process and its descendants; with `group`, also members of its group whose parents have ended."""
+    """The running process and its descendants; with `include_group`, also orphaned members of its group."""
     # Imported late: only needed to start processes.
     import psutil
 

@@ -32,7 +32,7 @@ def words_of_seconds(seconds: float) -> str:
 class ProgressBar:
     """Shows progress, rate, time left and a status word: a bar on a terminal, otherwise a line every few seconds.
 
-    `doing` is the activity (``"exploring"``), `things` what is counted (``"scenarios"``), `begun` the start by
+    `activity` is the activity (``"exploring"``), `unit` what is counted (``"scenarios"``), `start_time` the start by
     `time.monotonic`; without it, the rate is counted from the first `update` on.
     """
 
@@ -101,7 +101,7 @@ _wanted: ContextVar[bool] = ContextVar("wanted", default=False)
 
 @contextmanager
 def bars_wanted(wanted: bool) -> Iterator[None]:
-    """Enable or disable the bars of `step` within the block."""
+    """Enable or disable the bars of `progress_step` within the block."""
     before = _wanted.set(wanted)
     try:
         yield

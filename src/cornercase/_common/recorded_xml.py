@@ -21,7 +21,7 @@ class RecordedElement(etree.ElementBase):
     `find`, `findall`, `iterfind`, `iterchildren`, `iter` with a tag, and iteration over the children mark elements as
     found. `iter` without a tag, `attrib`, `items` and `getparent` do not, so that a file can be searched without
     counting as read. lxml drops element objects that nobody references: whoever asks what was read must hold all of
-    them, as `XmlFiles` does. `made` caches what was derived from the element, `adapted` holds violations of the
+    them, as `XmlFiles` does. `cache` caches what was derived from the element, `adaptations` holds violations of the
     standard.
     """
 
@@ -109,7 +109,7 @@ def asked_attributes(element: etree._Element) -> frozenset[str] | None:
 
 
 def made_once(element: etree._Element, what: str, make: Callable[[], T]) -> T:
-    """Return `make()`, cached on the element under the name `what` (if the element tracks anything)."""
+    """Return `make()`, cached on the element under the name `key` (if the element tracks anything)."""
     if not isinstance(element, RecordedElement):
         return make()
     if element.made is None:
@@ -121,7 +121,7 @@ def made_once(element: etree._Element, what: str, make: Callable[[], T]) -> T:
 
 
 def adapt(element: etree._Element, what: str, why: str, rule: str) -> None:
-    """Note that a part violates the standard, and how it was read (`why`); `rule` is what the standard says."""
+    """Note that a part violates the standard, and how it was read (`reason`); `rule` is what the standard says."""
     if isinstance(element, RecordedElement):
         element.adapted = {**(element.adapted or {}), (what, why): rule}
 

@@ -29,7 +29,7 @@ class Registry(Generic[T]):
     group : str
         Entry-point group in which other packages register theirs: ``"cornercase.metrics"``.
     base : type, optional
-        Class that each factory must be a subclass of, so that `class_of` finds its declarations.
+        Class that each factory must be a subclass of, so that `get_class` finds its declarations.
     """
 
     def __init__(self, kind: str, group: str, base: type[Any] | None = None) -> None:
@@ -218,7 +218,7 @@ def read_options(
 ) -> dict[str, Any]:
     """Parse the options after the colon of a name: ``"reaction=0.3,seed=1"``.
 
-    `kind` and `name` are for messages; `given` are names of options that are set otherwise. `InputError` for unknown
+    `kind` and `name` are for messages; `reserved` are names of options that are set otherwise. `InputError` for unknown
     options and wrong values.
     """
     declared = {key: parameter for key, parameter in declared_options(factory).items() if key not in given}

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 
 def clopper_pearson(hits: int, drawn: int, tail: float) -> tuple[float, float]:
-    """Confidence interval of a proportion from `hits` among `drawn` independent draws; (0, 1) without draws.
+    """Confidence interval of a proportion from `n_hits` among `n_draws` independent draws; (0, 1) without draws.
 
     `tail` bounds the probability of an error on either side. Source: C. J. Clopper, E. S. Pearson, "The use of
     confidence or fiducial limits illustrated in the case of the binomial", Biometrika 26 (1934).

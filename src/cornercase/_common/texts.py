@@ -42,7 +42,7 @@ def first_line(what: object) -> str:
 
 
 def shorten(text: str, longest: int) -> str:
-    """Truncate a text to `longest` characters, with an ellipsis.
+    """Truncate a text to `max_length` characters, with an ellipsis.
 
     >>> shorten("pedestrian", 5)
     'pede…'
@@ -51,7 +51,7 @@ def shorten(text: str, longest: int) -> str:
 
 
 def wrapped(text: str, width: int, lines: int) -> str:
-    """Wrap a text to `lines` lines of `width` characters, truncated with an ellipsis; fitting lines stay.
+    """Wrap a text to `max_lines` lines of `width` characters, truncated with an ellipsis; fitting lines stay.
 
     >>> print(wrapped("Ego yields to Pedestrian", 14, 3))
     Ego yields to

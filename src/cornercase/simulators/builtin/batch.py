@@ -132,7 +132,7 @@ class Batch:
     def run(self, threads: int = 1, turn: Lock | None = None) -> None:
         """Step until every scenario has ended, or a driver fails.
 
-        `turn` is held in Python and released in compiled code.
+        `gil_lock` is held in Python and released in compiled code.
         """
         # Failed scenarios are still computed, but their results are not used.
         with np.errstate(divide="ignore", invalid="ignore", over="ignore"):

@@ -27,7 +27,7 @@ def notices(scenario: Scenario, values: Mapping[str, Value] | None = None) -> tu
 
 
 def notices_after_reading(scenario: Scenario, read: bool = True) -> tuple[Notice, ...]:
-    """Notices about a scenario's files, once it was read (`read`: to its end)."""
+    """Notices about a scenario's files, once it was read (`is_complete`: to its end)."""
     notices: list[Notice] = [*scenario.axes_notices(), *profile_notices(scenario.root, scenario.path)]
     scenario.catalog_files()  # Reads catalogs only if the scenario refers to them.
     networks = PreparedScenario.of(scenario).networks

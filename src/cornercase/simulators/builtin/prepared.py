@@ -39,8 +39,8 @@ class UnusableError(InputError):
 class PreparedScenario:
     """A scenario file with what its batches share.
 
-    `splitting`: parameters that shape the storyboard, so all scenarios of a batch have the same values of them.
-    `looked_at`: ids of the elements that were checked for unsupported parts.
+    `split_parameters`: parameters that shape the storyboard, so all scenarios of a batch have the same values of them.
+    `checked_elements`: ids of the elements that were checked for unsupported parts.
     """
 
     def __init__(self, scenario: Scenario) -> None:

@@ -65,8 +65,8 @@ class Stepper:
     """Runs N scenarios of one file, each with a clock of its own.
 
     A scenario runs in compiled code until a condition changes or an action ends. Then its storyboard is evaluated,
-    together with all others that wait for it. `scene` holds the state and the recordings; `most` is the maximum number
-    of frames; `halted` is True once nobody waits for results.
+    together with all others that wait for it. `scene` holds the state and the recordings; `max_frames` is the maximum
+    number of frames; `is_cancelled` is True once nobody waits for results.
     """
 
     def __init__(
@@ -93,7 +93,7 @@ class Stepper:
         self._rules = Rules(time_step, max_frames, stop_at_collision, not needs_python)
         # Whether the storyboard has to be evaluated in each frame.
         self._by_hand = needs_python or coupling is not None or world.watches_roads or bool(world.signal_controllers)
-        self._actions = gather_actions([driver.action for driver in storyboard.actions], world.scenarios)
+        self._actions = gather_actions([running.action for running in storyboard.actions], world.scenarios)
         self._read_triggers()
         self._roads = road_tables([]) if world.network is None else world.network.tables
         self._pool, self._planned = TrackPool(), dict[tuple[int, int], int]()
@@ -128,7 +128,7 @@ class Stepper:
         self._leaves = gather_leaves(specs, [past.delay for past in self._pasts], self._world.scenarios)
 
     def run(self, threads: int, turn: Lock | None = None) -> None:
-        """Step until every scenario has ended, in at most `threads` threads. Releases `turn` while kernels run."""
+        """Step until every scenario has ended, in at most `n_threads` threads; release `gil_lock` in kernels."""
         self._turn = turn
         threads = min(threads, self._world.scenarios // _WORTH_A_THREAD)
         if threads < 2:

@@ -27,7 +27,7 @@ _kernel = kernel(error_model="numpy", _nrt=False)
 
 @_kernel
 def component(f, x, y, e, axes, option):
-    """Component of a velocity or acceleration (rows `x`, `y` of `f`) of entity `e` in the axes of another entity.
+    """Component of the vector in rows `x_row`, `y_row` of `state`, of entity `e`, in the axes of another entity.
 
     `option`: `LONGITUDINAL_COMPONENT`, `LATERAL_COMPONENT` or `VERTICAL_COMPONENT`.
     """
@@ -52,7 +52,7 @@ def closing_speed(f, e, other):
 def gap_to(scene, n, e, other, option):
     """Signed distance in m to another entity, seen from `e`: negative behind, and to the right for lateral distances.
 
-    `option` is a kind of distance, except the Euclidean one between boxes.
+    `distance_kind` is a kind of distance, except the Euclidean one between boxes.
     """
     state = scene.floats[n]
     cos, sin = math.cos(state[HEADING, e]), math.sin(state[HEADING, e])
@@ -72,7 +72,7 @@ def gap_to(scene, n, e, other, option):
 
 @_kernel
 def _extent(scene, n, e, other, across):
-    """Range of coordinates of another's box relative to the centre of `e`, to the left (`across`) or ahead."""
+    """Range of coordinates of another's box relative to the centre of `e`, to the left (`is_lateral`) or ahead."""
     state, boxes = scene.floats[n], scene.boxes
     cos, sin = math.cos(state[HEADING, e]), math.sin(state[HEADING, e])
     turned_cos, turned_sin = math.cos(state[HEADING, other]), math.sin(state[HEADING, other])

@@ -68,8 +68,8 @@ _part = kernel(error_model="numpy", _nrt=False, forceinline=True)
 def move(scene, tracks, n, dt, rest):
     """Advance every entity of a scenario by one time step at its present speed, and the clock.
 
-    With `dt` 0, entities are only placed on their tracks. `rest`, shape (E,), is updated. Returns whether an entity is
-    near the point where its lane's path is cut.
+    With `dt` 0, entities are only placed on their tracks. `activity`, shape (E,), is updated. Returns whether an entity
+    is near the point where its lane's path is cut.
     """
     state, flags, numbers = scene.floats[n], scene.flags[n], scene.numbers[n]
     entities, needs_lane = state.shape[1], False
@@ -140,9 +140,9 @@ def _go(scene, tracks, n, e, row, dt):
 
 @_kernel
 def advance(scene, tracks, n, e, row, way, arrived):
-    """Move an entity along its track by `way` m (negative: backwards), and to its lateral offset.
+    """Move an entity along its track by `step` m (negative: backwards), and to its lateral offset.
 
-    `arrived` is the time in s since when it is at the end of its road, if it gets there.
+    `arrival_time` is the time in s since when it is at the end of its road, if it gets there.
     """
     state = scene.floats[n]
     if tracks.kind[row] == LANE:
@@ -239,7 +239,7 @@ def _held(f, e):
 def record(scene, n, first, dt, rest):
     """Record the state of all entities of a scenario; return whether a collision has begun.
 
-    `first` is the first of the scenarios that run together with `n`; `rest` as in `move_entities`.
+    `first_scenario` is the first of the scenarios that run together with `n`; `activity` as in `move_entities`.
     """
     state, flags, numbers, frame = scene.floats[n], scene.flags[n], scene.numbers[n], scene.frames[n]
     entities = state.shape[1]

@@ -20,7 +20,8 @@ from cornercase.simulators.builtin.turns import turn_given_up
 def motion_of(scene: Scene, scenarios: IntArray, turn: Lock | None) -> tuple[list[FloatArray], BoolArray]:
     """Copy the motion of S scenarios, and tell which had any entity placed.
 
-    Returns arrays (5, E, T) of the recorded quantities, and a mask (S,). `turn` is released while compiled code runs.
+    Returns arrays (5, E, T) of the recorded quantities, and a mask (S,). `gil_lock` is released while compiled code
+    runs.
     """
     shape = len(QUANTITIES), scene.pages.shape[2]
     motion = [np.empty((*shape, instants)) for instants in scene.frames[scenarios].tolist()]

@@ -82,8 +82,8 @@ def run_on(scene, tracks, roads, fleet, actions, leaves, course, rules, first, l
     """
     entities = scene.floats.shape[2]
     saved, rest = room_to_keep(actions.options.shape[0]), np.empty(entities, dtype=np.int8)
-    others, snapshot = np.empty((4, entities - 1)), room_to_watch(leaves)
-    buffers = Desk(first, last, saved, snapshot, rest, others, workspace(entities - 1))
+    others, watchlist = np.empty((4, entities - 1)), room_to_watch(leaves)
+    buffers = Desk(first, last, saved, watchlist, rest, others, workspace(entities - 1))
     _run_all(scene, tracks, roads, fleet, actions, leaves, course, rules, buffers)
 
 

@@ -38,7 +38,7 @@ class Scene(NamedTuple):
 
 
 def scene_of(world: World, instants: int) -> Scene:
-    """Share the state of a world with compiled code; `instants` is the maximum length of a recording."""
+    """Share the state of a world with compiled code; `max_instants` is the maximum length of a recording."""
     scenarios, entities, max_pages = world.scenarios, world.entities, -(-instants // PAGE)
     boxes = [
         (

@@ -241,7 +241,7 @@ def _arrive(speed, driven, m, way, time, comes, dt):
 
 @_kernel
 def _arrive_with(v0, shown, m, way, time, final, comes, dt):
-    """Speed at the end of the step, with a final speed; `shown` is the speed along the road."""
+    """Speed at the end of the step, with a final speed; `road_speed` is the speed along the road."""
     divisor = max(abs(final), 1e-9)
     steady_distance = m[_STEADY_TIME] * final if m[_STEADY_TIME] > 0.0 else m[_STEADY_DISTANCE]
     if steady_distance > 0.0 and m[_MODE] != STEADY:

@@ -34,7 +34,7 @@ class Actions(NamedTuple):
 
 
 class Compilable(Protocol):
-    """An action that may have a compiled kernel. `remembered` names its arrays, shape (N,), shared with the kernel."""
+    """An action that may have a compiled kernel, and arrays (N,) named in `memory_attributes` that both share."""
 
     remembered: tuple[str, ...]
 

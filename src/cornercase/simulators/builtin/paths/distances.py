@@ -32,8 +32,8 @@ from cornercase.simulators.builtin.world.whereabouts import ahead_on_road, lane_
 class Gap:
     """How a condition measures a distance.
 
-    `kind`: euclidean, longitudinal or lateral. `along_road`: in road coordinates instead of the entity's. `free`:
-    between boxes instead of reference points.
+    `kind`: euclidean, longitudinal or lateral. `along_road`: in road coordinates instead of the entity's.
+    `is_free_space`: between boxes instead of reference points.
     """
 
     kind: str

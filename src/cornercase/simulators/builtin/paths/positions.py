@@ -132,7 +132,7 @@ def _relative_lane_position(element: etree._Element, scope: Scope, world: World)
 
 
 def shifted_lane(lane: IntArray, by: IntArray) -> IntArray:
-    """Lane number `by` lanes to the left seen along s (negative: right), each (N,). There is no lane 0."""
+    """Lane number `n_lanes` lanes to the left seen along s (negative: right), each (N,). There is no lane 0."""
     moved = lane + by
     return np.where((moved == 0) | (np.sign(moved) != np.sign(lane)), moved + np.sign(by), moved)
 
@@ -252,7 +252,7 @@ def _route_position(element: etree._Element, scope: Scope, world: World) -> Posi
 def _along_route(
     network: RoadNetwork, waypoints: list[Pose], way: FloatArray
 ) -> tuple[IntArray, FloatArray, BoolArray]:
-    """Road, s, and whether the route runs along s, `way` m after the first waypoint, each (N,)."""
+    """Road, s, and whether the route runs along s, `distance` m after the first waypoint, each (N,)."""
     roads = np.stack([pose.road_coordinates()[0] for pose in waypoints])
     _, first_lane, first_s = waypoints[0].road_coordinates()
     section = np.zeros(len(way), dtype=np.int64)

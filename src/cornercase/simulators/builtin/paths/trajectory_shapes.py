@@ -74,7 +74,7 @@ class Shape(Protocol):
 
 
 def read_trajectory(holder: etree._Element, scope: Scope, world: World, read: PositionReader) -> Shape:
-    """Read the ``Trajectory`` or ``CatalogReference`` in `holder`; `read` reads positions of its vertices.
+    """Read the ``Trajectory`` or ``CatalogReference`` in `holder`; `read_position` reads positions of its vertices.
 
     `InputError` if there is none, or it is malformed.
     """

@@ -40,8 +40,8 @@ class Transition:
     ) -> tuple[FloatArray, FloatArray]:
         """Duration of a change of speed, and the factor by which it is stretched, each (N,).
 
-        `asked` is `end` without the vehicle's maximum speed; `steepest` the largest slope in m/s², which the stretched
-        change does not exceed. All speeds in m/s.
+        `unlimited_end` is `end` without the vehicle's maximum speed; `max_slope` the largest slope in m/s², which the
+        stretched change does not exceed. All speeds in m/s.
         """
         change, peak = np.abs(end - start), _PEAK[self.shape]
         if self.shape == "step":
@@ -133,7 +133,7 @@ def steepness(shape: str, part: FloatArray) -> FloatArray:
 
 
 def time_by_acceleration(shape: str, change: FloatArray, most: FloatArray) -> FloatArray:
-    """Duration in s of a lateral change of `change` m with peak acceleration `most` m/s²; linear counts as cubic."""
+    """Duration in s of a lateral change by `change` m that peaks at `max_acceleration` m/s²; linear as cubic."""
     with np.errstate(divide="ignore"):
         if shape == "step":
             return np.zeros_like(change)

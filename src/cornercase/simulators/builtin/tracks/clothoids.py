@@ -23,13 +23,14 @@ class ClothoidSpline(Trajectory):
 
     It is travelled on chords of 1 m, as in esmini: within millimetres of the curve, and much faster to compute.
 
-    The start pose has shape (N,); `start`, `end` (curvatures in 1/m) and `length` have (N, K). `clock`, (N, K + 1), are
-    times in s at which segments begin, and the last one ends; each is travelled at constant speed. `begins` are start
-    poses of segments that do not continue the previous one, `turns`, (N, K), heading offsets in rad at their beginning.
+    The start pose has shape (N,); `start`, `end` (curvatures in 1/m) and `length` have (N, K). `times`, (N, K + 1), are
+    times in s at which segments begin, and the last one ends; each is travelled at constant speed. `segment_starts` are
+    start poses of segments that do not continue the previous one, `heading_offsets`, (N, K), heading offsets in rad at
+    their beginning.
 
-    Attributes: `begin`, (N, K + 1), distances in m at which segments begin, and the last one ends. `x`, `y`, `heading`,
-    (N, C) or (1, C) if `alike` (the same in all scenarios), ends of the chords. `chord`, (N,), length in m of all
-    chords but the last. `last`, (N,), index of the last chord.
+    Attributes: `segment_distances`, (N, K + 1), distances in m at which segments begin, and the last one ends. `x`,
+    `y`, `heading`, (N, C) or (1, C) if `is_uniform` (the same in all scenarios), ends of the chords. `chord_length`,
+    (N,), length in m of all chords but the last. `last_chord`, (N,), index of the last chord.
     """
 
     _arrays = ("_start", "_rate", "begin", "lengths", "_x", "_y", "_turn", "_clock")

@@ -21,7 +21,7 @@ _BACK: Final = 250.0
 class LaneTrack(Track):
     """The centre line of a lane and its successors, the same for all scenarios.
 
-    `span` is the range of distances in m where it is followed; beyond it another track continues. `goes_over` says
+    `span` is the range of distances in m where it is followed; beyond it another track continues. `is_continued` says
     whether there is such a track at all.
     """
 

@@ -32,7 +32,7 @@ def place_on_lane(tracks, g, distance, offset):
 
 @kernel(error_model="numpy", forceinline=True, _nrt=False)
 def place_on_path(addresses, count, distance, offset):
-    """Same as `pose_on_lane`, for a lane path given by the addresses of its columns and `count` samples."""
+    """Same as `pose_on_lane`, for a lane path given by the addresses of its columns and `n_samples` samples."""
     table = floats_at(addresses[columns.DISTANCE], count)
     step = table[1]
     if math.isnan(distance) or not step > 0.0:
@@ -51,7 +51,7 @@ def place_on_path(addresses, count, distance, offset):
 
 @kernel(error_model="numpy", forceinline=True, _nrt=False)
 def advance_lane(tracks, g, distance, offset, way):
-    """Distance in m along a lane after a step of `way` m (negative: backwards) along the reference line."""
+    """Distance in m along a lane after a step of `step` m (negative: backwards) along the reference line."""
     return _advance(tracks.address[g], tracks.size[g], tracks.bends[g], distance, offset, way)
 
 
@@ -59,7 +59,7 @@ def advance_lane(tracks, g, distance, offset, way):
 def advance_on_path(addresses, count, known, distance, offset, way):
     """Distances in m, shape (R,), along a lane path after steps along the reference line.
 
-    `count` and `known` are the numbers of samples and of curvatures.
+    `n_samples` and `n_curvatures` are the numbers of samples and of curvatures.
     """
     result = np.empty(len(distance))
     for i in range(len(distance)):
@@ -102,10 +102,10 @@ def _over_ground(table, reference, heading, count, distance, offset, way, reache
 
 @kernel(error_model="numpy", _nrt=False)
 def _gone(table, heading, count, begin, offset, end, most):
-    """Distance reached when moving beside a path from `begin` to `end`, at most `most` m over ground, and that length.
+    """Distance reached from `begin` towards `end` beside a path, at most `max_length` m over ground, and length.
 
-    Inside a corner, the entity turns on the spot where the path bends by more than its offset: each cell of the path
-    counts with its length over ground, backwards too.
+    Inside a corner, the entity turns on the spot where the path bends by more than its offset: each cell of the path counts
+    with its length over ground, backwards too.
     """
     covered, position = 0.0, begin
     sign = 1 if end > begin else -1
@@ -183,7 +183,7 @@ def _sample(table, count, x):
 
 @kernel(error_model="numpy", forceinline=True, _nrt=False)
 def _last_within(table, count, x, near):
-    """Last element of an ascending table that is not beyond x, searched from `near` on; -1 before its beginning."""
+    """Last element of an ascending table that is not beyond x, searched from `start` on; -1 before its beginning."""
     if table[near] <= x:
         low, high, step = near, near + 1, 1
         while high < count and table[high] <= x:
@@ -207,7 +207,7 @@ def _last_within(table, count, x, near):
 
 @kernel(error_model="numpy", forceinline=True, _nrt=False)
 def _between(places, values, count, x, j):
-    """Interpolated value at x as by `numpy.interp`; j is the last of `places` that is not beyond x."""
+    """Interpolated value at x as by `numpy.interp`; j is the last of `positions` that is not beyond x."""
     if j < 0:
         return values[0]
     if j >= count - 1 or places[j] == x:

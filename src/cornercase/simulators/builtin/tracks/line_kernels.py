@@ -113,7 +113,7 @@ def _round(tracks, g, table, distance):
 
 @_kernel
 def _leg_begun(table, place, beyond):
-    """Last segment that begins `beyond` before `place`; at least the first one."""
+    """Last segment that begins `tolerance` before `value`; at least the first one."""
     low, high = 0, table.size - 1
     while high - low > 1:
         middle = (low + high) // 2

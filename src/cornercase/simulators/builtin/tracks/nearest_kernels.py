@@ -28,7 +28,7 @@ _COARSE = 64
 def nearest_on_path(addresses, count, chord, x, y, after):
     """Distances in m, shape (R,), along a lane path of its points nearest to (x, y), the first ones after `after`.
 
-    `count` is the number of samples, `chord` the largest gap between consecutive samples in m.
+    `n_samples` is the number of samples, `max_sample_gap` the largest gap between consecutive samples in m.
     """
     result = np.empty(len(x))
     for i in range(len(x)):

@@ -14,7 +14,7 @@ _kernel = kernel(error_model="numpy", forceinline=True, _nrt=False)
 
 @_kernel
 def place_on(tracks, g, n, distance, offset):
-    """x, y (m) and heading (rad) at a distance along track row `g`, and an offset to the left."""
+    """x, y (m) and heading (rad) at a distance along track row `row`, and an offset to the left."""
     if tracks.kind[g] == pool.LANE:
         return place_on_lane(tracks, g, distance, offset)
     if tracks.kind[g] == pool.LINE:

@@ -20,13 +20,13 @@ class Polyline(Trajectory):
     """A trajectory through V vertices.
 
     `x`, `y` (m), `heading` (rad; NaN: direction of the segment) and `time` (s, not decreasing) have shape (N, V). A
-    `closed` one is a loop. `turning` says where the heading changes: over whole segments, near corners, or at the
-    vertices. With `begin_speed`, (N,), in m/s, acceleration is constant on each segment, so that the next vertex is
-    reached in time; without it, speed is.
+    `closed` one is a loop. `heading_interpolation` says where the heading changes: over whole segments, near corners,
+    or at the vertices. With `begin_speed`, (N,), in m/s, acceleration is constant on each segment, so that the next
+    vertex is reached in time; without it, speed is.
 
-    Attributes at vertices, (N, V): `distance` along the line in m; `facing`, unwrapped heading in rad; `speeds` in m/s,
-    and `rates`, accelerations in m/s² on the segment that begins there. `directions`, (N, V - 1), in rad. `alike`: all
-    of that is the same in all scenarios.
+    Attributes at vertices, (N, V): `distance` along the line in m; `vertex_headings`, unwrapped heading in rad;
+    `speeds` in m/s, and `accelerations`, accelerations in m/s² on the segment that begins there. `directions`, (N, V -
+    1), in rad. `is_uniform`: all of that is the same in all scenarios.
     """
 
     _arrays = (
@@ -152,7 +152,7 @@ class Polyline(Trajectory):
     ) -> tuple[FloatArray, IntArray, FloatArray]:
         """Distance clipped to the line, its segment, and the fraction of the segment.
 
-        A segment begins `beyond` after its vertex.
+        A segment begins `tolerance` after its vertex.
         """
         table = self.distance[rows]
         clipped = np.clip(distance, 0.0, table[:, -1])

@@ -27,7 +27,7 @@ OTHER: Final = 3
 _LINE_ARRAYS: Final = ("distance", "x", "y", "heading", "directions", "facing", "time", "speeds", "rates")
 
 TURNINGS: Final = (ALONG_LEGS, AT_CORNERS, AT_VERTICES)
-"""Where the heading turns along a line, in the order of `Tracks.turning`."""
+"""Where the heading turns along a line, in the order of `TrackTable.heading_interpolation`."""
 
 
 class Tracks(NamedTuple):
@@ -62,7 +62,7 @@ class TrackPool:
     def gather(self, followed: Sequence[Sequence[Track]]) -> Tracks:
         """Return the tables of each entity's tracks; rebuilt only if tracks were added or changed.
 
-        `followed` lists the tracks by entity; compared to earlier calls it may only grow.
+        `tracks_by_entity` lists the tracks by entity; compared to earlier calls it may only grow.
         """
         counts = [len(tracks) for tracks in followed]
         for g, (trajectory, version) in self._drawn.items():
