@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from distributed import Client, Future, SpecCluster, WorkerPlugin
 
 LOCAL: Final = "local"
-"""The cluster that is started on this machine."""
+"""Name of a cluster that is started on this machine."""
 
 # Seconds: timeout of a scheduler's answer, time that a cluster may have no workers, interval between checks.
 _ANSWERS, _FIRST_WORKER, _LOOKS = 20.0, 120.0, 1.0

@@ -7,4 +7,4 @@ from typing import Final
 from cornercase._common.registry import Registry
 
 DISPLAYS: Final[Registry[str | None]] = Registry("display", "cornercase.displays")
-"""What makes HTML of a thing, by its name: of a ``"study"`` from its ``path``; None where there is none."""
+"""HTML renderers by name, such as ``"study"`` (called with its ``path``); None if there is none."""

@@ -20,7 +20,7 @@ _DEVICES: Final = re.compile(r"(con|prn|aux|nul|conin\$|conout\$|com[\d¹²³]|l
 _LONGEST: Final = 150
 _AT_ONCE: Final = 1 << 20
 LARGEST: Final = 200_000_000
-"""Bytes of a file that is read whole."""
+"""Bytes; largest file that is read."""
 
 
 def portable_name(text: str) -> str:

@@ -10,13 +10,13 @@ import numpy.typing as npt
 from cornercase._common.typing import BoolArray, FloatArray
 
 _CONTACT = 1e-9
-"""Gap in m at which moving boxes count as touching, so that rounding does not undo a grazing contact."""
+"""m; gap at which moving boxes count as touching, so that rounding does not undo a grazing contact."""
 
 _STEADY = 1e-12
-"""Acceleration in m/s² that is rounding: it takes two weeks for a metre."""
+"""m/s²; a smaller acceleration is rounding: it takes two weeks for a metre."""
 
 ACROSS = 1e-7
-"""Cosine of an angle that rounding does not tell from a quarter turn."""
+"""Cosine of an angle that rounding cannot distinguish from a right angle."""
 
 _SIGNS_ALONG = np.array([1.0, 1.0, -1.0, -1.0])
 _SIGNS_ACROSS = np.array([-1.0, 1.0, 1.0, -1.0])

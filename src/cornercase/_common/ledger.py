@@ -23,7 +23,7 @@ _MOST_LINES: Final = 5
 _MOST_NAMES: Final = 8
 
 UNKNOWN: Final = "is not known here"
-"""Why something has no effect that no ledger knows."""
+"""Reason in notices about parts that the support table does not list."""
 
 # XML's own attributes, such as the location of a schema.
 _XML: Final = "{http://www.w3.org/"
@@ -51,7 +51,7 @@ class Entry:
 
     def is_silent(self, value: str) -> bool:
         """Whether this value of the attribute changes nothing."""
-        return any(one in ("*", value) or _same_number(value, one) for one in self.unless)
+        return any(ignored in ("*", value) or _same_number(value, ignored) for ignored in self.unless)
 
 
 class Label(StrEnum):

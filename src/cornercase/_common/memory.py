@@ -14,7 +14,7 @@ from cornercase._common.arguments import shown
 from cornercase._common.errors import InputError
 
 DEFAULT_MEMORY: Final = "4 GB"
-"""Of everything that takes ``memory``."""
+"""Default of all ``memory`` arguments."""
 # Memory of Python and its libraries without data, measured with a study of 400 scenarios. A constant, since blocks, and
 # with them the last digits of sums, have to be the same on all machines.
 _LOADED: Final = 400_000_000

@@ -23,7 +23,7 @@ _AT_ONCE: Final = 16
 # Characters of the file's name in its temporary name, which may have 255 bytes.
 _OF_THE_NAME: Final = 50
 OF_SQLITE: Final = ("-journal", "-wal", "-shm")
-"""How the names of files end that SQLite writes beside a database."""
+"""Suffixes of the files that SQLite writes beside a database."""
 # Suffix of temporary names.
 _LEFT: Final = re.compile(rf"\.[0-9a-f]{{8}}-(\d{{1,9}})-[a-z0-9_]{{8}}({'|'.join(OF_SQLITE)})?$")
 

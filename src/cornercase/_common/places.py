@@ -18,7 +18,7 @@ _WITH_LINE: Final = re.compile(rf".+?{_LINE.pattern}")
 
 
 Placed = Any
-"""What has a tag and a line in a file: an element, whose line has no static type, or a declaration."""
+"""An object with a tag and a line in a file: an element (whose line has no static type) or a declaration."""
 
 
 def file_of(element: etree._Element, otherwise: str) -> str:

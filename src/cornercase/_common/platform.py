@@ -137,8 +137,8 @@ def leave_terminal() -> None:
 def interrupts_kept(*others: signal.Signals) -> Iterator[None]:
     """Block Ctrl-C, and `other_signals`, in this thread and in processes and threads that it starts.
 
-    A child keeps it blocked until `detach_from_terminal`, so that it is not interrupted while it imports. Without effect
-    where the platform has no signal masks.
+    A child keeps it blocked until `detach_from_terminal`, so that it is not interrupted while it imports. Without
+    effect where the platform has no signal masks.
     """
     if not hasattr(signal, "pthread_sigmask"):
         yield

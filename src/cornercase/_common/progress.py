@@ -94,7 +94,7 @@ class ProgressBar:
 
 
 loudness: ContextVar[Literal["quiet", "usual", "verbose"]] = ContextVar("loudness", default="usual")
-"""Whether no bar is shown, or those of long steps, or all."""
+"""Whether no bars are shown, those of long steps, or all."""
 
 _wanted: ContextVar[bool] = ContextVar("wanted", default=False)
 

@@ -21,7 +21,7 @@ class RecordedElement(etree.ElementBase):
     `find`, `findall`, `iterfind`, `iterchildren`, `iter` with a tag, and iteration over the children mark elements as
     found. `iter` without a tag, `attrib`, `items` and `getparent` do not, so that a file can be searched without
     counting as read. lxml drops element objects that nobody references: whoever asks what was read must hold all of
-    them, as `XmlFiles` does. `cache` caches what was derived from the element, `adaptations` holds violations of the
+    them, as `XmlFiles` does. `cache` holds what was derived from the element, `adaptations` violations of the
     standard.
     """
 

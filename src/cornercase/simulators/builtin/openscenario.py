@@ -8,7 +8,7 @@ from cornercase._common.ledger import Ledger, local_name
 from cornercase.simulators.builtin.prepared import PreparedScenario
 
 LEDGER: Final = Ledger.read("cornercase.simulators.builtin", "openscenario.csv")
-"""Elements and attributes of OpenSCENARIO XML 1.3, and those of earlier versions that are read still."""
+"""Elements and attributes of OpenSCENARIO XML 1.3, and those of earlier versions that are still read."""
 
 
 def refuse_unusable(prepared: PreparedScenario) -> None:

@@ -20,10 +20,10 @@ from cornercase.simulators.builtin.tracks.track import ALONG_LEGS, AT_CORNERS, P
 from cornercase.simulators.builtin.world.state import World
 
 Position = Callable[[World], Pose]
-"""A place, as it is at the instant when the world is asked for it."""
+"""Resolves a position in the world's current state."""
 
 PositionReader = Callable[[etree._Element, Scope, World], Position]
-"""Reads the position that an element holds."""
+"""Reads the position in an element."""
 
 
 class WorldPlace:
@@ -157,7 +157,7 @@ def _polyline(element: etree._Element, scope: Scope, world: World, read: Positio
 
 
 _Corners = tuple[FloatArray, FloatArray, FloatArray, FloatArray]
-"""x, y, heading (NaN where the file says none) and time of all vertices, each (N, V)."""
+"""x, y, heading (NaN if the file gives none) and time of all vertices, each (N, V)."""
 
 
 def _corners(

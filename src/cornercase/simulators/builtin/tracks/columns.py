@@ -12,7 +12,7 @@ DISTANCE: Final = 0
 X: Final = 1
 Y: Final = 2
 HEADING: Final = 3
-"""Columns of all."""
+"""Columns of all tracks."""
 
 CURVATURE: Final = 4
 S: Final = 5
@@ -30,12 +30,12 @@ FACING: Final = 5
 TIME: Final = 6
 SPEED: Final = 7
 RATE: Final = 8
-"""Columns of lines; the time is in the same place for splines."""
+"""Columns of polylines; splines have their times in the same column."""
 
 LENGTH: Final = 4
 CHORD: Final = 5
 LAST: Final = 7
-"""Columns of splines, which have a row of ends of chords or segments for each scenario."""
+"""Columns of splines, with a row of chord or segment ends per scenario."""
 
 COLUMNS: Final = 14
-"""How many there are."""
+"""Number of columns."""

@@ -104,8 +104,8 @@ def _over_ground(table, reference, heading, count, distance, offset, way, reache
 def _gone(table, heading, count, begin, offset, end, most):
     """Distance reached from `begin` towards `end` beside a path, at most `max_length` m over ground, and length.
 
-    Inside a corner, the entity turns on the spot where the path bends by more than its offset: each cell of the path counts
-    with its length over ground, backwards too.
+    Inside a corner, the entity turns on the spot where the path bends by more than its offset: each cell of the path
+    counts with its length over ground, backwards too.
     """
     covered, position = 0.0, begin
     sign = 1 if end > begin else -1

@@ -10,10 +10,10 @@ from cornercase._common.typing import BoolArray, FloatArray, IntArray
 from cornercase.simulators.builtin.tracks.track import ALONG_LEGS, AT_CORNERS, Trajectory, same_in_all
 
 CORNER: Final = 2.0
-"""Half of the stretch over which the heading turns at a corner of a polyline, in m; esmini's figure."""
+"""m; half the length over which the heading turns at a corner of a polyline (esmini's value)."""
 
 TINY: Final = 1e-6
-"""Vertices that are closer, in m or s, are at one place or instant."""
+"""m or s; closer vertices coincide."""
 
 
 class Polyline(Trajectory):

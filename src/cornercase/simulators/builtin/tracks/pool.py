@@ -20,14 +20,14 @@ LANE: Final = 0
 LINE: Final = 1
 """Kind of a track through vertices."""
 CHORDS: Final = 2
-"""Kind of a track along the chords of a spline."""
+"""Kind of a track along the chords of a clothoid spline."""
 OTHER: Final = 3
-"""Kind of a track that kernels do not know."""
+"""Kind of a track without kernels."""
 
 _LINE_ARRAYS: Final = ("distance", "x", "y", "heading", "directions", "facing", "time", "speeds", "rates")
 
 TURNINGS: Final = (ALONG_LEGS, AT_CORNERS, AT_VERTICES)
-"""Where the heading turns along a line, in the order of `TrackTable.heading_interpolation`."""
+"""Heading interpolations of a polyline, indexed by `TrackTable.heading_interpolation`."""
 
 
 class Tracks(NamedTuple):

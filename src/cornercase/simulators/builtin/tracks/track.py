@@ -11,10 +11,10 @@ import numpy as np
 from cornercase._common.typing import BoolArray, FloatArray, IntArray
 
 FREE: Final = -1
-"""Number of no track: the entity goes where its heading points."""
+"""Track number of an entity that follows none, and moves along its heading."""
 
 ALONG_LEGS, AT_CORNERS, AT_VERTICES = "legs", "corners", "vertices"
-"""Where the heading turns along a trajectory: over whole legs, near corners, or at each vertex at once."""
+"""Where the heading changes along a trajectory: over whole segments, near corners, or at each vertex at once."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -106,4 +106,4 @@ class Trajectory(Track):
         self.version += 1
 
     _arrays: tuple[str, ...]
-    """Names of the attributes that hold how it runs in each scenario."""
+    """Names of the arrays with a row for each scenario."""
