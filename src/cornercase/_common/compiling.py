@@ -163,8 +163,8 @@ def companion(start: Callable[[], None]) -> Iterator[None]:
 
 def count_kernels() -> tuple[int, int]:
     """Return how many of the imported kernels are ready to run, and how many there are."""
-    known = list(_KERNELS)
-    return sum(bool(one.signatures) for one in known), len(known)
+    kernels = list(_KERNELS)
+    return sum(bool(function.signatures) for function in kernels), len(kernels)
 
 
 def why_not_kept() -> str:

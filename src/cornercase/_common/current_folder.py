@@ -64,8 +64,8 @@ class _Finder:
     ) -> ModuleSpec | None:
         if name not in _SETTINGS:
             return None
-        others = (finder for finder in sys.meta_path if finder is not self)
-        spec = next(filter(None, (finder.find_spec(name, path, target) for finder in others)), None)
+        other_finders = (finder for finder in sys.meta_path if finder is not self)
+        spec = next(filter(None, (finder.find_spec(name, path, target) for finder in other_finders)), None)
         if spec is not None and spec.loader is not None:
             loader: Any = spec.loader
             loader.exec_module = _loading_without(loader.exec_module)

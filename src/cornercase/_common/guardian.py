@@ -79,8 +79,8 @@ class Guardian:
     def _count_watching(self, change: int) -> None:
         with _ENVIRONMENT:
             self._watching += change
-            others = [mark for mark in os.environ.get(_MARK, "").split() if mark != self._mark]
-            if marks := others + [self._mark] * bool(self._watching):
+            other_marks = [mark for mark in os.environ.get(_MARK, "").split() if mark != self._mark]
+            if marks := other_marks + [self._mark] * bool(self._watching):
                 os.environ[_MARK] = " ".join(marks)
             else:
                 del os.environ[_MARK]

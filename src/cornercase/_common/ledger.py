@@ -152,10 +152,10 @@ def warn_of(notices: Iterable[Notice]) -> None:
     from cornercase._common.progress import loudness
 
     sorted_notices = ranked(notices)
-    shown = sorted_notices if loudness.get() == "verbose" else [one for one in sorted_notices if one.matters]
+    shown = sorted_notices if loudness.get() == "verbose" else [n for n in sorted_notices if n.matters]
     for notice in shown:
         warn(notice.sentence)
-    if count := sum(len(one.what) for one in sorted_notices) - sum(len(one.what) for one in shown):
+    if count := sum(len(n.what) for n in sorted_notices) - sum(len(n.what) for n in shown):
         more, parts = " more" if shown else "", "parts" if count > 1 else "part"
         what = f"{count}{more} {parts}, which affect{'' if count > 1 else 's'} no position or speed"
         warn(f"{Label.WITHOUT_EFFECT}: {what}; `check` and -v list {'them' if count > 1 else 'it'}")
@@ -180,9 +180,9 @@ class Ledger:
         self._by_name: dict[tuple[str, str], list[tuple[tuple[str, ...], Entry]]] = {}
         for entry in self.entries:
             *parents, name = entry.element.split("/")
-            known = self._by_name.setdefault((name, entry.attribute), [])
-            known.append((tuple(parents), entry))
-            known.sort(key=lambda item: -len(item[0]))
+            same_name = self._by_name.setdefault((name, entry.attribute), [])
+            same_name.append((tuple(parents), entry))
+            same_name.sort(key=lambda item: -len(item[0]))
         # Elements that may be refused, or have an attribute that may.
         self._refusable = tuple(
             {e.element.split("/")[-1] for e in self.entries if e.status is Status.REFUSED or e.values}

@@ -180,8 +180,8 @@ def force_all(files: Iterable[Path], names: Iterable[Path]) -> None:
             force_file(pair[0])
 
     if len(pairs) < 2:
-        for one in pairs:
-            force(one)
+        for single in pairs:
+            force(single)
         return
     with ThreadPoolExecutor(min(_AT_ONCE, len(pairs))) as pool:
         for _ in pool.map(force, pairs):

@@ -164,7 +164,7 @@ def find_program(name: str, folders: Sequence[str] | None = None) -> str | None:
     if not _WINDOWS:
         return shutil.which(name, path=os.pathsep.join(folders_to_search))
     endings = os.environ.get("PATHEXT", ".EXE").split(os.pathsep)
-    files = (Path(place, name + ending) for place in folders_to_search for ending in endings)
+    files = (Path(folder, name + ending) for folder in folders_to_search for ending in endings)
     return next((str(path) for path in files if path.is_file()), None)
 
 

@@ -16,7 +16,7 @@ from cornercase._common.texts import in_one_line
 T = TypeVar("T")
 
 # Types to which an option's text is converted; without one of them, the text decides.
-_PLAIN: Final[dict[str, type[Any]]] = {one.__name__: one for one in (bool, int, float, str)}
+_PLAIN: Final[dict[str, type[Any]]] = {kind.__name__: kind for kind in (bool, int, float, str)}
 
 
 class Registry(Generic[T]):

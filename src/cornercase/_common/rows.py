@@ -25,8 +25,8 @@ def surely_distinct(points: FloatArray, keys: Collection[bytes]) -> bool:
 
     False may be a coincidence of hashes: one in 10 billion calls with 32,768 rows.
     """
-    others = np.frombuffer(b"".join(keys), dtype=np.uint64).reshape(-1, points.shape[1])
-    words = np.concatenate([np.ascontiguousarray(points, dtype=np.float64).view(np.uint64), others])
+    known_words = np.frombuffer(b"".join(keys), dtype=np.uint64).reshape(-1, points.shape[1])
+    words = np.concatenate([np.ascontiguousarray(points, dtype=np.float64).view(np.uint64), known_words])
     hashes = np.zeros(len(words), dtype=np.uint64)
     for column in words.T:
         hashes = (hashes ^ (hashes >> np.uint64(29)) ^ column) * _FACTOR

@@ -153,8 +153,8 @@ def require_whole(text: str) -> None:
 
     They come from JSON (``"\ud800"``), and from file names that are not in UTF-8.
     """
-    if (found := _HALF.search(text)) is not None:
-        raise ValueError(f"'{plain_text(shorten(text[max(found.start() - 20, 0) :], 40))}' holds half a character")
+    if (match := _HALF.search(text)) is not None:
+        raise ValueError(f"'{plain_text(shorten(text[max(match.start() - 20, 0) :], 40))}' holds half a character")
 
 
 def _finite(value: Any) -> Any:

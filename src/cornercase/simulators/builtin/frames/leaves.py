@@ -99,11 +99,11 @@ def gather_leaves(found: list[list[list[Asked]]], delays: list[FloatArray], scen
         first_group = len(groups)
         for group in trigger:
             first_condition = len(conditions)
-            for asked in group:
-                conditions.append((len(leaves), len(leaves) + len(asked.leaves), asked.every))
-                leaves += asked.leaves
+            for spec in group:
+                conditions.append((len(leaves), len(leaves) + len(spec.leaves), spec.every))
+                leaves += spec.leaves
             groups.append((first_condition, len(conditions)))
-        triggers.append((first_group, len(groups), all(asked.plain for group in trigger for asked in group)))
+        triggers.append((first_group, len(groups), all(spec.plain for group in trigger for spec in group)))
     codes = [(leaf.kind, e, leaf.other, leaf.rule, leaf.option) for e, leaf in leaves]
     values = np.zeros((scenarios, len(leaves), VALUES))
     for c, (_, leaf) in enumerate(leaves):
@@ -190,9 +190,9 @@ def stays(scene, leaves, watched, n):
 def _met(scene, leaves, n, g):
     """Whether all conditions of a group hold, each for any or every one of its entities."""
     for c in range(leaves.groups[g, 0], leaves.groups[g, 1]):
-        first, last, every = leaves.conditions[c]
-        k, holding = first, every > 0
-        while k < last and holding == (every > 0):
+        first, last, for_every = leaves.conditions[c]
+        k, holding = first, for_every > 0
+        while k < last and holding == (for_every > 0):
             e, holding = leaves.codes[k, 1], False
             while k < last and leaves.codes[k, 1] == e:
                 holding = holding or holds(scene, leaves, n, k)
@@ -261,8 +261,8 @@ def _holds_besides(scene, leaves, n, k):
     if kind == RELATIVE_SPEED:
         difference = state[SPEED, e] - state[SPEED, other]
         if option != ALL_WAYS:
-            own = component(state, GONE_X, GONE_Y, e, other, option)
-            difference = own - component(state, GONE_X, GONE_Y, other, other, option)
+            own_component = component(state, GONE_X, GONE_Y, e, other, option)
+            difference = own_component - component(state, GONE_X, GONE_Y, other, other, option)
         return _compares(rule, difference, values[0]) and scene.flags[n, PRESENT, other]
     gap = gap_to(scene, n, e, other, option)
     if kind == APART:

@@ -175,8 +175,8 @@ def _corners(
     def corners(world: World) -> _Corners:
         poses = [_coordinates(position, world) for position in positions]
         headings = [
-            pose.heading if said else np.full_like(pose.heading, np.nan)
-            for pose, said in zip(poses, oriented, strict=True)
+            pose.heading if has_heading else np.full_like(pose.heading, np.nan)
+            for pose, has_heading in zip(poses, oriented, strict=True)
         ]
         x, y = np.stack([pose.x for pose in poses], axis=1), np.stack([pose.y for pose in poses], axis=1)
         return x, y, np.stack(headings, axis=1), times
@@ -245,7 +245,7 @@ def _clothoids(element: etree._Element, scope: Scope, world: World, read: Positi
             x, y, heading = world.x[entity].copy(), world.y[entity].copy(), world.heading[entity].copy()
         else:
             raise InputError(f"{scope.source}, line {element.sourceline}: the trajectory has no start position.")
-        begins = {k: place(world) for k, place in later_starts.items()}
+        begins = {k: resolve(world) for k, resolve in later_starts.items()}
         reached = None if clock is None else clock.times(times)
         return ClothoidSpline(x, y, heading, start, end, length, reached, begins, turns)
 

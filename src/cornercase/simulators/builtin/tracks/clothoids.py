@@ -56,7 +56,16 @@ class ClothoidSpline(Trajectory):
         self.lengths = ends[:, -1].copy()
         poses = {} if begins is None else {k: (pose.x, pose.y, pose.heading) for k, pose in begins.items()}
         angles = np.zeros_like(length) if turns is None else turns
-        inputs = (x, y, heading, start, end, length, angles, *(part for place in poses.values() for part in place))
+        inputs = (
+            x,
+            y,
+            heading,
+            start,
+            end,
+            length,
+            angles,
+            *(part for pose_values in poses.values() for part in pose_values),
+        )
         # A curve that is the same in all scenarios is computed once.
         rows = slice(1) if same_in_all(*inputs) else slice(None)
         nodes = [(x[rows], y[rows], heading[rows])]
