@@ -193,7 +193,7 @@ def test_a_kernel_is_compiled_again_when_the_fields_of_a_named_tuple_have_change
 
 def test_a_global_without_a_digest_is_refused():
     function = FunctionType(compile("limits", "", "eval"), {"limits": [1.0], "__name__": __name__})
-    with pytest.raises(TypeError, match="no digest"):
+    with pytest.raises(TypeError, match="cannot be hashed"):
         contents(function, {})
 
 

@@ -56,7 +56,7 @@ class _Parts:
             if not _foreign(value.__name__):
                 yield from self._named(vars(value), names)
         elif not hasattr(value, "__module__"):
-            raise TypeError(f"a kernel uses {value!r}, of which no digest can be made.")
+            raise TypeError(f"a kernel uses {value!r}, which cannot be hashed.")
         elif _foreign(value.__module__):
             yield f"{value.__module__} {getattr(value, '__qualname__', value)}".encode()
         elif value not in self.seen:

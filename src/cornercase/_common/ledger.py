@@ -162,7 +162,13 @@ def warn_of(notices: Iterable[Notice]) -> None:
 
 
 def warn(sentence: str) -> None:
-    """Issue a sentence as `NoticeWarning` at the code that called cornercase."""
+    """Issue a sentence as `NoticeWarning` at the code that called cornercase.
+
+    Parameters
+    ----------
+    sentence : str
+        Without a full stop.
+    """
     level, frame = 1, sys._getframe()
     while frame.f_back is not None and frame.f_globals.get("__name__", "").startswith("cornercase."):
         level, frame = level + 1, frame.f_back
