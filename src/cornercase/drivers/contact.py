@@ -1,6 +1,6 @@
-"""Where and when the driven entity's box would touch another's.
+"""Times and positions at which the driven entity's box would touch another box.
 
-Places are those that the driven entity comes to, the other goes along straight legs.
+The driven entity is tested at samples of its path; the other one moves along straight legs.
 """
 
 # Compiled functions have no static types.
@@ -25,30 +25,11 @@ _part = kernel(error_model="numpy", _nrt=False, forceinline=True)
 
 @_kernel
 def meeting(places, row, ego, margin, other, horizon):
-    """When the other would touch the driven entity, if that were at a place.
+    """First and last contact in s, and the leg of the first, if the driven entity were at a path sample.
 
-    Separating axes: on each of the four, the projections overlap during one interval; the boxes do in what
-    is common to all.
-
-    Parameters
-    ----------
-    places : ndarray of float64, shape (K, 6)
-        Distance, centre x and y, cosine and sine of the heading, time of arrival.
-    row : int
-    ego : tuple of float
-        Half length and half width of the driven entity, in m.
-    margin : float
-        m on either side by which the driven entity counts as wider.
-    other : tuple
-        Legs (L, 6) as of `foresee`, half length, half width, speed.
-    horizon : float
-        s; 0 for the other where it is now.
-
-    Returns
-    -------
-    tuple of (float, float, int)
-        First and last instant of contact within the horizon in s, and the leg of the first; (inf, -inf, 0)
-        for never.
+    Separating axes: the projections overlap during one interval on each of four axes; the boxes overlap during the
+    intersection. `ego` is (half length, half width) in m, widened by `margin` on either side; `other` is
+    (legs, half length, half width, speed). With horizon 0 the other stays where it is. Without contact: (inf, -inf, 0).
     """
     legs = other[0]
     own_length, own_width = ego[0], ego[1] + margin
@@ -70,21 +51,10 @@ def meeting(places, row, ego, margin, other, horizon):
 
 @_part
 def last_contact(places, row, ego, margin, other, horizon, instant, after):
-    """Last contact of the other with the driven entity, if that were at a place, and if it ends late enough.
+    """Leg and interval of the last contact at a path sample, if `contact_interval` + `after` ends later than `instant`.
 
-    As `meeting` says it: what is over too early is not asked for.
-
-    Parameters
-    ----------
-    places, row, ego, margin, other, horizon
-        As in `meeting`; the horizon is above 0.
-    instant, after : float
-        Instant in s, and what is added to that of `meeting` before it has to be above this.
-
-    Returns
-    -------
-    tuple of (int, float, float)
-        Leg, first and last instant of contact on it, counted from its begin in s; -1 for the leg where there is none.
+    The interval is counted from the start of the leg, in s; the leg is -1 if there is no such contact. The horizon is
+    above 0. Skips the computation if contact ends too early.
     """
     legs = other[0]
     own_length, own_width = ego[0], ego[1] + margin
@@ -103,20 +73,9 @@ def last_contact(places, row, ego, margin, other, horizon, instant, after):
 
 @_part
 def begins_before(places, row, ego, margin, other, horizon, found, instant, before):
-    """Whether the first contact of the other with the driven entity, if that were at a place, begins early enough.
+    """Check that the first contact at a path sample, plus `before`, begins earlier than `instant`.
 
-    Parameters
-    ----------
-    places, row, ego, margin, other, horizon
-        As in `meeting`.
-    found : tuple of (int, float, float)
-        As of `last_contact`, with a leg.
-    instant, before : float
-        Instant in s, and what is added to that of `meeting` before it has to be below this.
-
-    Returns
-    -------
-    bool
+    `found` is the result of `last_contact_ending_after`, with a leg.
     """
     legs = other[0]
     for early in range(found[0]):
@@ -135,7 +94,7 @@ def _duration(legs, leg, horizon):
 
 @_kernel
 def _on_leg(places, row, own_length, own_width, other, leg, horizon):
-    """First and last instant of contact, counted from the begin of a leg; the last one before the first for never."""
+    """First and last contact in s from the start of a leg; first > last if there is none."""
     legs, half_length, half_width, speed = other
     first, last = 0.0, _duration(legs, leg, horizon)
     dx, dy = legs[leg, 0] - places[row, 1], legs[leg, 1] - places[row, 2]
@@ -163,7 +122,7 @@ def _on_leg(places, row, own_length, own_width, other, leg, horizon):
 
 @_part
 def _during(first, last, apart, radius, rate):
-    """Part of a time in which what is so far apart, and moves at a rate, is within a radius."""
+    """Clip a time interval to when a point at offset `apart`, moving at `rate`, is within `radius`."""
     one, two = (-radius - apart) / rate, (radius - apart) / rate
     still = abs(rate) < 1e-9
     begin, end = max(first, min(one, two)), min(last, max(one, two))
@@ -173,7 +132,7 @@ def _during(first, last, apart, radius, rate):
 
 @_part
 def _touching(places, row, own_length, own_width, other):
-    """Whether the boxes touch, the other's being where its first leg begins."""
+    """Check whether the boxes overlap with the other at the start of its first leg."""
     legs, half_length, half_width, _ = other
     dx, dy = legs[0, 0] - places[row, 1], legs[0, 1] - places[row, 2]
     reach = own_length + own_width + half_length + half_width
@@ -194,21 +153,10 @@ def _touching(places, row, own_length, own_width, other):
 
 @_kernel
 def first_contact(places, most, ego, margin, other, horizon, way=None):
-    """First place ahead at which the driven entity would touch the other.
+    """Row of the first path sample ahead with contact; -1 if there is none.
 
-    Parameters
-    ----------
-    places, ego, margin, other, horizon
-        As in `meeting`; row 0 of the places is left out.
-    most : float
-        m between the centres at two places that follow each other, at most.
-    way : Way, optional
-        That the places are laid out along; if not given, they are all laid out already.
-
-    Returns
-    -------
-    int
-        Row; -1 for none.
+    Row 0 is skipped. `most` is the largest distance in m between centres at consecutive samples. Samples are computed
+    on demand if `way` is given.
     """
     k, count, until = 0, len(places), -1
     if way is not None:
@@ -231,23 +179,9 @@ def first_contact(places, most, ego, margin, other, horizon, way=None):
 
 @_part
 def next_rows(way, k, margin, other, since, horizon):
-    """Find the next places ahead at which the driven entity may touch the other, and lay out the first of them.
+    """First and last row of the next consecutive samples from row `k` on with possible contact; computes the first.
 
-    Parameters
-    ----------
-    way : Way
-    k : int
-        Row of the first that is asked for.
-    margin, other, horizon
-        As in `meeting`.
-    since : float
-        s; what is over before does not matter.
-
-    Returns
-    -------
-    tuple of (int, int)
-        The first and the last of them that follow each other; there may be more behind the last. The first may be
-        beyond the way.
+    Contacts that end before `since` (s) are ignored. The first row may be past the end of the path.
     """
     straight = int(way.points[way.first + k, 5])
     lay(way, k)
@@ -265,10 +199,9 @@ def next_rows(way, k, margin, other, since, horizon):
 
 @_part
 def _stretch(places, k, ego, margin, other, since, horizon, length):
-    """First stretch of a straight line on which the driven entity may touch the other's swept box.
+    """First range in m from sample `k` of a straight line in which the ego may touch the other's swept box.
 
-    Separating axes: on each of the four, the projections overlap during one stretch.
-    Returns begin and end in m from place `k`; (inf, inf) for none within a length.
+    (inf, inf) if there is none within `length`. Separating axes: the projections overlap in one range on each of four.
     """
     legs, half_length, half_width, speed = other
     own_length, own_width = ego[0], ego[1] + margin
@@ -314,14 +247,14 @@ def _stretch(places, k, ego, margin, other, since, horizon, length):
 
 @_part
 def _swept(legs, leg, speed, since, over):
-    """How far the other has gone on a leg at an instant, and half of what it goes on it from then on, in m."""
+    """Distance that the other has covered on a leg at time `since`, and half of what it covers afterwards, in m."""
     from_then = max(legs[leg, 4], since)
     return speed * (from_then - legs[leg, 4]), 0.5 * speed * max(over - from_then, 0.0)
 
 
 @_part
 def _clip(first, last, rate, middle, radius):
-    """Part of a stretch on which a way of `rate` m a metre is within a radius of a middle."""
+    """Clip a range to where a projection that grows by `rate` per metre is within `radius` of `middle`."""
     if abs(rate) < 1e-9:
         # It hardly moves on this axis: a hair more than it could.
         return (first, last) if abs(middle) <= radius + _HAIR else (math.inf, -math.inf)
@@ -331,24 +264,7 @@ def _clip(first, last, rate, middle, radius):
 
 @_part
 def rows_apart(places, most, k, ego, margin, other, since, horizon):
-    """How many places, from one on, are too far from the other to be touched.
-
-    Parameters
-    ----------
-    places, ego, margin, other, horizon
-        As in `meeting`.
-    most : float
-        m between the centres at two places that follow each other, at most.
-    k : int
-        Row of the first of them.
-    since : float
-        As in `next_rows`.
-
-    Returns
-    -------
-    int
-        0 where the boxes may touch at the first.
-    """
+    """Number of samples from row `k` on that are too far from the other for contact; 0 if the first may touch."""
     legs, half_length, half_width, speed = other
     width = ego[1] + margin
     own, least, leg = math.sqrt(ego[0] * ego[0] + width * width), math.inf, legs.shape[0]

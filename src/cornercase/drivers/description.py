@@ -1,4 +1,4 @@
-"""What a driver is: as studies store it, in words, and as a command takes it."""
+"""Describe drivers: as stored in studies, as text, and as a command line option."""
 
 from __future__ import annotations
 
@@ -24,19 +24,9 @@ _checksums: Final[WeakKeyDictionary[type, str]] = WeakKeyDictionary()
 
 
 def note_name(driver: Driver, name: str, options: Mapping[str, object]) -> None:
-    """Note by which name and with which options a driver was made.
+    """Store on a driver the name and the options it was created with.
 
-    Parameters
-    ----------
-    driver : Driver
-    name : str
-        ``"package.module:Class"``, or a registered name with its options.
-    options : mapping of str to object
-
-    Raises
-    ------
-    InputError
-        Nothing can be noted with the driver, and it has options.
+    Raises `InputError` if the driver has options but no `__dict__` to store them.
     """
     try:
         vars(driver)[_NOTED] = (name, dict(sorted(options.items())))
@@ -49,18 +39,11 @@ def note_name(driver: Driver, name: str, options: Mapping[str, object]) -> None:
 
 
 def describe_driver(driver: str | Driver) -> str | dict[str, Any]:
-    """Say what a driver is, as plain JSON values.
+    """Return a driver as plain JSON values.
 
-    Parameters
-    ----------
-    driver : str or Driver
-
-    Returns
-    -------
-    str or dict of str to object
-        The name of a registered driver. The settings of an object of cornercase's own classes. Of any other driver
-        ``driver``, its class as ``"package.module:Class"``; ``options``, where it was made by its name; ``sha256`` of
-        the file that defines the class, where there is one; and its ``settings``, where the class defines them.
+    A registered driver is its name; an object of cornercase's own classes is its settings. Any other driver is a dict:
+    ``driver``, the class as ``"package.module:Class"``; ``options``, if it was created by name; ``sha256`` of the file
+    that defines the class, if there is one; ``settings``, if the class defines them.
     """
     if isinstance(driver, str):
         return driver
@@ -81,7 +64,7 @@ def describe_driver(driver: str | Driver) -> str | dict[str, Any]:
 
 
 def _checksum(cls: type) -> str:
-    """SHA-256 of the file that defines a class, as it was when the class was first seen here; empty without a file."""
+    """SHA-256 of the file that defines a class, as of when the class was first seen; empty without a file."""
     # A module that is edited meanwhile is not loaded again.
     if cls not in _checksums:
         file = getattr(sys.modules.get(cls.__module__), "__file__", None)
@@ -93,17 +76,9 @@ def _checksum(cls: type) -> str:
 
 
 def driver_command(description: object) -> str | None:
-    """Give the name by which a command makes a driver again.
+    """Command line option that creates a driver again, such as ``"my_aeb:Aeb:reaction=0.3"``; None if unknown.
 
-    Parameters
-    ----------
-    description : object
-        As of `describe_driver`; a study from elsewhere may hold anything.
-
-    Returns
-    -------
-    str or None
-        ``"my_aeb:Aeb:reaction=0.3"``; None where that is not known, as of an object that Python code made.
+    `description` comes from a study, so it may hold anything. Objects created in Python code have no such option.
     """
     if isinstance(description, str):
         return description
@@ -122,17 +97,9 @@ def driver_command(description: object) -> str | None:
 
 
 def given_name(driver: str | Driver) -> str | None:
-    """Find the name by which a user gave a driver that does not come with cornercase.
+    """Name and options by which the user chose a driver that is not part of cornercase.
 
-    Parameters
-    ----------
-    driver : str or Driver
-
-    Returns
-    -------
-    str or None
-        ``"package.module:Class:reaction=0.3"``, or a registered name of another package. None for a driver of
-        cornercase, and for an object that Python code made.
+    None for a driver of cornercase and for an object created in Python code.
     """
     if isinstance(driver, str):
         factory = DRIVERS.factory(driver.partition(":")[0])
@@ -145,18 +112,7 @@ def given_name(driver: str | Driver) -> str | None:
 
 
 def driver_text(description: object) -> str:
-    """Say in words what a driver is.
-
-    Parameters
-    ----------
-    description : object
-        As of `describe_driver`.
-
-    Returns
-    -------
-    str
-        ``"my_aeb:Aeb, reaction=0.3, sha256 1234abcd…"``.
-    """
+    """Format a serialized driver as text, such as ``"my_aeb:Aeb, reaction=0.3, sha256 1234abcd…"``."""
     if isinstance(description, str):
         return description
     if not isinstance(description, Mapping):
@@ -182,19 +138,10 @@ def _value(value: object) -> str:
 
 
 def driver_changes(there: object, here: object) -> Iterator[tuple[str, str, str, bool]]:
-    """Find the entities that somebody else drives.
+    """Yield (entity, before, now, only_the_file) for each entity whose driver differs.
 
-    Parameters
-    ----------
-    there, here : object
-        Descriptions by entity, as settings hold them under ``"drivers"``.
-
-    Yields
-    ------
-    entity, before, now : str
-        In words.
-    only_the_file : bool
-        Whether it is the same class with the same options, and its file has changed.
+    `there` and `here` are serialized drivers by entity. `only_the_file`: same class and options, but its file has
+    changed.
     """
     old, new = (dict(one) if isinstance(one, Mapping) else {} for one in (there, here))
     for entity in sorted({*old, *new}):

@@ -1,4 +1,4 @@
-"""Drivers whose decisions are compiled, alone and gathered for a simulator's own compiled code."""
+"""Drivers with compiled decisions, alone or gathered in a fleet for the simulator's kernels."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ _PLANNED: WeakKeyDictionary[DrivenPath, dict[tuple[float, float], tuple[FloatArr
 
 
 class CompiledDriver(Driver):
-    """A driver whose decisions are compiled: a fleet of one, or the row of a larger one."""
+    """A driver with compiled decisions: a fleet of one, or a row of a larger fleet."""
 
     kind: ClassVar[int]
     """What decides, as in `Fleet.kind`."""
@@ -47,7 +47,7 @@ class CompiledDriver(Driver):
     """Of it."""
 
     def start(self, scenarios: int, others: int) -> None:
-        """Forget everything; what follows is a batch of N `scenarios` with A `others` in each."""
+        """Reset all state for a batch of N `scenarios` with A `others` in each."""
         self._fleet = _empty_fleet(1, scenarios, others)
         self._fleet.kind[0] = self.kind
         self._fleet.parameters[0, : len(self.parameters)] = self.parameters
@@ -55,13 +55,7 @@ class CompiledDriver(Driver):
         self._routes: dict[int, tuple[DrivenPath, int]] = {}
 
     def join(self, fleet: Fleet, row: int) -> None:
-        """Move what it knows into a row of a fleet, and keep a view of that.
-
-        Parameters
-        ----------
-        fleet : Fleet
-        row : int
-        """
+        """Move the driver's state into a row of a fleet, and keep a view of it."""
         whole, mine = slice(row, row + 1), self._fleet
         view = Fleet(
             kind=fleet.kind[whole],
@@ -77,7 +71,7 @@ class CompiledDriver(Driver):
         self._fleet = view
 
     def acceleration(self, situation: Situation) -> FloatArray:
-        """Acceleration along the path in m/s², shape (N,); 0 in scenarios that are not active."""
+        """Return the acceleration along the path in m/s², shape (N,); 0 in scenarios that are not active."""
         s, fleet = situation, self._fleet
         fleet.own[0] = 0.5 * s.length, 0.5 * s.width, s.center_x
         fleet.boxes[0, HALF_LENGTH], fleet.boxes[0, HALF_WIDTH] = 0.5 * s.others_length, 0.5 * s.others_width
@@ -91,7 +85,7 @@ class CompiledDriver(Driver):
         return result
 
     def _planned(self, path: DrivenPath) -> int:
-        """Number of the route along a path, among this driver's own."""
+        """Index of the route along a path among the driver's own routes; plans it if needed."""
         if self.kind != BEHAVIOUR:
             return 0
         if id(path) not in self._routes:
@@ -101,34 +95,15 @@ class CompiledDriver(Driver):
 
 
 def decides_in_fleet(driver: Driver) -> TypeGuard[CompiledDriver]:
-    """Whether compiled code decides for a driver: a user's class may derive from a built-in one and decide itself.
-
-    Parameters
-    ----------
-    driver : Driver
-
-    Returns
-    -------
-    bool
-    """
+    """Check whether compiled code decides for a driver: a derived class may override `acceleration`."""
     return isinstance(driver, CompiledDriver) and type(driver).acceleration is CompiledDriver.acceleration
 
 
 def limit_driver(driver: CompiledDriver, acceleration: float, deceleration: float) -> dict[str, float]:
-    """Let a driver whose decisions are compiled know what its vehicle can do, until it is started again.
+    """Limit a started driver to what its vehicle can do (m/s²), until it is started again.
 
-    Parameters
-    ----------
-    driver : CompiledDriver
-        Started, and not in a fleet yet.
-    acceleration, deceleration : float
-        m/s²; infinite for no limit.
-
-    Returns
-    -------
-    dict of str to float
-        What it would do without, in m/s², for each limit that it would exceed: ``"acceleration"`` and
-        ``"deceleration"``.
+    Returns the driver's own value for each limit that it exceeds: ``"acceleration"``, ``"deceleration"``. The driver
+    must not be in a fleet yet.
     """
     fields = Behaviour._fields if driver.kind == BEHAVIOUR else Keeping._fields
     own, exceeded = driver._fleet.parameters[0], dict[str, float]()
@@ -153,27 +128,10 @@ def form_fleet(
     center_x: FloatArray,
     kinds: Sequence[str],
 ) -> Fleet:
-    """Gather drivers, so that compiled code and their own `acceleration` go on from the same state.
+    """Gather started drivers, so that kernels and `Driver.acceleration` share one state.
 
-    What the drivers know moves into the fleet's arrays, of which they keep views.
-
-    Parameters
-    ----------
-    drivers : sequence of Driver, length D
-        Started, with N scenarios and all other entities.
-    driven : sequence of int, length D
-        Row of the entity that each of them drives.
-    scenarios : int
-        N.
-    length, width, center_x : ndarray of float64, shape (E,)
-        Boxes of all entities in m.
-    kinds : sequence of str, length E
-        Vehicle category, ``"pedestrian"`` or ``"misc"``.
-
-    Returns
-    -------
-    Fleet
-        Without routes.
+    The drivers' state moves into the fleet's arrays, of which they keep views. `driven` is the row of the entity of
+    each driver; the boxes of all E entities are in m. The fleet has no routes yet.
     """
     fleet = _empty_fleet(len(drivers), scenarios, max(len(kinds) - 1, 0))
     boxes = np.stack((0.5 * length, 0.5 * width, center_x, _vulnerable(kinds)))
@@ -186,21 +144,10 @@ def form_fleet(
 
 
 def with_route(fleet: Fleet, driver: int, track: int, path: DrivenPath, where: BoolArray | None = None) -> Fleet:
-    """Plan a driver's route along a track, in place of what it had planned for that track.
+    """Plan a driver's route along a track, replacing the previous one for that track.
 
-    Parameters
-    ----------
-    fleet : Fleet
-    driver, track : int
-        Row of the driver, and number of the track.
-    path : DrivenPath
-    where : ndarray of bool, shape (N,), optional
-        Scenarios in which a path that runs otherwise in each has changed since; by default all.
-
-    Returns
-    -------
-    Fleet
-        With new arrays of routes, or with those of the given one, in which the route now stands.
+    `where`: scenarios (N,) in which a path that differs between scenarios has changed; all by default. Returns a fleet
+    with the route, in new arrays or in those of the given fleet.
     """
     samples, rows = count_samples(path), len(np.atleast_2d(path.distance))
     routes, chosen = fleet.routes, np.arange(rows)
@@ -221,7 +168,7 @@ def with_route(fleet: Fleet, driver: int, track: int, path: DrivenPath, where: B
 
 
 def _plan(path: DrivenPath, behaviour: Behaviour, rows: IntArray) -> tuple[FloatArray, FloatArray]:
-    """Points and measures of rows of a path, as in `Routes`; those of a lane are made once for all batches."""
+    """Points and measures of rows of a path, as in `Routes`; cached across batches for lanes."""
     lateral, braking = behaviour.lateral_acceleration, behaviour.comfortable_deceleration
     known = _PLANNED.setdefault(path, {}) if path.distance.ndim == 1 else {}
     if (lateral, braking) not in known:
@@ -233,7 +180,7 @@ def _plan(path: DrivenPath, behaviour: Behaviour, rows: IntArray) -> tuple[Float
 
 
 def _with_room(routes: Routes, driver: int, track: int, rows: int, samples: int) -> Routes:
-    """Add rows of so many points each, behind all others, as the route of a driver along a track."""
+    """Append empty rows of `samples` points each as the route of a driver along a track."""
     more = ((0, 0), (0, max(track + 1 - routes.row.shape[1], 0)))
     row, counts = np.pad(routes.row, more, constant_values=-1), np.pad(routes.rows, more)
     row[driver, track], counts[driver, track] = len(routes.begin), rows
@@ -248,7 +195,7 @@ def _with_room(routes: Routes, driver: int, track: int, rows: int, samples: int)
 
 
 def _without(routes: Routes, driver: int, track: int) -> Routes:
-    """Leave out the route of a driver along a track."""
+    """Remove the route of a driver along a track."""
     first, rows = int(routes.row[driver, track]), int(routes.rows[driver, track])
     gone = slice(first, first + rows)
     points = int(routes.samples[gone].sum())

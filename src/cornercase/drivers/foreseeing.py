@@ -1,4 +1,4 @@
-"""Where another entity will be, in straight legs."""
+"""Predicted motion of other entities, as straight legs."""
 
 # Compiled functions have no static types.
 # mypy: disable-error-code="no-untyped-def, untyped-decorator"
@@ -30,29 +30,10 @@ _part = kernel(error_model="numpy", _nrt=False, forceinline=True)
 
 @_part
 def foresee(memory, o, cos, sin, center_x, horizon, legs):
-    """Fill the table of straight legs that another is expected to go.
+    """Fill `legs` with the predicted motion of other entity `o` up to `horizon` (s); return their number.
 
-    It keeps its rate of turn for some time, then goes straight on.
-
-    Parameters
-    ----------
-    memory : ndarray of float64, shape (9, A)
-        As in `Fleet.memory`.
-    o : int
-        Which of the others.
-    cos, sin : float
-        Of its heading.
-    center_x : float
-        Centre of its box in m.
-    horizon : float
-        s for which it is foreseen.
-    legs : ndarray of float64, shape (L, 6)
-        As in `Workspace`; filled.
-
-    Returns
-    -------
-    int
-        How many legs there are.
+    The entity keeps its turn rate for some time, then goes straight. `cos` and `sin` are of its heading; `center_x` is
+    the centre of its box in m.
     """
     x, y, heading, speed, turn = memory[X, o], memory[Y, o], memory[HEADING, o], memory[SPEED, o], memory[TURN, o]
     if not (abs(turn) > STRAIGHT and abs(speed) >= STANDING):

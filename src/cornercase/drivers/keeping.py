@@ -1,4 +1,4 @@
-"""Decisions of the driver that keeps its speed and its distance."""
+"""Kernel of the driver that keeps its speed and its distance."""
 
 # Compiled functions have no static types.
 # mypy: disable-error-code="no-untyped-def, untyped-decorator"
@@ -25,19 +25,7 @@ _kernel = kernel(error_model="numpy", _nrt=False)
 
 @_kernel
 def keep_distance(keeping, scene):
-    """Acceleration of a driver who brakes for what is straight ahead.
-
-    Parameters
-    ----------
-    keeping : Keeping
-    scene : Scene
-        What the driver remembers is updated.
-
-    Returns
-    -------
-    float
-        m/s².
-    """
+    """Acceleration in m/s² of a driver that brakes for what is straight ahead; updates its memory."""
     v, wanted, memory, time_step = scene.driven.speed, scene.driven.target_speed, scene.memory, scene.time_step
     if not math.isfinite(wanted):
         wanted = v
@@ -62,7 +50,7 @@ def keep_distance(keeping, scene):
 
 @_kernel
 def _ahead(scene, a, sight_range):
-    """Gap to another if it is in the lane ahead, else infinite, and the closing speed."""
+    """Gap in m to another entity in the lane ahead (infinite otherwise), and the closing speed."""
     own, boxes, others, driven, cos, sin = scene.own, scene.boxes, scene.others, scene.driven, scene.cos, scene.sin
     towards = others[HEADING, a]
     if math.isnan(others[X, a]) or math.isnan(towards):

@@ -23,15 +23,16 @@ _GOLDEN: Final = (math.sqrt(5.0) - 1.0) / 2.0
 
 @dataclass(frozen=True)
 class Mutation:
-    """What makes a driver worse: one parameter that is multiplied, or becomes larger by an amount.
+    """What makes a driver worse: one parameter is multiplied by a factor, or increased by an amount.
 
     Attributes
     ----------
     words : str
         What it does, as in tables.
     parameter : str
+        Name of the parameter.
     mild, severe : float
-        Between these the factor lies, or the amount in the parameter's unit.
+        Range of the factor, or of the amount in the parameter's unit.
     adds : bool
         Whether it is an amount.
     """
@@ -70,9 +71,9 @@ class Mutant:
     Attributes
     ----------
     driver : str
-        Name by which it drives, as in ``"normal:reaction_time=0.8"``.
+        Name that creates it, such as ``"normal:reaction_time=0.8"``.
     mutation : str
-        What was done to it, in words.
+        What was changed, in words.
     """
 
     driver: str
@@ -82,28 +83,27 @@ class Mutant:
 def mutants_of(driver: str, count: int, seed: int = 0) -> tuple[Mutant, ...]:
     """Draw mutants of a driver.
 
-    The kinds of mutation take turns, in an order that is drawn. How severe a mutant is, from mild to severe on a
-    logarithmic scale, follows for each kind the additive recurrence with the golden ratio from a place that is drawn,
-    which leaves no gaps.
+    The mutations take turns in random order. The severity of a mutant, from mild to severe on a logarithmic scale,
+    follows the additive recurrence with the golden ratio from a random start for each mutation, which leaves no gaps.
 
     Parameters
     ----------
     driver : str
         A registered driver with parameters, possibly with options: ``"normal:horizon=4"``.
     count : int
-        How many; the first of them are those of a smaller number.
+        Number of mutants. A larger number only adds to the mutants of a smaller one.
     seed : int, default 0
         The same seed gives the same mutants.
 
     Returns
     -------
     tuple of Mutant
-        No two of them are the same, and none is the driver.
+        All different from each other and from the driver.
 
     Raises
     ------
     InputError
-        There is no such driver, or it has no parameters that could be made worse.
+        If there is no such driver, or it has no parameters to make worse.
 
     References
     ----------
@@ -114,7 +114,7 @@ def mutants_of(driver: str, count: int, seed: int = 0) -> tuple[Mutant, ...]:
     Examples
     --------
     >>> from cornercase.drivers import mutants_of
-    >>> [one.driver for one in mutants_of("normal:horizon=4", 2)]
+    >>> [mutant.driver for mutant in mutants_of("normal:horizon=4", 2)]
     ['normal:horizon=4,field_of_view=2.86', 'normal:horizon=4,min_gap=0.338']
     """
     count = whole_number("count", count, 1, MOST_MUTANTS)
@@ -151,22 +151,10 @@ def _renamed(driver: str, parameter: str, value: float) -> str:
 
 
 def name_driver(driver: str | Driver | Mapping[str, object]) -> str:
-    """Return the name of a driver that can have mutants.
+    """Name of a driver that can have mutants: the nearest preset, with options for what differs.
 
-    Parameters
-    ----------
-    driver : str, Driver or mapping of str to object
-        A name, a driver that is made, or its settings as a study holds them.
-
-    Returns
-    -------
-    str
-        What is no preset is the nearest one, with options.
-
-    Raises
-    ------
-    InputError
-        It is none of cornercase's own drivers with parameters.
+    Accepts a name, a driver, or its settings as stored in a study. Raises `InputError` for any other than cornercase's
+    own drivers with parameters.
     """
     if isinstance(driver, str):
         _parameters(driver)

@@ -1,4 +1,4 @@
-"""The path as the driver model plans on it."""
+"""The path resampled for the driver's speed planning."""
 
 from __future__ import annotations
 
@@ -22,22 +22,12 @@ _STRAIGHT = 1e-10
 
 
 class Route(NamedTuple):
-    """A path at equal distances, in one row for all scenarios or in one for each.
+    """A path sampled at equal distances, in one row for all scenarios or one row for each.
 
-    Attributes
-    ----------
-    step : ndarray of float64, shape (N,)
-        m between samples.
-    x, y, cos, sin : ndarray of float64, shape (N, R)
-        m, m, 1, 1.
-    squared_speed : ndarray of float64, shape (N, R)
-        Square of the highest speed from which the curves ahead can be taken, in m²/s²; the lowest within one
-        step.
-    straight : ndarray of float64, shape (N, R)
-        How many samples follow in a straight line.
-    longest, sharpest : ndarray of float64, shape (N,)
-        Largest distance between two samples that follow each other in m, and between the ends of their directions,
-        taken as unit vectors.
+    `step` (N,) is the sample distance in m. Arrays of shape (N, R): `x` and `y` in m, `cos` and `sin` of the heading,
+    `squared_speed`, the square of the highest speed in m²/s² that the curves ahead allow (the lowest within one step),
+    and `straight`, the number of following samples on a straight line. Of shape (N,): `longest`, the largest distance
+    in m between consecutive samples, and `sharpest`, the largest one between their directions as unit vectors.
     """
 
     step: FloatArray
@@ -54,23 +44,10 @@ class Route(NamedTuple):
 def plan_route(
     path: DrivenPath, *, lateral_acceleration: float, deceleration: float, rows: IntArray | None = None
 ) -> Route:
-    """Resample a path and find how fast its curves can be taken.
+    """Resample a path and compute the speed that its curves allow; only the given `rows` of it, if any.
 
-    At each place the speed v satisfies v² |κ| ≤ a_lat, and v² ≤ v_c² + 2 b d for each place at a distance d
-    ahead whose own limit is v_c.
-
-    Parameters
-    ----------
-    path : DrivenPath
-    lateral_acceleration, deceleration : float
-        a_lat and b in m/s².
-    rows : ndarray of int64, shape (R,), optional
-        Of a path that runs otherwise in each scenario, those to plan; all if not given.
-
-    Returns
-    -------
-    Route
-        With R rows in place of N, if `rows` are given.
+    The speed v satisfies v² |κ| ≤ a_lat, and v² ≤ v_c² + 2 b d for each sample at distance d ahead whose own limit is
+    v_c, with the lateral acceleration a_lat and the deceleration b in m/s².
     """
     arrays = [np.atleast_2d(array) for array in (path.distance, path.x, path.y, path.heading, path.curvature)]
     if rows is not None:
@@ -86,21 +63,12 @@ def plan_route(
 
 
 def count_samples(path: DrivenPath) -> int:
-    """Say how many samples a row of a path's `Route` has.
-
-    Parameters
-    ----------
-    path : DrivenPath
-
-    Returns
-    -------
-    int
-    """
+    """Number of samples in a row of the path's `Route`."""
     return max(2, int(np.ceil(path.distance.max() / STEP)) + 1)
 
 
 def _straight(step: float, x: FloatArray, y: FloatArray, cos: FloatArray, sin: FloatArray) -> FloatArray:
-    """How many samples of a row follow each in a straight line, in its direction."""
+    """Number of samples that follow each sample of a row on a straight line in its direction."""
     off = np.hypot(np.diff(x) - step * cos[:-1], np.diff(y) - step * sin[:-1])
     turned = np.hypot(np.diff(cos), np.diff(sin))
     ends = np.append(np.flatnonzero((off > _STRAIGHT) | (turned > _STRAIGHT)), len(x) - 1)

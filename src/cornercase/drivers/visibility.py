@@ -1,4 +1,4 @@
-"""What a driver sees, and what it remembers of it."""
+"""What a driver sees, and what it remembers."""
 
 # Compiled functions have no static types.
 # mypy: disable-error-code="no-untyped-def, no-untyped-call, untyped-decorator"
@@ -51,31 +51,13 @@ def in_sight(
     field_of_view: float = 2.0 * math.pi,
     sight_range: float = math.inf,
 ) -> BoolArray:
-    """Find which of A other entities a driver sees, in each of N scenes.
+    """Which of A others a driver sees in each of N scenes; ndarray of bool, shape (N, A).
 
-    The eye is in the middle of the box's width, a quarter of its length ahead of its centre. An entity is
-    seen when at least one of five points of its box, the centre and the corners, is within range and field
-    of view and the line to it meets no third entity's box. Boxes have no height: every entity hides what is
-    behind it.
-
-    Parameters
-    ----------
-    pose : ndarray of float64, shape (N, 3)
-        x and y in m and heading in rad of the driven entity's reference point.
-    box : ndarray of float64, shape (3,)
-        Length, width, and how far ahead of the reference point its centre is, in m.
-    others : ndarray of float64, shape (N, 3, A)
-        x, y and heading of the others; NaN where one does not exist.
-    boxes : ndarray of float64, shape (3, A)
-        Their boxes.
-    field_of_view : float, default 2 pi
-        Full angle in rad, symmetric about the heading.
-    sight_range : float, default infinity
-        m.
-
-    Returns
-    -------
-    ndarray of bool, shape (N, A)
+    The eye is a quarter of the box's length ahead of its centre. An entity is seen if at least one of five points of
+    its box (centre and corners) is within range and field of view and no third box blocks the line to it. Boxes have no
+    height: every entity hides what is behind it. `pose` (N, 3): x and y in m, heading in rad of the reference point.
+    `box` (3,): length, width and centre in m. `others` (N, 3, A): x, y, heading; NaN if missing. `boxes` (3, A). Angle
+    in rad.
     """
     half = np.array([0.5, 0.5, 1.0])
     # Compiled once, for arrays in one order.
@@ -96,43 +78,17 @@ def _look_each(field_of_view, sight_range, own, boxes, pose, others):
 
 @_part
 def eye_of(own, x, y, cos, sin):
-    """Place and direction of a driver's eye.
-
-    Parameters
-    ----------
-    own : ndarray of float64, shape (3,)
-        Its box, as in `Fleet.own`.
-    x, y, cos, sin : float
-        The driven entity's reference point in m, cosine and sine of its heading.
-
-    Returns
-    -------
-    tuple of float
-        x, y, cosine and sine.
-    """
+    """Position and direction (x, y, cosine, sine) of a driver's eye; `own` is its box as in `Fleet`."""
     ahead = own[CENTER_X] + EYE_AHEAD * (2.0 * own[HALF_LENGTH])
     return x + ahead * cos, y + ahead * sin, cos, sin
 
 
 @_part
 def look(field_of_view, sight_range, eye, boxes, others, now, seen):
-    """Find which others a driver sees, in one scenario.
+    """Fill `seen` (A,) with the others that a driver sees in one scenario, and `now` (A, 5) with their boxes.
 
-    Parameters
-    ----------
-    field_of_view, sight_range : float
-        As in `in_sight`.
-    eye : tuple of float
-        As of `eye_of`.
-    boxes : ndarray of float64, shape (4, A)
-        As in `Fleet.boxes`.
-    others : ndarray of float64, shape (4, A)
-        As in `Scene`.
-    now : ndarray of float64, shape (A, 5)
-        Filled, as in `Workspace.boxes`; the centre is NaN where none is within range. The headings are those of
-        before, NaN at first.
-    seen : ndarray of bool, shape (A,)
-        Filled.
+    `eye` comes from `eye_pose`, `boxes` and `others` are as in `DriverScene`, `now` is as in `Workspace.boxes`: its
+    centre is NaN if out of range, and its headings are those of the previous call, NaN at first.
     """
     eye_x, eye_y, cos, sin = eye
     count = others.shape[1]
@@ -176,7 +132,7 @@ def look(field_of_view, sight_range, eye, boxes, others, now, seen):
 
 @_part
 def _in_view(along, across, to_x, to_y, sight_range, half_view, edge):
-    """Whether a point is within range and field of view; only where that is close are root and angle asked for."""
+    """Check range and field of view; computes root and angle only in borderline cases."""
     squared = to_x * to_x + to_y * to_y
     if squared > sight_range * sight_range * (1.0 + _CLOSE):
         return False
@@ -191,7 +147,7 @@ def _in_view(along, across, to_x, to_y, sight_range, half_view, edge):
 
 @_kernel
 def _meets(eye_x, eye_y, to_x, to_y, now, b, half_length, half_width):
-    """Whether the line from the eye meets a box (slabs); a box around the eye itself hides nothing."""
+    """Check whether the line from the eye hits a box (slab method); a box around the eye itself hides nothing."""
     if math.isnan(now[b, 0]):
         return False
     from_x, from_y = eye_x - now[b, 0], eye_y - now[b, 1]
@@ -220,19 +176,10 @@ def _meets(eye_x, eye_y, to_x, to_y, now, b, half_length, half_width):
 
 @_part
 def perceive(behaviour, scene, seen):
-    """Take in what is seen, in one scenario.
+    """Update what a driver remembers and is aware of in one scenario, from the others in sight.
 
-    An entity is known once it has been seen for the reaction time. When it gets out of sight it is taken to
-    go on straight at its last speed for as long as the memory lasts, and is then forgotten; a shorter loss of
-    sight does not start the reaction time again.
-
-    Parameters
-    ----------
-    behaviour : Behaviour
-    scene : Scene
-        What the driver remembers, and is aware of, is updated.
-    seen : ndarray of bool, shape (A,)
-        Who is in sight.
+    An entity is known once it has been seen for the reaction time. Out of sight it is assumed to go straight at its
+    last speed for the memory time, and is then forgotten; a shorter loss of sight does not restart the reaction time.
     """
     time, time_step, others, memory, awareness = (
         scene.time, scene.time_step, scene.others, scene.memory, scene.awareness,

@@ -1,4 +1,4 @@
-"""Where and when the driven entity will be: places along its route, each laid out only when it is asked for."""
+"""Path of the driven entity ahead, as samples and arrival times that are computed on demand."""
 
 # Compiled functions have no static types.
 # mypy: disable-error-code="no-untyped-def, untyped-decorator"
@@ -30,41 +30,14 @@ _part = kernel(error_model="numpy", _nrt=False, forceinline=True)
 
 
 class Way(NamedTuple):
-    """The way ahead of a driven entity.
+    """The path ahead of a driven entity.
 
-    Row 0 of its places is where the entity is, the others are the route's samples ahead of it.
-
-    Attributes
-    ----------
-    places : ndarray of float64, shape (K, 6)
-        As in `Workspace`; each row is right once `lay` has been called for it.
-    arrivals : ndarray of float64, shape (3,)
-        Row up to which times of arrival are known, the square of the speed there, and the speed: few are ever asked
-        for.
-    between : ndarray of float64, shape (1, 6)
-        As in `Workspace`.
-    rows : int
-        How many places there are.
-    most : float
-        m between the centres at two places that follow each other, at most.
-    points : ndarray of float64, shape (M, 6)
-        As in `Routes`.
-    first : int
-        The point before that of row 1.
-    before : int
-        Its number along the route.
-    step : float
-        m between the points.
-    distance : float
-        Place of the driven entity along the route in m.
-    offset : float
-        How far it is to the left of the route in m.
-    center_x : float
-        Centre of its box in m.
-    ego : tuple of float
-        Half length and half width of its box in m.
-    speed, wanted : float
-        That which it has, and that which it wants, in m/s.
+    Row 0 of `places` is the entity itself, the others are the route's samples ahead; each is valid after
+    `compute_sample`. `arrivals` and `between` are as in `Workspace`, `points` as in `Routes`. `rows`: number of
+    samples. `most`: largest distance in m between centres at consecutive samples. `first`: the point before row 1,
+    `before`: its index along the route. `step`: point distance in m. `distance`: position along the route in m.
+    `offset`: m to the left of the route. `center_x`: centre of the box in m. `ego`: half length and half width in m.
+    `speed`, `wanted`: current and wanted, m/s.
     """
 
     places: FloatArray
@@ -86,23 +59,7 @@ class Way(NamedTuple):
 
 @_part
 def look_ahead(behaviour, routes, route, scene, v, wanted, work):
-    """Find the way ahead of the driven entity, as far as it matters.
-
-    Parameters
-    ----------
-    behaviour : Behaviour
-    routes : Routes
-    route : int
-        Row of the route.
-    scene : Scene
-    v, wanted : float
-        Its speed, and that which it wants, in m/s.
-    work : Workspace
-
-    Returns
-    -------
-    Way
-    """
+    """Build the path ahead as far as it matters, for current speed `v` and `wanted` speed in m/s."""
     driven, cos, sin, center_x = scene.driven, scene.cos, scene.sin, scene.own[CENTER_X]
     places, points, distance = work.places, routes.points, driven.distance
     begin, samples, step = routes.begin[route], routes.samples[route], routes.measures[route, 0]
@@ -136,14 +93,7 @@ def look_ahead(behaviour, routes, route, scene, v, wanted, work):
 
 @_part
 def lay(way, k):
-    """Lay out one place ahead, but for its time of arrival.
-
-    Parameters
-    ----------
-    way : Way
-    k : int
-        Row of it.
-    """
+    """Compute the sample of row `k`, except for its arrival time."""
     if k == 0:
         return
     places, points, at = way.places, way.points, way.first + k
@@ -156,38 +106,13 @@ def lay(way, k):
 
 @_part
 def distance_to(way, k):
-    """Distance from the driven entity to a place ahead.
-
-    Parameters
-    ----------
-    way : Way
-    k : int
-        Row of the place.
-
-    Returns
-    -------
-    float
-        m.
-    """
+    """Distance in m from the driven entity to sample `k`."""
     return (way.before + k) * way.step - way.distance if k > 0 else 0.0
 
 
 @_kernel
 def arrive(behaviour, way, k):
-    """When the driven entity is to come to a place ahead.
-
-    Parameters
-    ----------
-    behaviour : Behaviour
-    way : Way
-    k : int
-        Row of the place.
-
-    Returns
-    -------
-    float
-        s from now.
-    """
+    """Planned arrival time at sample `k` in s from now; computed up to `k` on demand."""
     known = int(way.arrivals[0])
     if k > known:
         squared, root, when, here = way.arrivals[1], way.arrivals[2], way.places[known, 5], distance_to(way, known)
@@ -211,20 +136,7 @@ def arrive(behaviour, way, k):
 
 @_part
 def soonest(behaviour, way, k):
-    """When the driven entity comes to a place ahead at the soonest, whatever the curves on the way to it.
-
-    Parameters
-    ----------
-    behaviour : Behaviour
-    way : Way
-    k : int
-        Row of the place.
-
-    Returns
-    -------
-    float
-        s from now, less a hair for rounding: never more than `arrive` says.
-    """
+    """Lower bound of the arrival time at sample `k` in s, ignoring curves; never more than `arrival_time`."""
     v, wanted, a, there = way.speed, way.wanted, behaviour.acceleration, distance_to(way, k)
     if k <= way.arrivals[0]:
         return way.places[k, 5]

@@ -1,8 +1,7 @@
-"""The driver model's decisions: how fast to go, whom to follow, to whom to give way.
+"""Decisions of the built-in driver: target speed, following, yielding.
 
-Everything is asked of the driven entity's own box at places along its route: where, and when, would it
-touch another's box? So distances are those that the driven entity can still travel, bumper to bumper, in
-curves too.
+All distances are from the driven entity's own box at samples of its route to contact with another box, so they are
+bumper to bumper, also in curves.
 """
 
 # Compiled functions have no static types.
@@ -70,23 +69,9 @@ _part = kernel(error_model="numpy", _nrt=False, forceinline=True)
 
 @_part
 def decide(behaviour, routes, route, scene, work):
-    """Acceleration in one scenario, before it is cut to what the vehicle can do.
+    """Acceleration in m/s² in one scenario, before it is limited to what the vehicle can do.
 
-    Parameters
-    ----------
-    behaviour : Behaviour
-    routes : Routes
-    route : int
-        Row of the route.
-    scene : Scene
-        With whom there is a conflict, and to whom the driver gives way, is updated.
-    work : Workspace
-        With what is in sight.
-
-    Returns
-    -------
-    float
-        m/s².
+    Updates in the scene which entities conflict, and which ones the driver yields to.
     """
     driven, boxes, memory, awareness = scene.driven, scene.boxes, scene.memory, scene.awareness
     v = max(driven.speed, 0.0)
@@ -123,7 +108,7 @@ def decide(behaviour, routes, route, scene, work):
 
 @_part
 def _keep_speed(behaviour, routes, route, scene, v, wanted):
-    """Acceleration towards the speed that is wanted and that the curves ahead allow."""
+    """Acceleration towards the wanted speed, limited by the curves ahead."""
     samples, points, time_step = routes.samples[route], routes.points, scene.time_step
     next_place = scene.driven.distance + (v + behaviour.acceleration * time_step) * time_step
     at = min(max(next_place / routes.measures[route, 0], 0.0), samples - 1.0)
@@ -138,10 +123,9 @@ def _keep_speed(behaviour, routes, route, scene, v, wanted):
 
 @_part
 def _react(behaviour, time_step, way, other, vulnerable, yielding, least):
-    """Acceleration that one other entity leaves to the driver, and whether their ways conflict.
+    """Acceleration that one other entity allows, and whether there is a conflict.
 
-    Returns ``(inf, False)`` where the other does not matter; where there is no conflict, any limit that is not below
-    `least` stands for the others.
+    ``(inf, False)`` if the other does not matter; without a conflict, any limit of at least `least` is equivalent.
     """
     legs, half_length, half_width, speed = other
     places, ego = way.places, way.ego
@@ -175,7 +159,7 @@ def _react(behaviour, time_step, way, other, vulnerable, yielding, least):
 
 @_part
 def _further(dx, dy, far):
-    """Whether a way is longer than a distance; only where that is close is the root asked for."""
+    """Check whether a vector is longer than a distance; computes the root only in borderline cases."""
     squared, square = dx * dx + dy * dy, far * far
     if squared > square * (1.0 + _CLOSE):
         return True
@@ -184,7 +168,7 @@ def _further(dx, dy, far):
 
 @_kernel
 def _give_way(behaviour, time_step, way, margin, other, in_corridor, yielding):
-    """Acceleration that gives way to another who crosses, and whether that is needed."""
+    """Acceleration that yields to a crossing entity, and whether that is needed."""
     places, ego, v = way.places, way.ego, way.speed
     enters, _, leg = meeting(places, 0, ego, margin, other, behaviour.horizon)
     in_its_way = enters < math.inf
@@ -229,10 +213,9 @@ def _give_way(behaviour, time_step, way, margin, other, in_corridor, yielding):
 
 @_kernel
 def _find_conflict(behaviour, way, margin, other, gap_first, gap_after, past_choice):
-    """First place that both want within the gaps.
+    """Row where the conflict zone begins, and row of the first sample that both reach within the gaps; -1 if none.
 
-    Past the point of choice, the driver expects those behind it in the same direction to brake.
-    Returns the row where the stretch that holds the place begins, and its own row (-1: there is none).
+    With `past_choice` (too late to decide), the driver expects entities behind it in the same direction to brake.
     """
     k, until, places, ego, horizon, earliest = 0, -1, way.places, way.ego, behaviour.horizon, 0.0
     while k + 1 < way.rows:
@@ -270,7 +253,7 @@ def _find_conflict(behaviour, way, margin, other, gap_first, gap_after, past_cho
 
 @_part
 def _begin(way, k, margin, other, horizon):
-    """Row where the stretch begins on which the other may be met, of which one row is known."""
+    """First row of the conflict zone that contains row `k`."""
     while k > 1:
         lay(way, k - 1)
         if meeting(way.places, k - 1, way.ego, margin, other, horizon)[0] == math.inf:
@@ -295,7 +278,7 @@ def _pass_with_caution(behaviour, time_step, way, other):
 
 @_part
 def _follow(behaviour, v, gap, leader_speed):
-    """Intelligent Driver Model (Treiber, Hennecke, Helbing 2000, eq. 3 and 4), its interaction part."""
+    """Interaction term of the Intelligent Driver Model (Treiber, Hennecke, Helbing 2000, eq. 3 and 4)."""
     best = math.sqrt(behaviour.acceleration * behaviour.comfortable_deceleration)
     dynamic = v * behaviour.time_headway + v * (v - leader_speed) / (2.0 * best)
     wanted = behaviour.min_gap + max(dynamic, 0.0)
@@ -304,7 +287,7 @@ def _follow(behaviour, v, gap, leader_speed):
 
 @_part
 def _needed(v, room):
-    """Deceleration that stops within `room`."""
+    """Deceleration that stops within `room` m."""
     if v <= 0.0:
         return 0.0
     return v * v / (2.0 * room) if room > 0.0 else math.inf
@@ -319,13 +302,13 @@ def _along(places, row, other, leg):
 
 @_part
 def _speed_along(places, row, other):
-    """Speed of the other along the route now."""
+    """Current speed of the other along the route."""
     return abs(other[3]) * _along(places, row, other, 0)
 
 
 @_kernel
 def _refine(way, k, margin, other, horizon):
-    """Distance from here at which contact begins, between row `k`, where it is, and the row before."""
+    """Distance in m at which contact begins, by bisection between row `k` (contact) and the previous row."""
     places, ego, between = way.places, way.ego, way.between
     lay(way, k - 1)
     low, high = 0.0, 1.0

@@ -17,23 +17,22 @@ _GAINING, _LOSING = 2.0, 4.0
 
 
 class ReferenceDriver(Driver):
-    """A reference driver of UN Regulation No. 157, of cut-ins, cut-outs and decelerations.
+    """A reference driver of UN Regulation No. 157, defined for cut-ins, cut-outs and decelerations.
 
-    It goes at the speed that the scenario asks for, until it finds somebody unsafe; from then on it brakes, or keeps
-    its speed. It does not steer, does not foresee whose ways will cross, and does not drive off again; see
-    ``docs/drivers.md``.
+    It drives at the scenario's target speed until another vehicle becomes unsafe; from then on it brakes or keeps its
+    speed. It does not steer, does not predict crossing paths, and does not accelerate again; see ``docs/drivers.md``.
 
     Parameters
     ----------
     name : {"cc-human", "fsm", "rss", "reg157"}
         Careful and competent human, fuzzy safety model, Responsibility-Sensitive Safety, reaction time of 5.2.5.2.
     delay : float, optional
-        s from the first unsafe instant to braking, instead of the regulation's.
+        Time in s from the first unsafe instant to braking; the regulation's by default.
 
     Raises
     ------
     InputError
-        There is no such reference driver, or the delay is below 0.
+        If there is no such reference driver, or the delay is below 0.
 
     References
     ----------
@@ -57,13 +56,13 @@ class ReferenceDriver(Driver):
         self.start(0, 0)
 
     def start(self, scenarios: int, others: int) -> None:
-        """Forget everything; what follows is a batch of N `scenarios` with A `others` in each."""
+        """Reset all state for a batch of N `scenarios` with A `others` in each."""
         self._reaction = Reaction(self._reference, scenarios)
         self._surroundings = Surroundings(scenarios, others)
         self._acceleration = np.zeros(scenarios)
 
     def acceleration(self, situation: Situation) -> FloatArray:
-        """Acceleration along the path in m/s², shape (N,); 0 in scenarios that are not active."""
+        """Return the acceleration along the path in m/s², shape (N,); 0 in scenarios that are not active."""
         s, dt = situation, situation.time_step
         alarm = self._reference.judge(self._surroundings.view(s, self._acceleration))
         counts = alarm.unsafe & s.active[:, None]

@@ -1,4 +1,4 @@
-"""Reference drivers in the three encounters that the regulation defines them for, at 10 Hz, without a file."""
+"""Reference drivers in the three scenarios of the regulation, at 10 Hz, without a scenario file."""
 
 from __future__ import annotations
 
@@ -32,17 +32,17 @@ _RISE = 0.15
 
 
 class EncounterOutcome(NamedTuple):
-    """What comes of N encounters.
+    """Results of N encounters.
 
     Attributes
     ----------
     crash : ndarray of bool, shape (N,)
-        Whether the ego and another touch.
+        Whether the ego touches another vehicle.
     proactive, critical : ndarray of float64, shape (N,)
-        Fuzzy surrogate safety metrics of `fsm`, else 0: the largest of the run, and in a cut-out those to the standing
-        car when the one ahead leaves the middle of its lane, or 0 where that crashes.
+        Fuzzy surrogate safety metrics of `fsm`, 0 for other models: the maximum of the run; in a cut-out, the values
+        with respect to the standing car when the car ahead leaves the middle of its lane, or 0 if that car crashes.
     gap : ndarray of float64, shape (N,)
-        m to the one ahead at the start.
+        Initial gap in m to the car ahead.
     """
 
     crash: BoolArray
@@ -54,26 +54,26 @@ class EncounterOutcome(NamedTuple):
 def drive_cut_in(
     name: str, speed: FloatArray, other_speed: FloatArray, gap: FloatArray, lateral_speed: FloatArray
 ) -> EncounterOutcome:
-    """Let a reference driver meet cars that cut in from the next lane.
+    """Simulate a reference driver while a car cuts in from the next lane.
 
-    The other comes from the middle of the next lane to that of the ego's. Before that, its lateral speed rises with
-    1.5 m/s².
+    The other car moves from the middle of the next lane to the middle of the ego's lane. Before that, its lateral speed
+    rises with 1.5 m/s².
 
     Parameters
     ----------
     name : str
-        Of a reference driver.
+        Name of a reference driver.
     speed, other_speed : ndarray of float64, shape (N,)
-        m/s.
+        In m/s.
     gap : ndarray of float64, shape (N,)
-        m between the bumpers when the other has its lateral speed, and is still a lane's width aside.
+        Bumper-to-bumper gap in m when the other has reached its lateral speed, still one lane width aside.
     lateral_speed : ndarray of float64, shape (N,)
-        m/s.
+        In m/s.
 
     Returns
     -------
     EncounterOutcome
-        A run of `cc-human` ends without a crash where it finds the time to collision above 2 s at the intrusion.
+        A run of `cc-human` ends without a crash if the time to collision at the intrusion is above 2 s.
 
     References
     ----------
@@ -107,24 +107,26 @@ def drive_cut_in(
 
 
 def drive_cut_out(name: str, speed: FloatArray, front_gap: FloatArray, lateral_speed: FloatArray) -> EncounterOutcome:
-    """Let a reference driver follow cars that leave the lane in front of a standing car.
+    """Simulate a reference driver behind a car that leaves the lane in front of a standing car.
 
-    Where the one that cuts out hits the standing car, it stops dead.
+    If the car that cuts out hits the standing car, it stops immediately.
 
     Parameters
     ----------
     name : str
-        Of a reference driver.
+        Name of a reference driver.
     speed : ndarray of float64, shape (N,)
-        m/s of the ego and of the car that it follows.
+        Speed in m/s of the ego and of the car that it follows.
     front_gap : ndarray of float64, shape (N,)
-        m from that to the standing car, if that were 4.3 m long; its middle stands so, but it is 5 m long.
+        Gap in m from that car to the standing car, as if the standing car were 4.3 m long; it is 5 m long, with the
+        same middle.
     lateral_speed : ndarray of float64, shape (N,)
-        m/s at which it cuts out, from the start.
+        Lateral speed in m/s of the cut-out, from the start.
 
     Returns
     -------
     EncounterOutcome
+        Results by encounter.
 
     References
     ----------
@@ -162,20 +164,21 @@ def drive_cut_out(name: str, speed: FloatArray, front_gap: FloatArray, lateral_s
 
 
 def drive_deceleration(name: str, speed: FloatArray, deceleration: FloatArray) -> EncounterOutcome:
-    """Let a reference driver follow cars that brake at once, and constantly, to a standstill.
+    """Simulate a reference driver behind a car that brakes at a constant rate to a standstill.
 
     Parameters
     ----------
     name : str
-        Of a reference driver.
+        Name of a reference driver.
     speed : ndarray of float64, shape (N,)
-        m/s of both.
+        Speed in m/s of both.
     deceleration : ndarray of float64, shape (N,)
         In units of 9.81 m/s².
 
     Returns
     -------
     EncounterOutcome
+        Results by encounter.
 
     References
     ----------
@@ -200,7 +203,7 @@ def drive_deceleration(name: str, speed: FloatArray, deceleration: FloatArray) -
 
 
 def _rise(lateral_speed: FloatArray) -> tuple[BoolArray, FloatArray]:
-    """Time steps before a lateral speed is reached, shape (steps, N), and the way across meanwhile in m, shape (N,)."""
+    """Time steps in which the lateral speed rises, bool (steps, N), and the lateral distance covered in m, (N,)."""
     steps = np.ceil(lateral_speed / _RISE)
     instants = np.arange(max(int(steps.max(initial=0.0)), 1))[:, None]
     rising = instants < steps
@@ -208,6 +211,6 @@ def _rise(lateral_speed: FloatArray) -> tuple[BoolArray, FloatArray]:
 
 
 def _next_speed(speed: FloatArray, acceleration: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Speed after a time step, not below 0, and the acceleration that it took."""
+    """Speed after a time step, not below 0, and the resulting acceleration."""
     risen = np.maximum(speed + acceleration * TIME_STEP, 0.0)
     return risen, (risen - speed) / TIME_STEP

@@ -1,4 +1,4 @@
-"""What a run of a reference driver says: whether who drove instead of it could have prevented a collision."""
+"""Preventability: whether the reference driver would have avoided the collision."""
 
 from __future__ import annotations
 
@@ -28,32 +28,21 @@ _CLOCK: Final = 1e-9
 
 @dataclass(frozen=True)
 class ReferenceOutcome:
-    """What came of a scenario with a reference at the wheel.
+    """Outcome of a scenario with a reference driver in control of the ego.
 
     Attributes
     ----------
     collides : bool or None
-        None where the reference says nothing of such a scenario.
+        None if the reference is not defined for such a scenario.
     time : float or None
-        Instant of its collision in s; None without one.
+        Time of its collision in s; None without one.
     """
 
     collides: bool | None
     time: float | None = None
 
     def tell(self, driver: str) -> str:
-        """Say what the reference shows.
-
-        Parameters
-        ----------
-        driver : str
-            Its name.
-
-        Returns
-        -------
-        str
-            A part of a sentence.
-        """
+        """Describe the outcome of the named reference driver as part of a sentence."""
         if self.collides is None:
             return f"{driver} says nothing of it, as it knows only vehicles ahead that go in about its own direction"
         if not self.collides:
@@ -65,34 +54,16 @@ class ReferenceOutcome:
 def judge_reference(
     driver: str, run: Recording, original: Recording, ego: str, other: str | Sequence[str]
 ) -> ReferenceOutcome:
-    """Judge a scenario that was run a second time, with a reference at the wheel of the ego.
+    """Assess a scenario that was run again with a reference driver in control of the ego.
 
-    A reference of UN Regulation No. 157 says nothing where whom the ego met, or whom the reference collides with, is
-    no vehicle of a motorway, comes from behind, or goes in a direction more than 45° from the ego's within the last 3 s
-    before they meet. Who comes from behind is behind the ego with all of its box just before they touch.
-    The encounter of `cc-human` is over, and it is no danger, where somebody cuts in with a time to collision of more
-    than 2 s at the intrusion; what it collides with later does not count.
+    A reference of UN Regulation No. 157 is not defined if the entity that the ego meets, or that the reference collides
+    with, is not a motorway vehicle, comes from behind, or moves in a direction more than 45° from the ego's within the
+    last 3 s before they meet. It comes from behind if its whole box is behind the ego just before contact. For
+    `cc-human` the encounter is over, without danger, after a cut-in with a time to collision above 2 s at the
+    intrusion; later collisions with that vehicle do not count (Annex 4, Appendix 3).
 
-    Parameters
-    ----------
-    driver : str
-        Name of the reference; any driver can be one.
-    run : Recording
-        With the reference.
-    original : Recording
-        With who drove the ego before.
-    ego : str
-        Name of the entity under test.
-    other : str or sequence of str
-        Whom it is measured against; where it collides with nobody, the one of several that comes nearest counts.
-
-    Returns
-    -------
-    ReferenceOutcome
-
-    References
-    ----------
-    UN Regulation No. 157, Annex 4, Appendix 3.
+    `run` is the recording with the reference, `original` the one with the original driver; `other` is the entity that
+    it is measured against. If the ego collides with nobody, the nearest one of several counts.
     """
     name = driver.partition(":")[0]
     hit = _first_collision(run, ego)
@@ -119,14 +90,14 @@ def _partner(collision: Collision, ego: str) -> str:
 
 
 def _nearest(recording: Recording, ego: str, others: Sequence[str]) -> tuple[str, float]:
-    """The one that comes nearest and the instant in s; the first of both where none is ever there with the ego."""
+    """Name of the nearest entity and the time in s of the smallest distance; the first ones if none coexists."""
     apart = np.stack([np.hypot(*(recording.center(one) - recording.center(ego)).T) for one in others])
     whom, at = np.unravel_index(np.where(np.isnan(apart), np.inf, apart).argmin(), apart.shape)
     return others[int(whom)], float(recording.time[int(at)])
 
 
 def _is_known(recording: Recording, ego: str, other: str, at: float) -> bool:
-    """Whether two meet as the models of the regulation know it."""
+    """Check whether the encounter of two entities is one that the regulation's models cover."""
     i, j = recording.index(ego), recording.index(other)
     if recording.kinds[j] in _NO_MOTORWAY:
         return False
@@ -141,7 +112,7 @@ def _is_known(recording: Recording, ego: str, other: str, at: float) -> bool:
 
 
 def _is_over_before(run: Recording, ego: str, hit: Collision) -> bool:
-    """Whether the one that is hit cut in before that, with time to spare."""
+    """Check whether the vehicle that is hit had cut in earlier, with time to spare."""
     i, others = run.index(ego), [k for k, name in enumerate(run.names) if name != ego]
     there = np.isfinite(run.x[i]) & (run.time <= hit.time + _CLOCK)
     situation = _all_instants(run, i, others, there)
@@ -155,7 +126,7 @@ def _is_over_before(run: Recording, ego: str, hit: Collision) -> bool:
 
 
 def _all_instants(run: Recording, i: int, others: list[int], there: BoolArray) -> Situation:
-    """What a driver is told at each instant, as scenarios beside each other; its path is the one that it drove."""
+    """The situation at each instant, as parallel scenarios; the path is the driven one."""
     x, y, heading = run.x[i, there], run.y[i, there], run.heading[i, there]
     none = np.zeros(len(x))
     return Situation(

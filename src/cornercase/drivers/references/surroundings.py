@@ -1,4 +1,4 @@
-"""How others stand and move along and across the path of a driver, of what it is told of them."""
+"""Perception of the reference drivers: motion of others along and across the path."""
 
 from __future__ import annotations
 
@@ -21,13 +21,7 @@ _HAIR, _SLOWLY = 1e-3, 0.1
 
 
 class Surroundings:
-    """What is kept of the others from one time step to the next.
-
-    Parameters
-    ----------
-    scenarios, others : int
-        N and A.
-    """
+    """Track of N scenarios with A others from one time step to the next."""
 
     def __init__(self, scenarios: int, others: int) -> None:
         self._time = np.full(scenarios, np.nan)
@@ -35,19 +29,10 @@ class Surroundings:
         self._seen, self._beside, self._ahead = np.zeros((3, scenarios, others), dtype=np.bool_)
 
     def view(self, situation: Situation, acceleration: FloatArray) -> View:
-        """Look at the others, and remember them in the scenarios that are active.
+        """Compute the relative motion, shape (N, A), and remember it for active scenarios.
 
-        Parameters
-        ----------
-        situation : Situation
-        acceleration : ndarray of float64, shape (N,)
-            That of the driver, in m/s².
-
-        Returns
-        -------
-        View
-            Arrays of shape (N, A); NaN where another does not exist, or is hidden behind who goes in the middle of the
-            driver's way.
+        NaN if another does not exist, or is hidden behind a vehicle in the middle of the corridor. `acceleration` (N,)
+        is that of the driver in m/s².
         """
         s = situation
         line = _line_of(s.path)
@@ -80,7 +65,7 @@ class Surroundings:
     def _velocity(
         self, s: Situation, x: FloatArray, y: FloatArray, direction: FloatArray
     ) -> tuple[FloatArray, FloatArray]:
-        """Speeds along and across the path in m/s, of where they were a time step ago, else of heading and speed."""
+        """Speeds along and across the path in m/s, from the previous step if known, else from heading and speed."""
         again = np.isclose(self._time, s.time - s.time_step, rtol=0.0, atol=1e-3 * s.time_step)[:, None]
         again = again & np.isfinite(self._x)
         speed_x = np.where(again, (x - self._x) / s.time_step, s.others_speed * np.cos(s.others_heading))
@@ -102,7 +87,7 @@ class Surroundings:
 
 
 class _Line:
-    """A path by samples that are close to each other, and where places are along it."""
+    """A finely sampled path, onto which points are projected."""
 
     def __init__(self, path: DrivenPath) -> None:
         columns = (path.distance, path.x, path.y, path.heading)
@@ -154,12 +139,12 @@ def _line_of(path: DrivenPath) -> _Line:
 def _middle(
     x: FloatArray, y: FloatArray, heading: FloatArray, center_x: FloatArray | float
 ) -> tuple[FloatArray, FloatArray]:
-    """Middle of a box whose reference point is at (x, y)."""
+    """Centre of a box whose reference point is at (x, y)."""
     return x + center_x * np.cos(heading), y + center_x * np.sin(heading)
 
 
 def _hidden(gap: FloatArray, off: FloatArray, in_the_way: BoolArray) -> BoolArray:
-    """Who is in the way behind somebody nearer that is in the middle of it, each of shape (N, A)."""
+    """Entities in the corridor behind a nearer one in the middle of it, bool (N, A)."""
     screens = np.where((off <= WANDERING) & (gap > 0.0), gap, np.inf)
     nearest = screens.min(axis=1, keepdims=True, initial=np.inf)
     return np.asarray(in_the_way & (gap > nearest))
