@@ -1,4 +1,4 @@
-"""Pairs of series that are surely farther apart than a given distance, found without warping them."""
+"""Lower bounds of distances, to skip pairs of series without warping them."""
 
 # Compiled functions have no static types.
 # mypy: disable-error-code="no-untyped-def, untyped-decorator, call-arg"
@@ -21,23 +21,11 @@ _TINY = 1e-150
 
 
 def may_be_within(series: Sequence[npt.NDArray[np.floating[Any]]], distance: float, squared: bool) -> BoolArray:
-    """Return which pairs may be at most `distance` apart.
+    """Return which pairs may be at most `distance` apart, bool (n, n), symmetric.
 
-    Each point of one series is matched with some point of the other, so it costs at least its distance to the
-    box around all of these: the sum of these costs is a lower bound of the dynamic time warping distance, with
-    any window.
-
-    Parameters
-    ----------
-    series : sequence of ndarray, shape (T_i, k)
-    distance : float
-    squared : bool
-        Whether squared distances are summed and the root is taken of the sum.
-
-    Returns
-    -------
-    ndarray of bool, shape (n, n)
-        Symmetric, True on the diagonal.
+    Each point of one series is matched with some point of the other, so its cost is at least its distance to their
+    bounding box: the sum of these costs is a lower bound with any window. `squared`: costs are squared and the root is
+    taken of the sum.
     """
     lengths = np.array([len(one) for one in series], dtype=np.int64)
     starts = np.concatenate(([0], np.cumsum(lengths)))

@@ -1,11 +1,10 @@
 """Dynamic time warping on the CPU: one series against as many others as a vector has lanes.
 
-The series are sorted by length. Each block of 8 (double) or 16 (single precision) neighbours is interleaved,
-so that one vector holds the same instant of all of them; a tile is such a block against a run of single
-series. In a pair the recurrence is advanced by four rows at a time: their values stay in registers, and four
-independent chains hide the latency of one. Every cell is one rounded sum of its cost and an exact minimum, so
-neither the order of the cells, nor the partner in the neighbouring lane, nor the number of threads shows in
-the result.
+Series are sorted by length. Each block of 8 (double) or 16 (single precision) neighbours is interleaved, so that one
+vector holds the same instant of all of them; a tile is such a block against a run of single series. The recurrence
+advances four rows at a time: their values stay in registers, and four independent chains hide the latency of one. Every
+cell is one rounded sum of its cost and an exact minimum, so the result depends neither on the order of the cells, nor
+on the neighbouring lanes, nor on the number of threads.
 """
 
 # Compiled functions have no static types.
@@ -50,7 +49,7 @@ Floats = npt.NDArray[np.floating[Any]]
 
 @dataclass(frozen=True)
 class _Singles:
-    """Series one after the other in the order of length: series ``order[i]`` from ``starts[i]`` on."""
+    """Concatenated series sorted by length: series ``order[i]`` begins at ``starts[i]``."""
 
     order: IntArray
     lengths: IntArray
@@ -60,7 +59,7 @@ class _Singles:
 
 @dataclass(frozen=True)
 class _Block:
-    """Neighbours in the order of length, interleaved: ``values[(instant * dims + dim) * lanes + lane]``."""
+    """Interleaved series of similar length: ``values[(instant * dims + dim) * lanes + lane]``."""
 
     first: int
     lengths: IntArray
@@ -78,29 +77,12 @@ def distances(
     advance: Callable[[int], None],
     needed: BoolArray | None = None,
 ) -> Floats:
-    """Distances of checked series.
+    """Distances of checked series, shape (len(rows), len(columns)).
 
-    Parameters
-    ----------
-    rows : sequence of ndarray, shape (T_i, k)
-        At least one.
-    columns : sequence of ndarray, shape (T_j, k), or None
-        At least one. None: the rows again; then only one half is computed.
-    squared : bool
-        Sum squared distances and take the root at the end.
-    window : int or None
-    dtype : float64 or float32
-        Of the arithmetic and the result.
-    n_jobs : int
-        Number of threads.
-    advance : callable
-        Called in this thread with the number of cells done since the last call.
-    needed : ndarray of bool, shape (len(rows), len(columns)), optional
-        Which pairs are wanted; the others may come out as infinite.
+    `columns` None means the rows; then only one half is computed.
 
-    Returns
-    -------
-    ndarray of `dtype`, shape (len(rows), len(columns))
+    `advance` gets the number of cells done since its last call, in this thread. `needed`: pairs that are wanted; others
+    may be infinite.
     """
     if columns is not None and len(columns) < len(rows):
         # The longer side fills the lanes better; the distance is the same from either side.
@@ -162,10 +144,7 @@ def _interleave(series: _Singles, first: int, dims: int, lanes: int) -> _Block:
 
 
 def _tiles(blocks: Sequence[_Block], lengths: IntArray, symmetric: bool, n_jobs: int) -> Iterator[tuple[_Block, range]]:
-    """Blocks against runs of single series, the most expensive first.
-
-    In the symmetric case the runs end with the block's last member, which leaves one half.
-    """
+    """Blocks with runs of single series, the most expensive first; symmetric runs end with the block's last member."""
     total = int(lengths.sum()) * sum(int(block.lengths.sum()) for block in blocks) // (2 if symmetric else 1)
     share = min(max(total // (16 * n_jobs), TILE_CELLS // 10), TILE_CELLS)
     for block in reversed(blocks):
@@ -185,7 +164,7 @@ def _run_all(
     n_jobs: int,
     advance: Callable[[int], None],
 ) -> None:
-    """Run tiles on threads; an interrupt drops those not begun and waits for those that are."""
+    """Run tiles on threads; an interrupt drops waiting tiles and waits for running ones."""
     if n_jobs == 1:
         for tile in tiles:
             advance(run(*tile))
@@ -308,7 +287,7 @@ def _kernel(dims: int, squared: bool, banded: bool, lanes: int) -> Callable[...,
 
 
 def compiled(dims: int, squared: bool, banded: bool, dtype: npt.DTypeLike) -> Callable[..., None]:
-    """Return a kernel that is ready to run."""
+    """Return a kernel that is compiled."""
     dtype = np.dtype(dtype)
     kernel = _kernel(dims, squared, banded, simd.BYTES // dtype.itemsize)
     floats, whole = np.zeros(dims, dtype=dtype), np.zeros(1, dtype=np.int64)

@@ -1,8 +1,8 @@
 """Dynamic time warping on an NVIDIA GPU: one pair per thread, four rows of its table at a time.
 
-Neighbouring threads have the same row series and neighbouring column series, which are interleaved: a warp reads
-and writes consecutive numbers. Four rows stay in registers, the last of them in global memory. The
-compiler contracts products and sums there, so the last digits may differ from the CPU's.
+Neighbouring threads have the same row series and neighbouring column series, which are interleaved: a warp reads and
+writes consecutive numbers. Four rows stay in registers, the last of them in global memory. The compiler contracts
+products and sums, so the last digits may differ from the CPU's.
 """
 
 # Compiled functions have no static types.
@@ -40,7 +40,7 @@ def distances(
     dtype: npt.DTypeLike,
     advance: Callable[[int], None],
 ) -> Floats:
-    """Distances of checked series; parameters and result are those of ``cpu.distances``."""
+    """Distances of checked series; parameters and result are those of the CPU version."""
     dtype = np.dtype(dtype)
     symmetric = columns is None
     partners = rows if columns is None else columns

@@ -1,9 +1,9 @@
-"""A distance matrix that does not fit in memory: written to a file square by square, and gone on with.
+"""A distance matrix that does not fit in memory: written to a file square by square, and resumable.
 
-Beside the matrix stands ``NAME.progress``: in its first line a fingerprint of the series and the settings, then
-one line for each square that is in the file, with its CRC-32. A square is noted after it has been written out, so a
-process that is killed loses the square at which it was; the same call with ``resume=True`` computes that and the rest,
-and what of the file is not as it was noted.
+Next to the matrix is the journal ``NAME.progress``: a line with a fingerprint of the series and the settings, then a
+line for each finished square with its CRC-32. A square is recorded after it has been flushed, so a killed process loses
+only the current square; the same call with ``resume=True`` computes it and the rest, and any square that does not match
+its checksum.
 """
 
 from __future__ import annotations
@@ -49,31 +49,11 @@ def distance_matrix(
     advance: Callable[[int], None],
     client: Client | None = None,
 ) -> FloatMap:
-    """Fill a matrix on disk from checked series.
+    """Fill a matrix on disk from checked series: a new file at a path, or a memmap (n, n) of an existing one.
 
-    Parameters
-    ----------
-    series : sequence of n ndarray, shape (T_i, k)
-    out : path or numpy.memmap of shape (n, n)
-        The path of a file in NumPy's format that is made, or a map onto an existing file.
-    resume : bool
-        Go on with what is there.
-    settings : Settings
-    advance : callable
-        Called with the number of cells that are settled since the last call.
-    client : distributed.Client, optional
-        Cluster that computes the squares; this process writes them.
-
-    Returns
-    -------
-    numpy.memmap
-        `out`, or the map onto the file at that path.
-
-    Raises
-    ------
-    InputError
-        `out` does not fit, exists although not to be resumed, or was begun from other series or settings, or there is
-        no space for it.
+    With `resume`, continue with the existing squares. A Dask `client` computes the squares; this process writes them.
+    Raises `InputError` if `out` does not fit, exists without `resume`, belongs to other series or settings, or lacks
+    space.
     """
     size = len(series)
     path = Path(_file_of(out, size, settings.dtype) if isinstance(out, np.memmap) else out)
@@ -139,7 +119,7 @@ def _fill(
 
 
 def _is_there(view: FloatMap, rows: range, columns: range, checksum: int) -> bool:
-    """Tell whether a square and its mirror image are as they were noted."""
+    """Check that a square and its mirror image match a checksum."""
     # A map of its own, as where squares are written.
     part = np.memmap(str(view.filename), view.dtype, "r", view.offset, view.shape)
     square = part[rows.start : rows.stop, columns.start : columns.stop]
@@ -168,7 +148,7 @@ def _squares(
 
 
 def _file_of(out: FloatMap, size: int, dtype: np.dtype[Any]) -> str:
-    """Return the path of the file under a map that can be filled."""
+    """Return the path of the file under a memmap, if it can be filled."""
     if out.shape != (size, size) or out.dtype != dtype:
         raise InputError(f"out is {out.dtype} of shape {out.shape}; give {dtype} of shape ({size}, {size}).")
     if out.filename is None or not isinstance(out.base, mmap.mmap) or not out.flags.c_contiguous:
@@ -194,7 +174,7 @@ def _map_of(path: Path, size: int, dtype: np.dtype[Any], *, new: bool) -> FloatM
 
 
 def _reserve(path: Path) -> None:
-    """Take the space of the whole file now: who writes into a map when the disk is full is ended by the system."""
+    """Allocate the whole file now: the system kills a process that writes into a map of a full disk."""
     lacking = bytes_in_holes(path)
     free = shutil.disk_usage(path).free
     if lacking > free:
@@ -218,7 +198,7 @@ def _header_size(path: Path) -> int:
 
 
 def _begun(journal: Path, fingerprint: str) -> dict[tuple[int, int], int]:
-    """Return checksums of the squares that are in the file; a journal that is not there is begun."""
+    """Return checksums of the finished squares; start the journal if there is none."""
     if not journal.exists():
         journal.write_text(fingerprint + "\n", encoding="utf-8", newline="\n")
         return {}

@@ -1,9 +1,8 @@
-"""Vectors of 64 bytes for numba: 8 double or 16 single numbers that go through the same operations.
+"""Vectors of 64 bytes for numba: 8 double or 16 single numbers that undergo the same operations.
 
-Numba leaves it to the compiler whether a loop becomes vector instructions. The recurrence of dynamic time
-warping is one that compilers give up on, so the vectors are spelled out here. Where a machine has narrower
-registers the compiler splits them. No operation reorders or fuses arithmetic: each lane has the bits that
-scalar code has.
+Numba leaves it to the compiler whether a loop becomes vector instructions, and compilers give up on the recurrence of
+dynamic time warping, so the vectors are explicit here. On machines with narrower registers the compiler splits them. No
+operation reorders or fuses arithmetic: each lane has the bits of scalar code.
 """
 
 # Compiled functions have no static types.
@@ -62,7 +61,7 @@ def _call(builder: Any, name: str, value: Any) -> Any:
 
 @intrinsic
 def load(typingctx: Any, array: Any, index: Any) -> Any:
-    """Vector of the elements from `index` on of a contiguous one-dimensional array."""
+    """Load a vector from `index` on of a contiguous one-dimensional array."""
     vector = Vector(array.dtype)
 
     def codegen(context: Any, builder: Any, signature: Any, args: Any) -> Any:
@@ -88,7 +87,7 @@ def store(typingctx: Any, array: Any, index: Any, value: Any) -> Any:
 
 @intrinsic(prefer_literal=True)
 def point(typingctx: Any, array: Any, index: Any, dims: Any) -> Any:
-    """Tuple of `dims` vectors: each of the elements from `index` on in every lane. `dims` is a constant."""
+    """Tuple of `dims` (a constant) vectors, each with one element from `index` on in every lane."""
     vector = Vector(array.dtype)
     vectors = types.UniTuple(vector, dims.literal_value)
 
@@ -106,7 +105,7 @@ def point(typingctx: Any, array: Any, index: Any, dims: Any) -> Any:
 
 @intrinsic
 def sum_of_squares(typingctx: Any, point: Any, array: Any, index: Any) -> Any:
-    """Squared distance of a point to the points from `index` on, whose coordinates are vectors one after the other."""
+    """Squared distances of a point to the interleaved points from `index` on."""
 
     def codegen(context: Any, builder: Any, signature: Any, args: Any) -> Any:
         kind = _ir_type(point.dtype)
@@ -157,7 +156,7 @@ _INTEGER_MINIMUM = bool(get_host_cpu_features().get("avx512f"))
 
 @intrinsic
 def lowest(typingctx: Any, a: Any, b: Any) -> Any:
-    """Minimum of two vectors that are nowhere negative, infinity included."""
+    """Minimum of two vectors of non-negative numbers, including infinity."""
 
     def codegen(context: Any, builder: Any, signature: Any, args: Any) -> Any:
         a, b = args
@@ -176,7 +175,7 @@ root = _unary(lambda builder, a: _call(builder, "sqrt", a))
 
 @intrinsic
 def within(typingctx: Any, value: Any, shift: Any, below: Any, above: Any) -> Any:
-    """`value` in the lanes where ``-below <= shift <= above``, else infinity; `shift` is a scalar."""
+    """`value` in the lanes where ``-below <= shift <= above`` for the scalar `shift`, else infinity."""
 
     def codegen(context: Any, builder: Any, signature: Any, args: Any) -> Any:
         value, shift, below, above = args

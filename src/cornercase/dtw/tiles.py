@@ -1,4 +1,4 @@
-"""Distances by the workers of a Dask cluster, square by square."""
+"""Distances computed by the workers of a Dask cluster, square by square."""
 
 from __future__ import annotations
 
@@ -35,16 +35,9 @@ _BANDS: Final = 12
 
 
 class Tiles:
-    """Squares of a matrix of distances, each computed by a worker of a cluster.
+    """Squares of a distance matrix, computed by a cluster; identical to `pairs.distances` to the last bit.
 
-    The series are sent once, in bands; a square needs two of them. What is computed is what `pairs.distances` gives
-    here, to the last bit.
-
-    Parameters
-    ----------
-    client : distributed.Client
-    settings : Settings
-    bands : sequence of sequence of ndarray, shape (T_i, k)
+    The series are sent once, in bands; a square needs two of them.
     """
 
     def __init__(self, client: Client, settings: Settings, bands: Sequence[Sequence[Floats]]) -> None:
@@ -52,24 +45,9 @@ class Tiles:
         self._sent: dict[int, Future[Any]] = {}
 
     def squares(self, wanted: Iterable[tuple[int, int]]) -> Iterator[tuple[int, int, Floats]]:
-        """Compute squares.
+        """Yield (rows, columns, distances) for squares given by the indices of their bands, in the order of completion.
 
-        Parameters
-        ----------
-        wanted : iterable of (int, int)
-            The bands that are the rows and columns of each; the same twice for a square on the diagonal.
-
-        Yields
-        ------
-        rows, columns : int
-            Bands.
-        distances : ndarray
-            In the order in which they are done.
-
-        Raises
-        ------
-        InputError
-            The workers cannot compute them, or the cluster is lost.
+        Raises `InputError` if the workers cannot compute them, or the cluster is lost.
         """
         from distributed.scheduler import KilledWorker
 
@@ -149,25 +127,8 @@ def compute_square(
 ) -> Floats:
     """Compute a square of distances on a worker.
 
-    Parameters
-    ----------
-    version : str
-        Of the cornercase that asks.
-    settings : Settings
-    machines : dict of str to int
-        How many threads the workers of each machine have together, by its address.
-    rows : sequence of ndarray, shape (T_i, k)
-    columns : sequence of ndarray, shape (T_j, k), or None
-        None: the rows again.
-
-    Returns
-    -------
-    ndarray, shape (len(rows), len(columns))
-
-    Raises
-    ------
-    InputError
-        This process has another version of cornercase.
+    Raises `InputError` if the worker has another `version` of cornercase. `machines`: number of threads of all workers
+    of each machine, by address.
     """
     if version != __version__:
         raise InputError(
@@ -192,27 +153,7 @@ def distances(
     client: Client,
     advance: Callable[[int], None],
 ) -> Floats:
-    """Distances of checked series, as `pairs.distances` gives them.
-
-    Parameters
-    ----------
-    rows : sequence of ndarray, shape (T_i, k)
-    columns : sequence of ndarray, shape (T_j, k), or None
-        None: the rows again.
-    settings : Settings
-    client : distributed.Client
-    advance : callable
-        Called with the number of cells that are settled since the last call.
-
-    Returns
-    -------
-    ndarray, shape (len(rows), len(columns))
-
-    Raises
-    ------
-    InputError
-        As by `Tiles.squares`.
-    """
+    """Compute distances of checked series on a cluster, like `pairs.distances`."""
     of_rows = bands_of(len(rows))
     parts: list[Sequence[Floats]] = [[rows[i] for i in band] for band in of_rows]
     if columns is None:
@@ -234,16 +175,6 @@ def distances(
 
 
 def bands_of(size: int) -> list[range]:
-    """Divide series into bands, so that the squares are many and not too small.
-
-    Parameters
-    ----------
-    size : int
-        Number of series.
-
-    Returns
-    -------
-    list of range
-    """
+    """Split series into bands, so that squares are numerous but not too small."""
     side = min(max(-(-size // _BANDS), _SIDES[0]), _SIDES[1])
     return [range(first, min(first + side, size)) for first in range(0, size, side)]

@@ -1,4 +1,4 @@
-"""Actions: what events do to entities, in the scenarios in which they happen."""
+"""Read actions, and the actions that take effect immediately."""
 
 from __future__ import annotations
 
@@ -48,27 +48,7 @@ _HOLDERS: Final = (
 
 
 def read_action(element: etree._Element, scope: Scope, world: World, entity: int | None) -> Action | None:
-    """Read a ``PrivateAction`` or ``GlobalAction`` for one entity.
-
-    Parameters
-    ----------
-    element : lxml element
-    scope : Scope
-        Values of the parameters there.
-    world : World
-    entity : int, optional
-        Row of the entity that acts; a global action has none.
-
-    Returns
-    -------
-    Action or None
-        None for one that has no effect here.
-
-    Raises
-    ------
-    InputError
-        The action is not supported, or is malformed.
-    """
+    """Read a ``PrivateAction`` of an entity (by row) or a ``GlobalAction``; None if it has no effect."""
     inner = inner_action(element)
     if element.tag in WITHOUT_EFFECT:
         return None
@@ -90,7 +70,7 @@ def read_action(element: etree._Element, scope: Scope, world: World, entity: int
 
 
 def inner_action(element: etree._Element) -> etree._Element:
-    """What a ``PrivateAction`` or ``GlobalAction`` holds, below the elements that group actions; itself where none."""
+    """Find the action inside its grouping elements; the element itself if there is none."""
     inner = next(iter(element.iterchildren("*")), None)
     while inner is not None and inner.tag in _HOLDERS:
         inner = next(iter(inner.iterchildren("*")), None)
@@ -98,7 +78,7 @@ def inner_action(element: etree._Element) -> etree._Element:
 
 
 class TeleportAction(Action):
-    """Moves an entity to a position at once."""
+    """Moves an entity to a position immediately."""
 
     domains = (LONGITUDINAL, LATERAL)
 
@@ -115,7 +95,7 @@ class TeleportAction(Action):
 
 
 class AssignRouteAction(Action):
-    """Tells an entity which way to go at junctions."""
+    """Sets which roads an entity takes at junctions."""
 
     def __init__(self, element: etree._Element, scope: Scope, world: World, entity: int) -> None:
         self._entity = entity
@@ -129,7 +109,7 @@ class AssignRouteAction(Action):
 
 
 class AcquirePositionAction(Action):
-    """Makes an entity take the way to a place."""
+    """Makes an entity drive to a position."""
 
     domains = (LONGITUDINAL,)
 
@@ -146,7 +126,7 @@ class AcquirePositionAction(Action):
 
 
 class PresenceAction(Action):
-    """Adds an entity to the traffic or takes it out."""
+    """Adds an entity to the traffic or removes it."""
 
     def __init__(self, element: etree._Element, scope: Scope, world: World, entity: int | None) -> None:
         self._entity = entity_index(element, scope, world)
@@ -168,7 +148,7 @@ class PresenceAction(Action):
 
 
 class ValueAction(Action):
-    """Sets or modifies a variable or, as files before 1.2 did, a parameter."""
+    """Sets or modifies a variable or, in files before 1.2, a parameter."""
 
     def __init__(self, element: etree._Element, scope: Scope, values: dict[str, Any], name: str) -> None:
         self._name, self._values = name, values
@@ -214,7 +194,7 @@ def _read_value(element: etree._Element, scope: Scope, world: World, entity: int
 
 
 class SignalControllerAction(Action):
-    """Begins a phase of a controller of traffic signals, which goes on from there."""
+    """Starts a phase of a traffic signal controller, which continues from there."""
 
     def __init__(self, controller: SignalController, phase: int) -> None:
         self._controller, self._phase = controller, phase
@@ -239,7 +219,7 @@ def _read_signal_controller(element: etree._Element, scope: Scope, world: World,
 
 
 class SignalAction(Action):
-    """Switches a traffic signal, which conditions can ask for."""
+    """Switches a traffic signal; only conditions read it."""
 
     def __init__(self, element: etree._Element, scope: Scope, world: World, entity: int | None) -> None:
         self._name, self._state = scope.text(element, "name"), scope.text(element, "state")

@@ -1,4 +1,4 @@
-"""How a driver's decisions move an entity, and who is in charge of it."""
+"""Drivers in control of entities, and the actions that assign them."""
 
 from __future__ import annotations
 
@@ -33,14 +33,10 @@ _DRIVEN: WeakKeyDictionary[LanePath, DrivenPath] = WeakKeyDictionary()
 
 
 class DriverError(Exception):
-    """A driver raised an exception, or gave no acceleration, for several scenarios at once.
+    """A driver raised an exception, or returned no acceleration, for several scenarios at once.
 
-    Parameters
-    ----------
-    error : SimulationError
-        What becomes of the scenario that is at fault.
-    splits : bool
-        Whether half of the scenarios alone tell which half is at fault; otherwise only each one alone does.
+    `error` is for the scenario at fault. `splits`: whether a run with half of the scenarios shows which half is at
+    fault; otherwise only single runs do.
     """
 
     def __init__(self, error: SimulationError, splits: bool) -> None:
@@ -49,27 +45,11 @@ class DriverError(Exception):
 
 
 class Driving:
-    """One entity of a batch, and the driver that decides its speed along lanes and trajectories while in charge.
+    """One entity of a batch and the driver that decides its speed along lanes and trajectories while active.
 
-    A trajectory with times leaves the driver nothing to decide.
-
-    Parameters
-    ----------
-    world : World
-        It becomes one of its drivers.
-    entity : int
-        Row of the entity.
-    driver : Driver
-
-    Attributes
-    ----------
-    number : int
-        Of the driver in the world.
-    in_fleet : bool
-        Whether compiled code decides for it.
-    exceeded : dict of str to str
-        By limit of the vehicle beyond which the driver went: a sentence, without a full stop, for a notice. What tells
-        the notices of one limit apart stands behind a semicolon.
+    A trajectory with times leaves the driver nothing to decide. `number` is its index in `World.drivers`; `in_fleet`
+    says whether kernels decide for it. `exceeded`: by limit of the vehicle that the driver exceeded, a sentence without
+    a full stop for a notice; what distinguishes notices of one limit follows a semicolon.
     """
 
     def __init__(self, world: World, entity: int, driver: Driver) -> None:
@@ -99,7 +79,7 @@ class Driving:
             self._note(limit, f"it would go up to {value:.6g} m/s²")
 
     def begin(self) -> None:
-        """Let the driver forget everything, as the batch is run: it may be somebody's, and fail or end the process."""
+        """Reset the driver when the batch starts; user code may fail or end the process here."""
         if self._failure is not None:
             raise self._failure
         if not self.in_fleet:
@@ -114,7 +94,7 @@ class Driving:
 
     @property
     def _name(self) -> str:
-        """The driver as failures and notices name it."""
+        """Name of the driver in errors and notices."""
         own, entity = type(self.driver), quoted_name(self._world.names[self.entity])
         return f"the driver of {entity}" + ("" if is_built_in(own) else f" ({own.__module__}:{own.__qualname__})")
 
@@ -140,7 +120,7 @@ class Driving:
                 world.speed[e][rows] = np.minimum(speed, world.entities[e].max_speed)[rows]
 
     def _decided(self, situation: Situation) -> FloatArray:
-        """What the driver gives, which may be a class of anybody."""
+        """Call the driver, which may be user code, and check its accelerations."""
         expected, heard = self._world.scenarios, requests_heard()
         try:
             given = self.driver.acceleration(situation)
@@ -160,7 +140,7 @@ class Driving:
             raise DriverError(PartError(why), splits=False) from error
 
     def _possible(self, acceleration: FloatArray, rows: BoolArray, time: float) -> FloatArray:
-        """What of an acceleration the vehicle can do."""
+        """Clip accelerations to what the vehicle can do."""
         own = self._world.entities[self.entity]
         most, least = own.max_acceleration, -own.max_deceleration
         for limit, beyond in (("acceleration", acceleration - most), ("deceleration", least - acceleration)):
@@ -208,7 +188,7 @@ class Driving:
         )
 
     def path(self, k: int, track: Track) -> DrivenPath:
-        """What a driver is given of one of its entity's tracks, by its number."""
+        """Path for the driver of track number `k` of its entity."""
         if isinstance(track, LaneTrack):
             if k not in self._paths:
                 self._paths[k] = _along_lane(track.path)
@@ -226,17 +206,17 @@ def _shown(given: object) -> str:
 
 
 def _along_lane(line: LanePath) -> DrivenPath:
-    """The same object for the same line, so that what is planned along it serves all batches."""
+    """Path along a lane, cached so that plans along it serve all batches."""
     if line not in _DRIVEN:
         _DRIVEN[line] = DrivenPath(line.distance, line.x, line.y, line.heading, line.curvature)
     return _DRIVEN[line]
 
 
 def _sampled(track: Trajectory) -> DrivenPath:
-    """Samples of a trajectory that may run otherwise in each scenario.
+    """Samples of a trajectory that may differ between scenarios.
 
-    They are at the same distances in each, and go on further than a driver looks, so that what a driver sees in one
-    scenario does not depend on the others.
+    Distances are the same in all scenarios and extend further than a driver looks, so that what it sees in one scenario
+    does not depend on the others.
     """
     ends = np.minimum(track.lengths, _LONGEST)
     places = _SPACING * np.arange(int(np.ceil((ends.max() + _BEYOND) / _SPACING)) + 1)
@@ -250,10 +230,10 @@ def _sampled(track: Trajectory) -> DrivenPath:
 
 
 class ControllerAction(Action):
-    """Assigns a controller to an entity, or activates the one that it has.
+    """Assigns a controller to an entity, or activates the assigned one.
 
-    Of controllers those with the property ``cornercase.driver`` act; any other leaves the entity to the
-    storyboard. A driver that was chosen by who runs the file stays in charge.
+    Only controllers with the property ``cornercase.driver`` act; any other leaves the entity to the storyboard. A
+    driver chosen by the user who runs the file stays in control.
     """
 
     def __init__(self, element: etree._Element, scope: Scope, world: World, entity: int) -> None:
@@ -288,7 +268,7 @@ class ControllerAction(Action):
 
 
 class VisibilityAction(Action):
-    """Hides an entity from the others in the traffic, or shows it again."""
+    """Hides an entity from others in the traffic, or shows it again."""
 
     def __init__(self, element: etree._Element, scope: Scope, world: World, entity: int) -> None:
         self._entity, self._seen = entity, scope.flag(element, "traffic", True)
@@ -298,23 +278,7 @@ class VisibilityAction(Action):
 
 
 def registered_driver(name: str, where: str) -> Driver:
-    """Build a driver that a file asks for by its registered name.
-
-    Parameters
-    ----------
-    name : str
-    where : str
-        Who asks, for messages.
-
-    Returns
-    -------
-    Driver
-
-    Raises
-    ------
-    InputError
-        There is none; a file cannot name a class to load.
-    """
+    """Create the registered driver that a file names; `where` starts the error message."""
     try:
         return driver_of_file(name)
     except InputError as error:

@@ -1,4 +1,4 @@
-"""Following a trajectory."""
+"""The action that follows a trajectory."""
 
 from __future__ import annotations
 
@@ -131,7 +131,7 @@ class FollowTrajectoryAction(Action):
         return np.asarray(reached | begun)
 
     def _put(self, world: World, track: Trajectory, along: FloatArray, rows: BoolArray) -> None:
-        """Move the entity to a distance along the trajectory, with the heading that it has there."""
+        """Move the entity to a distance along the trajectory, with the heading there."""
         e, every = self._entity, np.arange(world.scenarios)
         oriented = track.oriented(along, every)
         loose = rows & ~oriented & (self._was_oriented > 0.0)
@@ -147,7 +147,7 @@ class FollowTrajectoryAction(Action):
         settle_on_track(world, e, rows)
 
     def _leave(self, world: World, track: Trajectory, beyond: FloatArray, where: BoolArray) -> None:
-        """Go the rest of the step as the trajectory points, and from there along the road, turned from it as now."""
+        """Move the rest of the step beyond the trajectory's end, then follow the road at the same relative heading."""
         e, rows = self._entity, np.flatnonzero(where)
         heading = world.heading[e][rows] - world.turn[e][rows]
         world.x[e][rows] += beyond[rows] * np.cos(heading)
@@ -164,5 +164,5 @@ class FollowTrajectoryAction(Action):
 
 
 def _against(heading: FloatArray, line: FloatArray) -> BoolArray:
-    """Whether a heading points back along a line."""
+    """Check whether a heading points backwards along a line."""
     return np.asarray(np.cos(heading - line) < -_TINY)

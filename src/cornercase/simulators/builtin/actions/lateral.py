@@ -44,7 +44,7 @@ _SHORT: Final = 1e-4
 
 
 class LaneChangeAction(Action):
-    """Moves an entity to another lane; part of its speed goes into the motion sideways."""
+    """Moves an entity to another lane; part of its speed becomes lateral motion."""
 
     domains = (LATERAL,)
     remembered = ("_from", "_to", "_done", "_extent")
@@ -133,12 +133,12 @@ class LaneChangeAction(Action):
         return np.asarray(moves & arrived | stuck)
 
     def leave(self, world: World, where: BoolArray) -> None:
-        """Leave the entity in the lane that it is in by now, or in that of the change where it follows a route."""
+        """Leave the entity in its current lane, or in the target lane if it follows a route."""
         world.changes_lanes[self._entity][where] = False
         attach_to_lane(world, self._entity, where & (world.route[self._entity] == 0))
 
     def _stay(self, world: World, where: BoolArray) -> None:
-        """Take the lane that the entity is in for that of the change, in the scenarios of a mask."""
+        """Take the entity's current lane as the target lane, in the scenarios of a mask."""
         e, own = self._entity, lane_of(world, self._entity).lane
         assert own is not None
         why = f"{world.names[e]} is to change to a lane that is not there, and stays in its own"
@@ -156,7 +156,7 @@ class LaneChangeAction(Action):
 
 
 class LaneOffsetAction(Action):
-    """Moves an entity within its lane; the motion sideways does not slow it down."""
+    """Moves an entity within its lane; the lateral motion does not slow it down."""
 
     domains = (LATERAL,)
     remembered = ("_from", "_to", "_elapsed", "_duration")
@@ -267,7 +267,7 @@ class LateralDistanceAction(Action):
         return np.asarray(where & reached & (not self._continuous))
 
     def _velocity(self, world: World, error: FloatArray, dt: float, moves: BoolArray) -> FloatArray:
-        """Lateral speed with which to go on in m/s, shape (N,)."""
+        """Lateral speed for the coming step in m/s, shape (N,)."""
         fastest = np.maximum(np.minimum(self._fastest, np.abs(world.speed[self._entity])) - 1e-6, 0.0)
         springy = np.isfinite(self._most)
         stiffness = 0.4 * np.where(springy, self._most, 0.0)

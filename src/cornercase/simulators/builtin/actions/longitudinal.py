@@ -28,7 +28,7 @@ _UNLIMITED: Final = 1e10
 
 
 class SpeedAction(Action):
-    """Brings an entity to a speed; where it has a driver, tells the driver which speed to aim for."""
+    """Brings an entity to a speed; if it has a driver, sets the driver's target speed."""
 
     domains = (LONGITUDINAL,)
     remembered = ("_from", "_to", "_parameter", "_span", "_stretch", "_reached", "_value", "_rate")
@@ -115,7 +115,7 @@ class SpeedAction(Action):
 class LongitudinalDistanceAction(Action):
     """Keeps a distance or a time gap to another entity, like a critically damped spring.
 
-    A limit that its constraints do not give is the vehicle's own; without constraints it jumps to its place.
+    Missing limits are the vehicle's own; without any constraints the entity jumps to its position.
     """
 
     domains = (LONGITUDINAL,)
@@ -177,7 +177,7 @@ class LongitudinalDistanceAction(Action):
         return np.asarray(where & reached)
 
     def _spring(self, error: FloatArray, closing: FloatArray, dt: float) -> FloatArray:
-        """Acceleration in m/s², shape (N,), within the limits."""
+        """Acceleration within the limits in m/s², shape (N,)."""
         stiffness = SPRING * np.where(error < 0, self._up, self._down)
         a = np.clip(error * stiffness - 2.0 * np.sqrt(stiffness) * closing, -self._down, self._up)
         before = self._acceleration
@@ -186,7 +186,7 @@ class LongitudinalDistanceAction(Action):
         return np.where(sinks, np.maximum(a, lowest), np.where(rises, np.minimum(a, highest), a))
 
     def _measure(self, world: World) -> FloatArray:
-        """Signed distance ahead to the other, shape (N,)."""
+        """Signed distance ahead to the other entity, shape (N,)."""
         if self._free:
             return longitudinal_gap(world, self._entity, self._other)
         if self._on_roads:
@@ -196,26 +196,14 @@ class LongitudinalDistanceAction(Action):
 
 
 def _limit(limits: etree._Element | None, name: str, own: float, usual: float, scope: Scope) -> FloatArray:
-    """Limit of dynamic constraints, shape (N,); what is missing, too large or no limit at all is the vehicle's own."""
+    """Limit of dynamic constraints, shape (N,); the vehicle's own if missing or too large, a usual one if 0."""
     own = min(own, _UNLIMITED)
     given = np.full(scope.scenarios, own) if limits is None else scope.number(limits, name, own)
     return np.where(given < _TINY, min(own, usual), np.minimum(given, own))
 
 
 def child(element: etree._Element, tag: str, scope: Scope) -> etree._Element:
-    """Child element of a name; raises an `InputError` where there is none.
-
-    Parameters
-    ----------
-    element : lxml element
-    tag : str
-    scope : Scope
-        Values of the parameters there.
-
-    Returns
-    -------
-    lxml element
-    """
+    """Return the child element with a tag; raise `InputError` if there is none."""
     found = element.find(tag)
     if found is None:
         raise InputError(f"{scope.source}, line {element.sourceline}: <{element.tag}> has no <{tag}>.")

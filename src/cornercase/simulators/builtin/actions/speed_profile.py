@@ -1,4 +1,4 @@
-"""Speeds at given times, with or without a bound on the jerk between them."""
+"""Speed profiles, with or without a limit on the jerk."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ _PATIENCE: Final = 10.0
 
 
 class Limits(NamedTuple):
-    """Bounds on speed, and on acceleration and jerk upwards and downwards, each (N,) and not negative."""
+    """Limits of speed, and of acceleration and jerk up and down; not negative, each of shape (N,)."""
 
     fastest: FloatArray
     up: FloatArray
@@ -33,7 +33,7 @@ class Limits(NamedTuple):
 
 
 class Phase(NamedTuple):
-    """A piece of a profile, each (N,): when it begins, and speed, acceleration and jerk there."""
+    """Start of a piece of a profile: time, speed, acceleration and jerk, each of shape (N,)."""
 
     time: FloatArray
     speed: FloatArray
@@ -44,9 +44,9 @@ class Phase(NamedTuple):
 class SpeedProfileAction(Action):
     """Takes an entity through speeds at given times.
 
-    Followed by ``position``, the acceleration is constant between them; by ``follow``, it changes with the jerk that
-    is allowed, so that several speeds are only come near to. Where the limits leave no room for that, the rest of the
-    profile is followed by ``position``, and so is all of it when the action runs again.
+    With ``position`` the acceleration between them is constant; with ``follow`` it changes with the allowed jerk, so
+    intermediate speeds are only approached. Where limits leave no room for that, the rest of the profile uses
+    ``position``, and so does the whole profile when the action runs again.
     """
 
     domains = (LONGITUDINAL,)
@@ -106,7 +106,7 @@ class SpeedProfileAction(Action):
         return where & over
 
     def _lines(self, world: World, base: FloatArray, smooth: bool) -> list[Phase]:
-        """Phases of constant acceleration from target to target, and a last one that keeps the speed."""
+        """Phases of constant acceleration between targets, and a last one of constant speed."""
         now, time = world.speed[self._entity].copy(), world.time.copy()
         targets = list(zip(self._speeds, self._spans, strict=True))
         still = np.zeros(world.scenarios)
@@ -126,7 +126,7 @@ class SpeedProfileAction(Action):
 
 
 def _at(profile: list[Phase], time: FloatArray) -> tuple[FloatArray, IntArray]:
-    """Speed at a time, and how many phases have passed by then, each (N,)."""
+    """Speed at a time, and the number of phases passed by then, each of shape (N,)."""
     speed = profile[0].speed
     passed, reached = np.zeros(speed.shape, dtype=np.int64), np.ones(speed.shape, dtype=np.bool_)
     for number, phase in enumerate(profile):
@@ -143,33 +143,21 @@ def _jerk(change: FloatArray, limits: Limits) -> FloatArray:
 
 
 def _allowed(phase: Phase, limits: Limits) -> BoolArray:
-    """Where a phase begins within the limits on speed and acceleration, shape (N,)."""
+    """Check whether a phase starts within the limits on speed and acceleration, shape (N,)."""
     slow = np.abs(phase.speed) <= limits.fastest + _TINY
     return np.asarray(slow & (phase.rate <= limits.up + _TINY) & (phase.rate >= -limits.down - _TINY))
 
 
 def _either(where: BoolArray, one: Phase, other: Phase) -> Phase:
-    """Phase that is one in the scenarios of a mask, and the other elsewhere."""
+    """Select one phase in the scenarios of a mask, and the other one in the rest."""
     return Phase(*(np.where(where, a, b) for a, b in zip(one, other, strict=True)))
 
 
 def _smoothed(lines: list[Phase], rate: FloatArray, limits: Limits) -> tuple[list[Phase], BoolArray]:
-    """Turn the corners between lines of constant acceleration into arcs of constant jerk that touch both.
+    """Replace corners between constant accelerations by arcs of constant jerk tangent to both.
 
-    Where an arc would begin before the last one has ended, or a limit is exceeded, the lines are kept from there on.
-
-    Parameters
-    ----------
-    lines : list of Phase
-    rate : ndarray of float64, shape (N,)
-        Acceleration in m/s² at the start.
-    limits : Limits
-
-    Returns
-    -------
-    phases : list of Phase
-    kept : ndarray of bool, shape (N,)
-        Where all of it is smooth.
+    `rate` (N,) is the initial acceleration in m/s². If an arc would begin before the last one ends, or a limit is
+    exceeded, the lines are kept from there on. Returns the phases, and where all of them are smooth, shape (N,).
     """
     first, still = lines[0], np.zeros_like(rate)
     jerk = _jerk(first.rate - rate, limits)
@@ -201,23 +189,10 @@ def _smoothed(lines: list[Phase], rate: FloatArray, limits: Limits) -> tuple[lis
 
 
 def _one_target(line: Phase, end: Phase, rate: FloatArray, limits: Limits) -> tuple[list[Phase], BoolArray]:
-    """Reach one speed at a time, or as soon as it can be, with an acceleration that begins at `rate` and ends at 0.
+    """Reach one speed at a given time, or as early as possible, with final acceleration 0.
 
-    Parameters
-    ----------
-    line : Phase
-        Constant acceleration to the target.
-    end : Phase
-        The target.
-    rate : ndarray of float64, shape (N,)
-        Acceleration in m/s² at the start.
-    limits : Limits
-
-    Returns
-    -------
-    phases : list of Phase
-    kept : ndarray of bool, shape (N,)
-        Where all of it is within the limits.
+    `line` is the constant acceleration to the target `end`; `rate` (N,) the initial acceleration in m/s². Returns the
+    phases, and where all of them are within the limits, shape (N,).
     """
     j0 = _jerk(line.rate - rate, limits)
     j1 = np.where(line.rate < 0, limits.jerk_up, -limits.jerk_down)

@@ -1,4 +1,4 @@
-"""Arriving at a place when another entity arrives at another."""
+"""The action that makes an entity arrive at its target when a master arrives at its own."""
 
 from __future__ import annotations
 
@@ -40,11 +40,11 @@ _TINY: Final = 1e-6
 
 
 class SynchronizeAction(Action):
-    """Steers an entity's speed so that it is at its place when the master is at its own.
+    """Controls an entity's speed so that it reaches its target when the master reaches its own.
 
-    With a final speed its speed has two phases of constant acceleration, the last of which ends at the place with that
-    speed; where this would mean to drive backwards, it stops in between. With a steady state it reaches the final
-    speed before the place, by a distance or a time. Without a final speed it has one constant acceleration.
+    With a final speed, two phases of constant acceleration end at the target with that speed; the entity stops in
+    between rather than driving backwards. With a steady state it reaches the final speed a distance or a time before
+    the target. Without a final speed its acceleration is constant.
     """
 
     domains = (LONGITUDINAL,)
@@ -118,7 +118,7 @@ class SynchronizeAction(Action):
             world.road_speed[self._entity][where] = speed_along_road(world, self._entity, where)[where]
 
     def _ways(self, world: World, where: BoolArray) -> tuple[FloatArray, FloatArray]:
-        """Distances of the entity and of its master to their places in m, negative once passed, each (N,)."""
+        """Distances of the entity and its master to their targets in m, negative once passed, each (N,)."""
         target = Pose(self._x, self._y, np.zeros(world.scenarios), road=self._road, s=self._s)
         master = Pose(self._x_master, self._y_master, target.heading, road=self._road_master, s=self._s_master)
         signed = _way(world, self._master, master, KnownPlaces(self._track_master, self._place_master), where)
@@ -164,7 +164,7 @@ class SynchronizeAction(Action):
     def _arrive(
         self, world: World, dt: float, way: FloatArray, time: FloatArray, comes: BoolArray, where: BoolArray
     ) -> FloatArray:
-        """Speed at the end of the step, with one constant acceleration."""
+        """Speed at the end of the step without a final speed: one constant acceleration."""
         speed, mean, driven = world.speed[self._entity], way / time, world.driven[self._entity]
         even = speed + 2.0 * (mean - speed) / time * dt
         waits = ~comes & (self._mode != WAITING)
@@ -182,7 +182,7 @@ class SynchronizeAction(Action):
         comes: BoolArray,
         acting: BoolArray,
     ) -> FloatArray:
-        """Speed at the end of the step, with a final speed."""
+        """Speed at the end of the step with a final speed."""
         v0, mode = world.speed[self._entity], self._mode.copy()
         shown = _sign(v0) * speed_along_road(world, self._entity, acting)
         safe = np.maximum(np.abs(final), 1e-9)
@@ -249,19 +249,19 @@ class SynchronizeAction(Action):
 
 
 def _way(world: World, entity: int, target: Pose, known: KnownPlaces, where: BoolArray) -> FloatArray:
-    """Distance to a target along the entity's trajectory, else along its road's reference line, in m, shape (N,)."""
+    """Distance to a target along the trajectory, else along the road's reference line, in m, shape (N,)."""
     way = remaining(world, entity, target, known, where)
     follows = on_lane(world, entity)
     return np.where(follows, ahead_on_road(world, entity, target, way), way) if follows.any() else way
 
 
 def _sign(speed: FloatArray) -> FloatArray:
-    """1 for driving forwards, and for who has just been stopped; -1 for driving backwards, shape (N,)."""
+    """-1 for driving backwards, otherwise 1, also at rest, shape (N,)."""
     return np.where(speed < 0.0, -1.0, 1.0)
 
 
 def _first_phase(v0: FloatArray, v1: FloatArray, way: FloatArray, time: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Acceleration of the first of two phases, and the speed at which it ends, each (N,).
+    """Acceleration of the first of two phases, and the speed at its end, each (N,).
 
     The phases have accelerations a and -a, cover `way` in `time`, begin with v0 and end with v1. With vx between them
     after the time x: way = x (v0 + vx) / 2 + (time - x) (v1 + vx) / 2 and (vx - v0) / x = (vx - v1) / (time - x).

@@ -1,4 +1,4 @@
-"""Conditions on one entity: a boolean for every scenario of a batch."""
+"""Conditions on one entity, evaluated for every scenario of a batch."""
 
 from __future__ import annotations
 
@@ -33,19 +33,13 @@ EntityTest = Callable[[World, int], BoolArray]
 
 
 class Known:
-    """A test that compiled code knows as well: one leaf for each other entity that it asks about.
-
-    Parameters
-    ----------
-    test : EntityTest
-    *found : Leaf
-    """
+    """A test that kernels can evaluate too: one leaf for each other entity involved."""
 
     def __init__(self, test: EntityTest, *found: Leaf) -> None:
         self._test, self.leaves = test, found
 
     def __call__(self, world: World, e: int) -> BoolArray:
-        """Whether it holds of an entity, shape (N,)."""
+        """Evaluate the test for one entity, shape (N,)."""
         return self._test(world, e)
 
 
@@ -64,19 +58,7 @@ _RULES: Final[dict[str, Callable[[Any, Any], Any]]] = {
 
 
 def rule_of(element: etree._Element, scope: Scope) -> Callable[[Any, Any], Any]:
-    """Comparison that an element's ``rule`` names.
-
-    Parameters
-    ----------
-    element : lxml element
-    scope : Scope
-        Values of the parameters there.
-
-    Returns
-    -------
-    callable
-        Takes two values or arrays.
-    """
+    """Comparison function for an element's ``rule``."""
     rule = scope.text(element, "rule")
     if rule not in _RULES:
         raise InputError(
@@ -86,17 +68,7 @@ def rule_of(element: etree._Element, scope: Scope) -> Callable[[Any, Any], Any]:
 
 
 def number_of_rule(rule: Callable[[Any, Any], Any]) -> int:
-    """Number of a comparison, as compiled code counts them.
-
-    Parameters
-    ----------
-    rule : callable
-        One of `rule_of`.
-
-    Returns
-    -------
-    int
-    """
+    """Index of a comparison in the kernels."""
     return list(_RULES.values()).index(rule)
 
 
@@ -131,7 +103,7 @@ def _reach_position(element: etree._Element, scope: Scope, world: World) -> Enti
 
 
 def _along(world: World, vector: tuple[FloatArray, FloatArray], e: int, axes: int, direction: str) -> FloatArray:
-    """Component of an entity's velocity or acceleration along or across the heading of another, or upwards, (N,)."""
+    """Component of a vector of entity `e` along or across the heading of `axes`, or 0 upwards, (N,)."""
     x, y, cos, sin = vector[0][e], vector[1][e], np.cos(world.heading[axes]), np.sin(world.heading[axes])
     if direction == "longitudinal":
         return np.asarray(x * cos + y * sin)
@@ -251,7 +223,7 @@ def _distance(element: etree._Element, scope: Scope, world: World) -> EntityTest
 
 
 def _measured(gap: Gap, to_entity: bool) -> int | None:
-    """How compiled code measures a distance; None where it cannot."""
+    """Option by which kernels measure a gap; None if they cannot."""
     kinds = {"euclidean": gaps.EUCLIDEAN, "longitudinal": gaps.LONGITUDINAL, "lateral": gaps.LATERAL}
     if (gap.along_road and gap.kind != "euclidean") or (to_entity and gap.free and gap.kind == "euclidean"):
         return None

@@ -1,4 +1,4 @@
-"""The storyboard: a tree of elements, each in a state of its own in every scenario of a batch."""
+"""The storyboard: a tree of elements, each with its own state in every scenario of a batch."""
 
 from __future__ import annotations
 
@@ -34,25 +34,9 @@ _RELATIVE: Final = ("RelativeLanePosition", "RelativeRoadPosition", "RelativeObj
 
 
 class Storyboard:
-    """A file's whole storyboard, for all scenarios of a batch.
+    """A file's storyboard for all scenarios of a batch.
 
-    Parameters
-    ----------
-    scenario : Scenario
-    scope : Scope
-        The parameters' values.
-    world : World
-
-    Attributes
-    ----------
-    stories : list of Group
-    actions : list of RunningAction
-        All of them, in the order in which they act.
-
-    Raises
-    ------
-    InputError
-        Something in it is not supported, or is malformed.
+    `actions`: all of its actions in the order in which they act.
     """
 
     def __init__(self, scenario: Scenario, scope: Scope, world: World) -> None:
@@ -79,13 +63,13 @@ class Storyboard:
             found.watch(watch)
 
     def waits(self) -> Iterator[tuple[Starter, BoolArray]]:
-        """All triggers, always in the same order, and where each of them may fire in the next frame."""
+        """Yield all triggers in a fixed order, and where each may fire in the next frame."""
         yield self._stop, np.ones(self._world.scenarios, dtype=np.bool_)
         for element in self._triggered:
             yield from element.waits()
 
     def starting(self) -> BoolArray:
-        """Scenarios in which an element that no trigger starts waits for the next frame, shape (N,)."""
+        """Scenarios in which an element without a start trigger waits for the next frame, shape (N,)."""
         result = self._stopped.copy()
         for element in self._triggered:
             if element.starts_by_itself:
@@ -93,11 +77,11 @@ class Storyboard:
         return result
 
     def watch(self, kind: str, name: str, watch: Watch, where: str) -> None:
-        """Let something watch the element of a kind and name, as soon as that is known."""
+        """Connect a condition to the element of a kind and name once all elements are read."""
         self._watches.append((kind, name, watch, where))
 
     def named(self, kind: str, name: str) -> Element | None:
-        """Element of a kind and name; names may be given with those of the parents, as ``Act::Group``."""
+        """Find the element of a kind and name; names may include those of parents, as in ``Act::Group``."""
         path = tuple(name.split("::"))
         for element, parents in self._elements.get((kind, path[-1]), ()):
             # A name need not give all parents.
@@ -107,12 +91,9 @@ class Storyboard:
         return None
 
     def look(self, dt: float) -> None:
-        """Evaluate all triggers at the present time, as a frame begins, and start what they start.
+        """Evaluate all triggers at the start of a frame of `dt` s, and start elements.
 
-        Parameters
-        ----------
-        dt : float
-            Length in s of the step that the frame takes; 0 for the first, in which everybody is placed.
+        `dt` is 0 in the first frame, which places entities.
         """
         world = self._world
         if dt == 0.0:
@@ -134,9 +115,9 @@ class Storyboard:
             story.evaluate(world, world.running & self._going)
 
     def unfinished(self) -> BoolArray:
-        """Scenarios that would have gone on to an end, where all has run, shape (N,).
+        """Scenarios that would end later although all elements have run, shape (N,).
 
-        The storyboard, or an act that runs, has a stop trigger that may fire, or an entity follows a trajectory by its
+        The storyboard, or a running act, has a stop trigger that may fire, or an entity follows a trajectory with
         times.
         """
         every = np.ones(self._world.scenarios, dtype=np.bool_)
@@ -150,23 +131,17 @@ class Storyboard:
         return result & ~self._stopped & ~self._stop.fires(self._world, every)
 
     def look_up(self, where: BoolArray) -> None:
-        """Look up what compiled code cannot before the actions act, in the scenarios of a mask."""
+        """Look up what kernels cannot before the actions act, in the scenarios of a mask."""
         for action in self.actions:
             action.look_up(where)
 
     def end_momentary(self) -> None:
-        """End the actions that have done all when they started: what acts after them does not tell the difference."""
+        """End the actions that were done when they started; later actions cannot tell the difference."""
         for action in self._momentary:
             action.step(0.0, self._world.running)
 
     def act(self, dt: float) -> None:
-        """Let all actions act, as a frame goes on.
-
-        Parameters
-        ----------
-        dt : float
-            Length of its step in s.
-        """
+        """Let all actions act for a step of `dt` s."""
         running = self._world.running
         for action in self._init:
             action.step(dt, running)
@@ -207,7 +182,7 @@ class Storyboard:
         return self._known(Group("act", name, scope.scenarios, groups, start, stop))
 
     def _start_trigger(self, element: etree._Element, scope: Scope) -> Trigger | None:
-        """Start trigger of an act or event; None, which fires at once, for a missing or an empty one."""
+        """Start trigger of an act or event; None, which fires immediately, if missing or empty."""
         trigger = read_trigger(element.find("StartTrigger"), scope, self._world, self)
         return None if trigger.empty else trigger
 
@@ -289,7 +264,7 @@ class Storyboard:
 
 
 def _in_order_of_reference(actions: list[etree._Element], scope: Scope) -> list[etree._Element]:
-    """Initial actions, those that place an entity relative to another after those that place the other."""
+    """Sort initial actions so that entities are placed before others are placed relative to them."""
     left = [_Initial.of(element, scope) for element in actions]
     ordered: list[etree._Element] = []
     while left:
@@ -305,7 +280,7 @@ def _in_order_of_reference(actions: list[etree._Element], scope: Scope) -> list[
 
 @dataclass(frozen=True, eq=False)
 class _Initial:
-    """What an initial action does to which entity, and which others it places it relative to."""
+    """An initial action: its entity, the entities it refers to, and whether it adds or places its entity."""
 
     element: etree._Element
     entity: str

@@ -1,4 +1,4 @@
-"""Conditions: a boolean for every scenario of a batch."""
+"""Conditions and triggers, evaluated for every scenario of a batch."""
 
 from __future__ import annotations
 
@@ -39,24 +39,18 @@ NEVER_TRUE: Final = ("UserDefinedValueCondition", "TimeOfDayCondition")
 
 
 class Elements(Protocol):
-    """Storyboard elements by name, known only once the whole storyboard is read."""
+    """Storyboard elements by name, available once the whole storyboard is read."""
 
     def watch(self, kind: str, name: str, watch: Watch, where: str) -> None:
-        """Let something watch the element of a kind and name, as soon as that is known."""
+        """Connect a condition to the element of a kind and name once all elements are read."""
         ...
 
 
 class Condition:
-    """One condition with its edge and delay.
+    """One condition with its edge and its delay in s, shape (N,).
 
-    Parameters
-    ----------
-    test : callable
-        World and a mask of the scenarios that are asked for, to a boolean array of shape (N,).
-    edge : str
-        ``"none"``, ``"rising"``, ``"falling"`` or ``"risingOrFalling"``.
-    delay : ndarray of float64, shape (N,)
-        s; what held this long ago counts now.
+    `test` takes the world and a mask of scenarios, and returns a boolean array (N,). `edge` is ``"none"``,
+    ``"rising"``, ``"falling"`` or ``"risingOrFalling"``. With a delay, the value of that long ago counts.
     """
 
     def __init__(self, test: Test, edge: str, delay: FloatArray) -> None:
@@ -66,7 +60,7 @@ class Condition:
         self._past = Past(delay, edge != "none") if anywhere(self.delayed) else None
 
     def evaluate(self, world: World, where: BoolArray) -> BoolArray:
-        """Whether the condition holds in the scenarios of the mask, shape (N,)."""
+        """Evaluate the condition in the scenarios of the mask, shape (N,)."""
         if not anywhere(where):
             return where
         now = self.test(world, where)
@@ -86,7 +80,7 @@ class Condition:
 
     @property
     def asked(self) -> Asked | None:
-        """What compiled code asks for it; None where it cannot."""
+        """What kernels evaluate for it; None if they cannot."""
         test, plain = self.test, self._edge == "none" and self._past is None
         if isinstance(test, OfEntities):
             return None if test.leaves is None else Asked(test.leaves, test.every, plain)
@@ -95,13 +89,13 @@ class Condition:
         return Asked([], True, False) if isinstance(test, Watch) else None
 
     def constant(self, world: World) -> BoolArray | None:
-        """Whether it holds until the storyboard changes something, shape (N,); None for one that may change before."""
+        """Its value (N,) if only the storyboard can change it; otherwise None."""
         test = self.test
         return test.value(world) if isinstance(test, ByValue) and test.leaf.kind == leaves.CONSTANT else None
 
     @property
     def past(self) -> Past | None:
-        """What it was before, where it has a delay."""
+        """Its delayed values, if it has a delay."""
         return self._past
 
     def rearm(self, where: BoolArray) -> None:
@@ -109,7 +103,7 @@ class Condition:
         self._last[where] = -1
 
     def reset(self, where: BoolArray) -> None:
-        """Forget what was before in the scenarios of the mask, so that a delay begins anew."""
+        """Restart delays in the scenarios of the mask."""
         if self._past is not None:
             self._past.forget(where)
         if isinstance(self.test, Watch):
@@ -117,14 +111,9 @@ class Condition:
 
 
 class Past:
-    """What a condition was before, for its delay.
+    """Earlier values of a condition with a delay in s, shape (N,).
 
-    Parameters
-    ----------
-    delay : ndarray of float64, shape (N,)
-        s.
-    sudden : bool
-        Whether the value may be another one in the next frame though nothing that it asks for has changed.
+    `sudden`: whether its value may change in the next frame although its inputs have not.
     """
 
     def __init__(self, delay: FloatArray, sudden: bool) -> None:
@@ -134,9 +123,9 @@ class Past:
         self._newest, self._now = (np.full(len(delay), -1, dtype=np.int8) for _ in range(2))
 
     def recall(self, world: World, value: BoolArray, where: BoolArray) -> BoolArray:
-        """Note the value of now, and return that of a delay ago, shape (N,).
+        """Store the current value, and return the delayed one, shape (N,).
 
-        Of several values since the last time, one that was true counts.
+        Of several values since the last call, any true one counts.
         """
         new, time = where & (self._newest != value), world.time
         self._newest[new] = value[new]
@@ -163,31 +152,25 @@ class Past:
 
     @property
     def delay(self) -> FloatArray:
-        """What held this long ago in s counts now, shape (N,)."""
+        """The delay in s, shape (N,)."""
         return self._delay
 
     def pending(self) -> FloatArray:
-        """Time in s of the oldest change that waits for its delay, infinite where none does, shape (N,)."""
+        """Time in s of the oldest change that waits for its delay, infinite if none, shape (N,)."""
         result = np.full(len(self._delay), np.inf)
         for then, _, changed in self._frames:
             result = np.where(changed, np.minimum(result, then), result)
         return result
 
     def forget(self, where: BoolArray) -> None:
-        """Forget all in the scenarios of the mask."""
+        """Clear all values in the scenarios of the mask."""
         self._newest[where] = self._now[where] = -1
         for _, _, changed in self._frames:
             changed &= ~where
 
 
 class Trigger:
-    """Condition groups, of which one has to hold with all its conditions.
-
-    Parameters
-    ----------
-    groups : list of list of Condition
-        A trigger without groups never fires.
-    """
+    """Condition groups; the trigger fires when all conditions of one group hold, and never without groups."""
 
     def __init__(self, groups: list[list[Condition]]) -> None:
         self._groups = groups
@@ -208,7 +191,7 @@ class Trigger:
         return list(dict.fromkeys(entity for test in self._of_entities() for entity in test.entities))
 
     def triggered_by(self, entity: int) -> BoolArray:
-        """Scenarios in which a condition was last true of an entity, shape (N,)."""
+        """Scenarios in which a condition was last true for an entity, shape (N,)."""
         return np.asarray(
             np.any([test.held_of(entity) for test in self._of_entities() if entity in test.entities], axis=0)
         )
@@ -236,7 +219,7 @@ class Trigger:
         return fired
 
     def may_fire(self, world: World) -> BoolArray:
-        """Scenarios in which no group has a condition that is false as long as nothing changes it, shape (N,)."""
+        """Scenarios in which no constant condition prevents all groups from holding, shape (N,)."""
         result = np.zeros(world.scenarios, dtype=np.bool_)
         for group in self._groups:
             constants = [condition.constant(world) for condition in group]
@@ -244,28 +227,14 @@ class Trigger:
         return result
 
     def reset(self, where: BoolArray) -> None:
-        """Forget what was before in the scenarios of the mask."""
+        """Restart delays in the scenarios of the mask."""
         for group in self._groups:
             for condition in group:
                 condition.reset(where)
 
 
 def read_trigger(element: etree._Element | None, scope: Scope, world: World, elements: Elements) -> Trigger:
-    """Read a ``StartTrigger`` or ``StopTrigger``; one that is missing never fires.
-
-    Parameters
-    ----------
-    element : lxml element, optional
-    scope : Scope
-        Values of the parameters there.
-    world : World
-    elements : Elements
-        Those of the storyboard, for conditions on their states.
-
-    Returns
-    -------
-    Trigger
-    """
+    """Read a ``StartTrigger`` or ``StopTrigger``; a missing one never fires."""
     groups: list[list[Condition]] = []
     for group in () if element is None else element.iterfind("ConditionGroup"):
         conditions = []
@@ -307,7 +276,7 @@ def _read_test(condition: etree._Element, scope: Scope, world: World, elements: 
 
 
 class OfEntities:
-    """A condition on entities: true of any, or of all, of those that may trigger it."""
+    """A condition on entities: true for any, or for all, triggering entities."""
 
     def __init__(self, entities: list[int], every: bool, test: EntityTest) -> None:
         self.entities = entities
@@ -316,7 +285,7 @@ class OfEntities:
 
     @property
     def leaves(self) -> list[tuple[int, Leaf]] | None:
-        """What it asks of each entity; None where compiled code cannot ask."""
+        """Leaves to evaluate for each entity; None if kernels cannot."""
         test = self._test
         return [(e, leaf) for e in self.entities for leaf in test.leaves] if isinstance(test, Known) else None
 
@@ -326,12 +295,12 @@ class OfEntities:
         return np.asarray(result.all(axis=0) if self.every else result.any(axis=0))
 
     def held_of(self, entity: int) -> BoolArray:
-        """Scenarios in which it was last true of an entity, shape (N,)."""
+        """Scenarios in which it was last true for an entity, shape (N,)."""
         return self._held[self.entities.index(entity)]
 
 
 class ByValue:
-    """A condition on the time, or on what only the storyboard itself changes, which compiled code knows, too."""
+    """A condition on time, or on values that only the storyboard changes, which kernels can evaluate too."""
 
     def __init__(self, value: Callable[[World], BoolArray], leaf: Leaf = _CONSTANT) -> None:
         self.value, self.leaf = value, leaf
@@ -409,7 +378,7 @@ def _held(element: etree._Element, scope: Scope, world: World, elements: Element
 
 
 def _numbers(texts: Iterable[str]) -> FloatArray:
-    """Texts as numbers, NaN where they are none."""
+    """Parse texts as numbers, NaN if not a number."""
 
     def number(text: str) -> float:
         try:

@@ -1,4 +1,4 @@
-"""Which entities' boxes overlap."""
+"""Overlaps of bounding boxes."""
 
 from __future__ import annotations
 
@@ -10,12 +10,7 @@ from cornercase.simulators.builtin.world.state import World
 
 
 def find_contacts(world: World) -> None:
-    """Update which boxes overlap.
-
-    Parameters
-    ----------
-    world : World
-    """
+    """Update which boxes overlap."""
     every = list(range(len(world.entities)))
     x, y = _centers(world, every)
     for a in every:
@@ -24,24 +19,13 @@ def find_contacts(world: World) -> None:
 
 
 def overlap(world: World, first: int, second: int) -> BoolArray:
-    """Whether the boxes of two entities overlap as they stand now, also in the middle of a step, shape (N,).
-
-    Parameters
-    ----------
-    world : World
-    first, second : int
-        Rows of the entities.
-
-    Returns
-    -------
-    ndarray of bool, shape (N,)
-    """
+    """Check whether the boxes of two entities overlap now, also within a step, shape (N,)."""
     pair = [first, second]
     return _overlap(world, pair, *_centers(world, pair))
 
 
 def _centers(world: World, entities: list[int]) -> tuple[FloatArray, FloatArray]:
-    """Centres of the boxes of K entities, each (K, N) in m; NaN where one is not there."""
+    """Centres of the boxes of K entities, each (K, N) in m; NaN if absent."""
     ahead = np.array([[world.entities[e].center_x] for e in entities])
     heading, there = world.heading[entities], world.present[entities]
     x, y = world.x[entities] + ahead * np.cos(heading), world.y[entities] + ahead * np.sin(heading)
@@ -49,7 +33,7 @@ def _centers(world: World, entities: list[int]) -> tuple[FloatArray, FloatArray]
 
 
 def _overlap(world: World, pair: list[int], x: FloatArray, y: FloatArray) -> BoolArray:
-    """Whether the boxes of two entities with these centres, each (2, N), overlap, shape (N,)."""
+    """Check whether the boxes of two entities with centres (2, N) overlap, shape (N,)."""
     length = np.array([[world.entities[e].length] for e in pair])
     width = np.array([[world.entities[e].width] for e in pair])
     result = np.zeros(world.scenarios, dtype=np.bool_)
@@ -61,17 +45,7 @@ def _overlap(world: World, pair: list[int], x: FloatArray, y: FloatArray) -> Boo
 
 
 def entity_corners(world: World) -> FloatArray:
-    """Corners of all boxes, shape (E, N, 4, 2).
-
-    Parameters
-    ----------
-    world : World
-
-    Returns
-    -------
-    ndarray of float64, shape (E, N, 4, 2)
-        m.
-    """
+    """Corners of all boxes in m, shape (E, N, 4, 2)."""
     ahead = np.array([[entity.center_x] for entity in world.entities])
     length = np.array([[entity.length] for entity in world.entities])
     width = np.array([[entity.width] for entity in world.entities])

@@ -1,4 +1,4 @@
-"""Free space between boxes along and across the road that both are on."""
+"""Free space between boxes along and across their common road."""
 
 from __future__ import annotations
 
@@ -17,24 +17,9 @@ _PASSES: Final = 6
 
 
 def free_space_on_road(world: World, entity: int, other: int, lateral: bool, otherwise: FloatArray) -> FloatArray:
-    """Least difference in s, or in t, between the corners of two boxes in m, shape (N,); 0 where they are abreast.
+    """Smallest difference in s (or t if `lateral`) between the corners of two boxes in m, shape (N,).
 
-    Parameters
-    ----------
-    world : World
-    entity : int
-        Row of the entity.
-    other : int
-        Row of the other entity.
-    lateral : bool
-        In t instead of in s.
-    otherwise : ndarray of float64, shape (N,)
-        What it is where they are on different roads.
-
-    Returns
-    -------
-    ndarray of float64, shape (N,)
-        m; s counts as the entity looks, negative behind it, and t to the left of the road.
+    It is 0 if side by side, and `otherwise` on different roads. s is positive ahead, t to the left of the road.
     """
     own, theirs = lane_of(world, entity), lane_of(world, other)
     if own.road is None or theirs.road is None:
@@ -54,23 +39,9 @@ def free_space_on_road(world: World, entity: int, other: int, lateral: bool, oth
 
 
 def free_space_to_place(world: World, entity: int, place: Pose, lateral: bool, otherwise: FloatArray) -> FloatArray:
-    """Least difference in s, or in t, between the corners of a box and a place in m, shape (N,).
+    """Smallest difference in s (or t if `lateral`) between the corners of a box and a point in m, (N,).
 
-    Parameters
-    ----------
-    world : World
-    entity : int
-        Row of the entity.
-    place : Pose
-    lateral : bool
-        In t instead of in s.
-    otherwise : ndarray of float64, shape (N,)
-        What it is where they are on different roads.
-
-    Returns
-    -------
-    ndarray of float64, shape (N,)
-        m; 0 where the place is abreast of the box, s as the entity looks, and t to the left of the road.
+    It is 0 if side by side, and `otherwise` on different roads. s is positive ahead, t to the left of the road.
     """
     own = lane_of(world, entity)
     if own.road is None or place.road is None or place.s is None:
@@ -87,22 +58,7 @@ def free_space_to_place(world: World, entity: int, place: Pose, lateral: bool, o
 
 
 def beside_on_road(world: World, entity: int, place: Pose, otherwise: FloatArray) -> FloatArray:
-    """Difference in t between an entity and a place on its road in m, shape (N,).
-
-    Parameters
-    ----------
-    world : World
-    entity : int
-        Row of the entity.
-    place : Pose
-    otherwise : ndarray of float64, shape (N,)
-        What it is where they are on different roads.
-
-    Returns
-    -------
-    ndarray of float64, shape (N,)
-        m; positive where the place lies further to the left of the road.
-    """
+    """Difference in t from an entity to a point on its road in m, (N,), positive left; `otherwise` on other roads."""
     own = lane_of(world, entity)
     if own.road is None or place.road is None or place.s is None:
         return otherwise
@@ -115,12 +71,12 @@ def beside_on_road(world: World, entity: int, place: Pose, otherwise: FloatArray
 
 
 def _direction(world: World, pose: Pose) -> FloatArray:
-    """1 where the heading of a pose is along s, else -1, shape (N,)."""
+    """1 if the heading of a pose is along s, else -1, shape (N,)."""
     return np.where(looks_along(world, pose), 1.0, -1.0)
 
 
 def _on_road(world: World, pose: Pose, points: FloatArray, where: BoolArray, lateral: bool) -> FloatArray:
-    """s, or t, of P points near a pose on the road of the pose, shape (N, P); 0 beyond the mask."""
+    """s, or t, of P points near a pose on the pose's road, shape (N, P); 0 outside the mask."""
     assert world.network is not None
     assert pose.road is not None
     assert pose.s is not None

@@ -1,4 +1,4 @@
-"""Placing entities, and making them follow lanes and other tracks."""
+"""Place entities, and make them follow lanes and other tracks."""
 
 from __future__ import annotations
 
@@ -24,18 +24,7 @@ _SEAM: Final = 0.5
 
 
 def place_entity(world: World, entity: int, pose: Pose, where: BoolArray) -> None:
-    """Put an entity somewhere; from there it follows its lane, or its heading where there is none.
-
-    Parameters
-    ----------
-    world : World
-    entity : int
-        Row of the entity.
-    pose : Pose
-        The place.
-    where : ndarray of bool, shape (N,)
-        Scenarios.
-    """
+    """Place an entity at a pose; from there it follows its lane, or its heading without a lane."""
     lost = ~np.isfinite(pose.x + pose.y + pose.heading)
     if pose.beyond is not None and pose.relative:
         why = f"{world.names[entity]} is to be placed beyond the end of the road, and is placed at that end"
@@ -57,18 +46,7 @@ def place_entity(world: World, entity: int, pose: Pose, where: BoolArray) -> Non
 
 
 def attach_to_lane(world: World, entity: int, where: BoolArray, pose: Pose | None = None) -> None:
-    """Make an entity follow the lane that it is on, the way that its heading points, where it is now.
-
-    Parameters
-    ----------
-    world : World
-    entity : int
-        Row of the entity.
-    where : ndarray of bool, shape (N,)
-        Scenarios.
-    pose : Pose, optional
-        Where it is, if that is known; else it is looked up.
-    """
+    """Make an entity follow the lane at its position (or `pose`) in the direction of its heading."""
     world.track[entity][where] = FREE
     world.stranded[entity][where] = False
     if world.network is None:
@@ -104,28 +82,13 @@ def attach_to_lane(world: World, entity: int, where: BoolArray, pose: Pose | Non
 
 
 def _alike(keys: IntArray, where: BoolArray) -> Iterator[tuple[tuple[int, ...], BoolArray]]:
-    """Columns of keys that occur in the scenarios of a mask, in order, and where each does, shape (N,)."""
+    """Yield the distinct columns of keys in the scenarios of a mask, sorted, and where each occurs, (N,)."""
     for one in sorted({*zip(*keys[:, where].tolist(), strict=True)}):
         yield one, where & (keys == np.array(one)[:, None]).all(axis=0)
 
 
 def change_lane(world: World, entity: int, lane: IntArray, where: BoolArray) -> BoolArray:
-    """Make an entity follow another lane of its road from beside it; where that lane exists, shape (N,).
-
-    Parameters
-    ----------
-    world : World
-    entity : int
-        Row of the entity.
-    lane : ndarray of int64, shape (N,)
-        Number of the lane.
-    where : ndarray of bool, shape (N,)
-        Scenarios.
-
-    Returns
-    -------
-    ndarray of bool, shape (N,)
-    """
+    """Make an entity follow another lane of its road from beside it; return where that lane exists, (N,)."""
     assert world.network is not None
     pose = lane_of(world, entity)
     assert pose.s is not None
@@ -152,16 +115,7 @@ def change_lane(world: World, entity: int, lane: IntArray, where: BoolArray) -> 
 
 
 def go_on(world: World, entity: int, number: int) -> None:
-    """Make an entity that comes near the place where its lane's path is cut follow the next part of its way.
-
-    Parameters
-    ----------
-    world : World
-    entity : int
-        Row of the entity.
-    number : int
-        Of the track, among those of the entity.
-    """
+    """Make an entity near the end of its lane's cut path (track `number`) follow the next part."""
     assert world.network is not None
     track = world.tracks[entity][number]
     assert isinstance(track, LaneTrack)
@@ -188,7 +142,7 @@ def go_on(world: World, entity: int, number: int) -> None:
 
 
 def _route_ahead(world: World, entity: int, where: BoolArray) -> IntArray:
-    """Route of an entity without the roads that it has passed, to which a new path would lead back, shape (N,)."""
+    """Route of an entity without the roads it has passed, to which a new path would lead back, (N,)."""
     result: IntArray = world.route[entity].copy()
     for _, track, at in world.followed(entity, where & (world.route[entity] > 0)):
         if not isinstance(track, LaneTrack):
@@ -213,18 +167,7 @@ def _carry_over(world: World, entity: int, old: LaneTrack, new: LaneTrack, at: I
 
 
 def assign_route(world: World, entity: int, roads: tuple[int, ...], where: BoolArray) -> None:
-    """Make an entity pass roads, where it can, and go on as before where it is already on its way.
-
-    Parameters
-    ----------
-    world : World
-    entity : int
-        Row of the entity.
-    roads : tuple of int
-        Indices of the roads.
-    where : ndarray of bool, shape (N,)
-        Scenarios.
-    """
+    """Make an entity pass roads (by index), and continue as before if it is already on the way."""
     via = tuple((road, 0, 0.0) for road in roads)
     if via not in world.routes:
         world.routes.append(via)
@@ -237,19 +180,7 @@ def assign_route(world: World, entity: int, roads: tuple[int, ...], where: BoolA
 
 
 def follow_track(world: World, entity: int, track: Track, distance: FloatArray, where: BoolArray) -> None:
-    """Make an entity follow `track` from `distance` on.
-
-    Parameters
-    ----------
-    world : World
-    entity : int
-        Row of the entity.
-    track : Track
-    distance : ndarray of float64, shape (N,)
-        m.
-    where : ndarray of bool, shape (N,)
-        Scenarios.
-    """
+    """Make an entity follow a track from a distance in m on, (N,)."""
     tracks = world.tracks[entity]
     if track not in tracks:
         tracks.append(track)
@@ -258,25 +189,9 @@ def follow_track(world: World, entity: int, track: Track, distance: FloatArray, 
 
 
 def lane_track(world: World, road: int, lane: int, s: float, along: bool, route: int) -> LaneTrack | None:
-    """Track along a lane and what follows it, the same object for the same lane; None where there is no lane.
+    """Track along a lane and its successors, cached per lane section; None if there is no such lane.
 
-    Parameters
-    ----------
-    world : World
-    road : int
-        Index of the road.
-    lane : int
-        Number of the lane.
-    s : float
-        Place on the road in m.
-    along : bool
-        Whether it runs along the road's s there.
-    route : int
-        Index of the route.
-
-    Returns
-    -------
-    LaneTrack or None
+    `s` in m on the road, `along`: in the direction of s; `road` and `route` are indices.
     """
     assert world.network is not None
     section = int(world.network.roads[road].section_at(np.array([s]))[0])

@@ -1,6 +1,6 @@
-"""Rows of the tables that hold the state of all entities of a batch: (scenario, row, entity) each.
+"""Rows of the state tables of a batch, indexed (scenario, row, entity).
 
-What compiled code does to one scenario it does to one block of memory.
+A kernel that works on one scenario works on one block of memory.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Moving entities along their tracks where the storyboard does that, and where compiled code cannot."""
+"""Move entities along their tracks outside of kernels."""
 
 from __future__ import annotations
 
@@ -19,13 +19,7 @@ _ON_END: Final = 1e-3
 
 
 def watch_roads(world: World, where: BoolArray) -> None:
-    """Take down since when entities are off the road, in the scenarios of a mask.
-
-    Parameters
-    ----------
-    world : World
-    where : ndarray of bool, shape (N,)
-    """
+    """Update since when entities are off the road, in the scenarios of a mask."""
     # As in esmini, nobody is off the road before the first frame that takes time.
     now = np.where(world.last_step > 0.0, world.time, np.inf)
     for e, since in enumerate(world.off_road_since):
@@ -34,12 +28,7 @@ def watch_roads(world: World, where: BoolArray) -> None:
 
 
 def go_on_along_lanes(world: World) -> None:
-    """Make who comes near the place where its lane's path is cut follow the next part of its way.
-
-    Parameters
-    ----------
-    world : World
-    """
+    """Make entities near the end of their lane's cut path follow the next part."""
     for e, tracks in enumerate(world.tracks):
         for k, track in enumerate([*tracks]):
             if isinstance(track, LaneTrack) and track.goes_over:
@@ -47,79 +36,30 @@ def go_on_along_lanes(world: World) -> None:
 
 
 def velocity_ahead(world: World) -> tuple[FloatArray, FloatArray]:
-    """Velocity along x and y with which all would go on along their headings, in m/s, each (E, N).
-
-    Parameters
-    ----------
-    world : World
-
-    Returns
-    -------
-    tuple of two ndarray of float64, each (E, N)
-    """
+    """Velocity in x and y along the headings in m/s, each (E, N)."""
     return world.speed * np.cos(world.heading), world.speed * np.sin(world.heading)
 
 
 def acceleration_ahead(world: World) -> FloatArray:
-    """Acceleration along the heading in the last step, in m/s², shape (E, N).
-
-    Parameters
-    ----------
-    world : World
-
-    Returns
-    -------
-    ndarray of float64, shape (E, N)
-    """
+    """Acceleration along the heading in the last step in m/s², shape (E, N)."""
     return np.asarray(world.pull[0] * np.cos(world.heading) + world.pull[1] * np.sin(world.heading))
 
 
 def settle_on_track(world: World, entity: int, where: BoolArray) -> None:
-    """Move an entity to its place on its track at once, before the step ends.
-
-    Parameters
-    ----------
-    world : World
-    entity : int
-        Row of the entity.
-    where : ndarray of bool, shape (N,)
-        Scenarios.
-    """
+    """Update an entity's pose from its position on the track immediately."""
     for _, track, at in world.followed(entity, where):
         _settle(world, entity, track, at)
 
 
 def move_at_once(world: World, entity: int, where: BoolArray, way: FloatArray) -> None:
-    """Move an entity along its track, and to its offset beside it, so that later actions of the frame see it.
-
-    Parameters
-    ----------
-    world : World
-    entity : int
-        Row of the entity.
-    where : ndarray of bool, shape (N,)
-        Scenarios.
-    way : ndarray of float64, shape (N,)
-        m; negative backwards.
-    """
+    """Move an entity by `way` m (N,) along its track and to its offset, so that later actions of the frame see it."""
     world.moved[entity] |= where
     for _, track, at in world.followed(entity, where & world.running):
         _advance(world, entity, track, at, way[at])
 
 
 def put_ahead(world: World, entity: int, where: BoolArray, way: FloatArray) -> None:
-    """Put an entity further along its track before it moves in the frame.
-
-    Parameters
-    ----------
-    world : World
-    entity : int
-        Row of the entity.
-    where : ndarray of bool, shape (N,)
-        Scenarios.
-    way : ndarray of float64, shape (N,)
-        m; negative backwards.
-    """
+    """Shift an entity by `way` m (N,) along its track before it moves in the frame."""
     for _, track, at in world.followed(entity, where):
         world.distance[entity][at] = _along(track, world.distance[entity][at], world.offset[entity][at], way[at])
         _settle(world, entity, track, at)
@@ -128,16 +68,7 @@ def put_ahead(world: World, entity: int, where: BoolArray, way: FloatArray) -> N
 def pull_entity(
     world: World, entity: int, x: FloatArray, y: FloatArray, heading: FloatArray, speed: FloatArray
 ) -> None:
-    """Set the motion of an entity that another simulator moves in the coming step, each array (N,).
-
-    Parameters
-    ----------
-    world : World
-    entity : int
-        Row of the entity.
-    x, y, heading, speed : ndarray of float64, shape (N,)
-        Motion at the end of the step in m, rad and m/s.
-    """
+    """Set the motion of an entity that another simulator moves, at the end of the coming step, each (N,)."""
     world.x[entity], world.y[entity], world.heading[entity], world.speed[entity] = x, y, heading, speed
     world.moved[entity] = True
     for _, track, at in world.followed(entity, world.running):

@@ -1,4 +1,4 @@
-"""Controllers of traffic signals, which go through their phases over and over."""
+"""Traffic signal controllers, which cycle through their phases."""
 
 from __future__ import annotations
 
@@ -23,20 +23,9 @@ _TINY: Final = 1e-6
 
 
 class SignalController:
-    """Switches traffic signals at the beginning of each of its phases, from the start of the simulation on.
+    """Switches traffic signals at the start of each phase; in between, a signal keeps any other state it is given.
 
-    Between these instants a signal has the state that anybody else gives it.
-
-    Parameters
-    ----------
-    names : sequence of str
-        Names of the phases, P of them.
-    states : sequence of dict of str to str
-        State of each signal in each phase.
-    durations : ndarray of float64, shape (P, N)
-        s.
-    delay : ndarray of float64, shape (N,)
-        s by which its phases are later.
+    `states`: state of each signal in each of P phases; `durations` (P, N) and `delay` (N,) in s.
     """
 
     def __init__(
@@ -50,18 +39,18 @@ class SignalController:
         self._phase = np.full(len(delay), -1)
 
     def phase(self, time: FloatArray) -> IntArray:
-        """Which phase it is in at times in s, shape (N,)."""
+        """Index of the phase at times in s, shape (N,)."""
         since = np.mod(time - self._begin + _TINY, self._ends[-1])
         return np.asarray(np.minimum((self._ends <= since).sum(axis=0), len(self.names) - 1), dtype=np.int64)
 
     def go_to(self, phase: int, time: FloatArray, where: BoolArray) -> None:
-        """Begin a phase now, and go on from there, in the scenarios of a mask."""
+        """Start a phase now in the scenarios of a mask, and continue from there."""
         begins = self._ends[phase - 1] if phase else np.zeros(self._ends.shape[1])
         self._begin[where] = (time - begins)[where]
         self._phase[where] = -1
 
     def switch(self, signals: dict[str, npt.NDArray[np.str_]], time: FloatArray, where: BoolArray) -> None:
-        """Give the signals their states where a phase has begun, in the scenarios of a mask."""
+        """Set the signals where a phase has begun, in the scenarios of a mask."""
         now = np.where(where, self.phase(time), self._phase)
         for k in np.unique(now[now != self._phase]):
             begun = (now == k) & (now != self._phase)
@@ -71,25 +60,7 @@ class SignalController:
 
 
 def read_signal_controllers(root: etree._Element, scope: Scope) -> dict[str, SignalController]:
-    """Read the controllers of traffic signals of a scenario file.
-
-    Parameters
-    ----------
-    root : lxml element
-        ``OpenSCENARIO``.
-    scope : Scope
-        Values of the parameters there.
-
-    Returns
-    -------
-    dict of str to SignalController
-        By name.
-
-    Raises
-    ------
-    InputError
-        One has no phases, or a duration is negative, or all are 0, or it refers to none before it.
-    """
+    """Read the traffic signal controllers below ``OpenSCENARIO``, by name."""
     found: dict[str, SignalController] = {}
     for element in root.iterfind("RoadNetwork/TrafficSignals/TrafficSignalController"):
         name, where = scope.text(element, "name"), f"{scope.source}, line {element.sourceline}: <{element.tag}>"
@@ -122,14 +93,14 @@ def read_signal_controllers(root: etree._Element, scope: Scope) -> dict[str, Sig
 
 
 def named_controller(controllers: dict[str, SignalController], name: str, where: str) -> SignalController:
-    """Controller of a name; raises an `InputError` that begins with `where` if there is none."""
+    """Return the controller with a name; raise `InputError`, starting with `where`, if there is none."""
     if name not in controllers:
         raise InputError(f"{where}: there is no signal controller '{name}'; {suggestion(name, controllers)}")
     return controllers[name]
 
 
 def named_phase(controller: SignalController, name: str, where: str) -> int:
-    """Number of the phase of a name; raises an `InputError` that begins with `where` if there is none."""
+    """Index of the phase with a name; raises `InputError`, starting with `where`, if there is none."""
     if name not in controller.names:
         raise InputError(f"{where}: the signal controller has no phase '{name}'; {suggestion(name, controller.names)}")
     return controller.names.index(name)

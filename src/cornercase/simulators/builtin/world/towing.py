@@ -1,4 +1,4 @@
-"""Trailers: what a vehicle pulls comes after it."""
+"""Trailers, which follow the vehicles that pull them."""
 
 from __future__ import annotations
 
@@ -16,23 +16,7 @@ MOST_TRAILERS: Final = 20
 
 
 def read_tow(vehicle: int, trailer: int, entities: Sequence[Entity]) -> Tow:
-    """Read where a trailer hangs on a vehicle.
-
-    Parameters
-    ----------
-    vehicle, trailer : int
-        Rows of the entities.
-    entities : sequence of Entity
-
-    Returns
-    -------
-    Tow
-
-    Raises
-    ------
-    InputError
-        The vehicle has no hitch, or the trailer no coupler.
-    """
+    """Read where a trailer is connected to a vehicle (rows); raise `InputError` without hitch or coupler."""
     bodies = entities[vehicle].body, entities[trailer].body
     assert bodies[0] is not None
     assert bodies[1] is not None
@@ -47,7 +31,7 @@ def read_tow(vehicle: int, trailer: int, entities: Sequence[Entity]) -> Tow:
 
 
 def front_first(tows: Sequence[Tow]) -> tuple[Tow, ...]:
-    """Put those in front before those that they pull."""
+    """Sort trailers from front to back."""
     behind = {tow.trailer: tow.vehicle for tow in tows}
 
     def depth(one: int) -> int:
@@ -60,16 +44,7 @@ def front_first(tows: Sequence[Tow]) -> tuple[Tow, ...]:
 
 
 def align_trailers(world: World, entity: int, where: BoolArray) -> None:
-    """Put all that an entity pulls straight behind it.
-
-    Parameters
-    ----------
-    world : World
-    entity : int
-        Row of the entity in front.
-    where : ndarray of bool, shape (N,)
-        Scenarios.
-    """
+    """Place all trailers of an entity straight behind it."""
     for tow in world.tows:
         if tow.vehicle == entity:
             pulled = where & (world.pulled_by[tow.trailer] == entity)
@@ -85,11 +60,6 @@ def align_trailers(world: World, entity: int, where: BoolArray) -> None:
 
 
 def place_trailers(world: World) -> None:
-    """Put trailers that are nowhere yet straight behind the vehicles that are there.
-
-    Parameters
-    ----------
-    world : World
-    """
+    """Place trailers without a position straight behind their vehicles."""
     for tow in world.tows:
         align_trailers(world, tow.vehicle, world.running & world.present[tow.vehicle] & np.isnan(world.x[tow.trailer]))

@@ -1,4 +1,4 @@
-"""Where entities are on the roads."""
+"""Positions of entities on the roads."""
 
 from __future__ import annotations
 
@@ -16,18 +16,7 @@ from cornercase.simulators.builtin.world.state import World
 
 
 def on_lane(world: World, entity: int) -> BoolArray:
-    """Whether the entity follows a lane, shape (N,).
-
-    Parameters
-    ----------
-    world : World
-    entity : int
-        Row of the entity.
-
-    Returns
-    -------
-    ndarray of bool, shape (N,)
-    """
+    """Check whether the entity follows a lane, shape (N,)."""
     result = np.zeros(world.scenarios, dtype=np.bool_)
     for k, track in enumerate(world.tracks[entity]):
         if isinstance(track, LaneTrack):
@@ -36,19 +25,7 @@ def on_lane(world: World, entity: int) -> BoolArray:
 
 
 def lane_of(world: World, entity: int) -> Pose:
-    """Where an entity is on the roads.
-
-    Parameters
-    ----------
-    world : World
-    entity : int
-        Row of the entity.
-
-    Returns
-    -------
-    Pose
-        Without a road where there is no network.
-    """
+    """Pose of an entity with its road position; without a road if there is no network."""
     pose = Pose(world.x[entity].copy(), world.y[entity].copy(), world.heading[entity].copy())
     if world.network is None:
         return pose
@@ -69,18 +46,7 @@ def lane_of(world: World, entity: int) -> Pose:
 
 
 def on_road(world: World, entity: int) -> BoolArray:
-    """Whether an entity's reference point lies within the width of a road, shape (N,).
-
-    Parameters
-    ----------
-    world : World
-    entity : int
-        Row of the entity.
-
-    Returns
-    -------
-    ndarray of bool, shape (N,)
-    """
+    """Check whether an entity's reference point is within the width of a road, shape (N,)."""
     assert world.network is not None
     place = world.network.locate(world.x[entity], world.y[entity])
     width = np.zeros(world.scenarios)
@@ -99,18 +65,7 @@ def on_road(world: World, entity: int) -> BoolArray:
 
 
 def road_heading(world: World, pose: Pose) -> FloatArray:
-    """Direction of the road's s at a pose, shape (N,).
-
-    Parameters
-    ----------
-    world : World
-    pose : Pose
-
-    Returns
-    -------
-    ndarray of float64, shape (N,)
-        rad.
-    """
+    """Direction of the road's s at a pose in rad, shape (N,)."""
     assert world.network is not None
     assert pose.road is not None
     assert pose.s is not None
@@ -118,37 +73,14 @@ def road_heading(world: World, pose: Pose) -> FloatArray:
 
 
 def looks_along(world: World, pose: Pose) -> BoolArray:
-    """Whether a pose looks along its road's s rather than against it; straight across counts as along.
-
-    Parameters
-    ----------
-    world : World
-    pose : Pose
-
-    Returns
-    -------
-    ndarray of bool, shape (N,)
-    """
+    """Check whether a pose points along its road's s, shape (N,); exactly across counts as along."""
     return looks_ahead(pose.heading - road_heading(world, pose))
 
 
 def speed_along_road(world: World, entity: int, where: BoolArray) -> FloatArray:
-    """Speed of the last step along the road that an entity is on, without sign, in m/s, shape (N,).
+    """Absolute speed of the last step along the entity's road in m/s, (N,); along its heading without roads.
 
-    On a bend it is that of the chord, seen along the road where the step ended.
-
-    Parameters
-    ----------
-    world : World
-    entity : int
-        Row of the entity.
-    where : ndarray of bool, shape (N,)
-        Scenarios in which it is asked for.
-
-    Returns
-    -------
-    ndarray of float64, shape (N,)
-        m/s; where there are no roads, that along its heading.
+    In a bend it is the speed along the chord, projected onto the road's direction at the end of the step.
     """
     direction = world.heading[entity].copy()
     if world.network is not None:
@@ -164,7 +96,7 @@ def speed_along_road(world: World, entity: int, where: BoolArray) -> FloatArray:
 
 
 def _heading_of(network: RoadNetwork, road: IntArray, s: FloatArray) -> FloatArray:
-    """Direction of the roads' s at places on them, shape (R,)."""
+    """Direction of the roads' s at positions on them, shape (R,)."""
     heading = np.zeros(len(s))
     for one in np.unique(road):
         rows = road == one
@@ -173,21 +105,9 @@ def _heading_of(network: RoadNetwork, road: IntArray, s: FloatArray) -> FloatArr
 
 
 def ahead_on_road(world: World, entity: int, target: Pose, otherwise: FloatArray) -> FloatArray:
-    """How far ahead of an entity a target is along the reference line of its road, in m, shape (N,).
+    """Distance in m to a target along the entity's reference line, (N,), negative behind.
 
-    Parameters
-    ----------
-    world : World
-    entity : int
-        Row of the entity.
-    target : Pose
-    otherwise : ndarray of float64, shape (N,)
-        What it is where the target is on another road.
-
-    Returns
-    -------
-    ndarray of float64, shape (N,)
-        m; negative behind it.
+    `otherwise` applies if the target is on another road.
     """
     if world.network is None or target.road is None or target.s is None:
         return otherwise
@@ -199,20 +119,7 @@ def ahead_on_road(world: World, entity: int, target: Pose, otherwise: FloatArray
 
 
 def lanes_between(world: World, one: Pose, two: Pose) -> IntArray:
-    """How many lanes further to the left of a pose another is, as it drives, shape (N,).
-
-    Parameters
-    ----------
-    world : World
-    one : Pose
-        Where it is counted from.
-    two : Pose
-
-    Returns
-    -------
-    ndarray of int64, shape (N,)
-        Negative to the right.
-    """
+    """Number of lanes from pose `one` to pose `two`, positive to the left in driving direction, (N,)."""
     assert one.lane is not None
     assert two.lane is not None
     # Lane numbers skip 0.
@@ -223,20 +130,7 @@ def lanes_between(world: World, one: Pose, two: Pose) -> IntArray:
 
 
 def runs_against(world: World, entity: int, pose: Pose) -> BoolArray:
-    """Whether the road of a pose runs against the one that an entity is on, along the entity's lane, shape (N,).
-
-    Parameters
-    ----------
-    world : World
-    entity : int
-        Row of the entity.
-    pose : Pose
-
-    Returns
-    -------
-    ndarray of bool, shape (N,)
-        False where the lane does not lead there.
-    """
+    """Check whether the pose's road runs opposite to the entity's road along its lane, (N,); False if not connected."""
     assert pose.road is not None
     result = np.zeros(world.scenarios, dtype=np.bool_)
     for _, track, rows in world.followed(entity, world.present[entity]):
@@ -254,20 +148,9 @@ def runs_against(world: World, entity: int, pose: Pose) -> BoolArray:
 
 
 def has_lane_between(world: World, pose: Pose, first: int, last: int, opposite: bool) -> BoolArray:
-    """Whether a drivable lane lies within a range of lanes from a pose, shape (N,).
+    """Check for a drivable lane from `first` to `last` lanes left of a pose (inclusive), shape (N,).
 
-    Parameters
-    ----------
-    world : World
-    pose : Pose
-    first, last : int
-        Numbers of lanes to the left, relative to that of the pose; both included.
-    opposite : bool
-        Whether lanes of the opposite direction count.
-
-    Returns
-    -------
-    ndarray of bool, shape (N,)
+    `opposite`: whether lanes of the opposite direction count.
     """
     assert world.network is not None
     assert pose.road is not None
