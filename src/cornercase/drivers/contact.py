@@ -51,7 +51,7 @@ def meeting(places, row, ego, margin, other, horizon):
 
 @_part
 def last_contact(places, row, ego, margin, other, horizon, instant, after):
-    """Leg and interval of the last contact at a path sample, if `contact_interval` + `after` ends later than `instant`.
+    """Leg and interval of the last contact at a path sample, if `contact_interval` + `time_offset` ends later than `min_end`.
 
     The interval is counted from the start of the leg, in s; the leg is -1 if there is no such contact. The horizon is
     above 0. Skips the computation if contact ends too early.
@@ -73,9 +73,9 @@ def last_contact(places, row, ego, margin, other, horizon, instant, after):
 
 @_part
 def begins_before(places, row, ego, margin, other, horizon, found, instant, before):
-    """Check that the first contact at a path sample, plus `before`, begins earlier than `instant`.
+    """Check that the first contact at a path sample, plus `time_offset`, begins earlier than `max_start`.
 
-    `found` is the result of `last_contact_ending_after`, with a leg.
+    `known_contact` is the result of `last_contact_ending_after`, with a leg.
     """
     legs = other[0]
     for early in range(found[0]):
@@ -122,7 +122,7 @@ def _on_leg(places, row, own_length, own_width, other, leg, horizon):
 
 @_part
 def _during(first, last, apart, radius, rate):
-    """Clip a time interval to when a point at offset `apart`, moving at `rate`, is within `radius`."""
+    """Clip a time interval to when a point at offset `offset`, moving at `rate`, is within `radius`."""
     one, two = (-radius - apart) / rate, (radius - apart) / rate
     still = abs(rate) < 1e-9
     begin, end = max(first, min(one, two)), min(last, max(one, two))
@@ -155,8 +155,8 @@ def _touching(places, row, own_length, own_width, other):
 def first_contact(places, most, ego, margin, other, horizon, way=None):
     """Row of the first path sample ahead with contact; -1 if there is none.
 
-    Row 0 is skipped. `most` is the largest distance in m between centres at consecutive samples. Samples are computed
-    on demand if `way` is given.
+    Row 0 is skipped. `max_spacing` is the largest distance in m between centres at consecutive samples. Samples are
+    computed on demand if `lookahead` is given.
     """
     k, count, until = 0, len(places), -1
     if way is not None:
@@ -179,9 +179,9 @@ def first_contact(places, most, ego, margin, other, horizon, way=None):
 
 @_part
 def next_rows(way, k, margin, other, since, horizon):
-    """First and last row of the next consecutive samples from row `k` on with possible contact; computes the first.
+    """First and last row of the next consecutive samples from row `first_row` on with possible contact; computes the first.
 
-    Contacts that end before `since` (s) are ignored. The first row may be past the end of the path.
+    Contacts that end before `min_time` (s) are ignored. The first row may be past the end of the path.
     """
     straight = int(way.points[way.first + k, 5])
     lay(way, k)
@@ -199,7 +199,7 @@ def next_rows(way, k, margin, other, since, horizon):
 
 @_part
 def _stretch(places, k, ego, margin, other, since, horizon, length):
-    """First range in m from sample `k` of a straight line in which the ego may touch the other's swept box.
+    """First range in m from sample `row` of a straight line in which the ego may touch the other's swept box.
 
     (inf, inf) if there is none within `length`. Separating axes: the projections overlap in one range on each of four.
     """
@@ -247,14 +247,14 @@ def _stretch(places, k, ego, margin, other, since, horizon, length):
 
 @_part
 def _swept(legs, leg, speed, since, over):
-    """Distance that the other has covered on a leg at time `since`, and half of what it covers afterwards, in m."""
+    """Distance that the other has covered on a leg at time `start`, and half of what it covers afterwards, in m."""
     from_then = max(legs[leg, 4], since)
     return speed * (from_then - legs[leg, 4]), 0.5 * speed * max(over - from_then, 0.0)
 
 
 @_part
 def _clip(first, last, rate, middle, radius):
-    """Clip a range to where a projection that grows by `rate` per metre is within `radius` of `middle`."""
+    """Clip a range to where a projection that grows by `rate` per metre is within `radius` of `center`."""
     if abs(rate) < 1e-9:
         # It hardly moves on this axis: a hair more than it could.
         return (first, last) if abs(middle) <= radius + _HAIR else (math.inf, -math.inf)
@@ -264,7 +264,7 @@ def _clip(first, last, rate, middle, radius):
 
 @_part
 def rows_apart(places, most, k, ego, margin, other, since, horizon):
-    """Number of samples from row `k` on that are too far from the other for contact; 0 if the first may touch."""
+    """Number of samples from row `first_row` on that are too far from the other for contact; 0 if the first may touch."""
     legs, half_length, half_width, speed = other
     width = ego[1] + margin
     own, least, leg = math.sqrt(ego[0] * ego[0] + width * width), math.inf, legs.shape[0]

@@ -25,10 +25,10 @@ _part = kernel(error_model="numpy", _nrt=False, forceinline=True)
 
 @_part
 def accelerate(fleet, d, n, route, time, time_step, driven, others, work):
-    """Acceleration in m/s² that driver `d` chooses in scenario `n`; updates what the driver remembers.
+    """Acceleration in m/s² that a driver chooses in one scenario; updates what the driver remembers.
 
-    `d` is not `NOT_COMPILED`; `route` comes from `find_route_row`; `others` has shape (4, A): x, y, heading and speed,
-    NaN if an entity does not exist or is not visible.
+    `driver` is not `NOT_COMPILED`; `route` comes from `find_route_row`; `others` has shape (4, A): x, y, heading and
+    speed, NaN if an entity does not exist or is not visible.
     """
     cos, sin = math.cos(driven.heading), math.sin(driven.heading)
     scene = Scene(
@@ -51,7 +51,7 @@ def accelerate(fleet, d, n, route, time, time_step, driven, others, work):
 
 @_kernel
 def route_row(fleet, d, track, n):
-    """Row of the route of driver `d` along a track in scenario `n`; -1 if `set_route` has to plan it first."""
+    """Row of the route of a driver along a track in one scenario; -1 if `set_route` has to plan it first."""
     if fleet.kind[d] != BEHAVIOUR:
         return 0
     routes = fleet.routes
@@ -62,7 +62,7 @@ def route_row(fleet, d, track, n):
 
 @kernel(error_model="numpy")
 def workspace(others):
-    """Allocate the buffers for the decisions of one thread among `others` other entities."""
+    """Allocate the buffers for the decisions of one thread among `n_others` other entities."""
     return Workspace(
         np.full((others, 5), np.nan),
         np.empty(others, dtype=np.bool_),

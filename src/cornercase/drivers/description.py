@@ -140,7 +140,7 @@ def _value(value: object) -> str:
 def driver_changes(there: object, here: object) -> Iterator[tuple[str, str, str, bool]]:
     """Yield (entity, before, now, only_the_file) for each entity whose driver differs.
 
-    `there` and `here` are serialized drivers by entity. `only_the_file`: same class and options, but its file has
+    `stored` and `current` are serialized drivers by entity. `only_the_file`: same class and options, but its file has
     changed.
     """
     old, new = (dict(one) if isinstance(one, Mapping) else {} for one in (there, here))

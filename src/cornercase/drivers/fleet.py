@@ -130,8 +130,8 @@ def form_fleet(
 ) -> Fleet:
     """Gather started drivers, so that kernels and `Driver.acceleration` share one state.
 
-    The drivers' state moves into the fleet's arrays, of which they keep views. `driven` is the row of the entity of
-    each driver; the boxes of all E entities are in m. The fleet has no routes yet.
+    The drivers' state moves into the fleet's arrays, of which they keep views. `driven_rows` is the row of the entity
+    of each driver; the boxes of all E entities are in m. The fleet has no routes yet.
     """
     fleet = _empty_fleet(len(drivers), scenarios, max(len(kinds) - 1, 0))
     boxes = np.stack((0.5 * length, 0.5 * width, center_x, _vulnerable(kinds)))
@@ -146,8 +146,8 @@ def form_fleet(
 def with_route(fleet: Fleet, driver: int, track: int, path: DrivenPath, where: BoolArray | None = None) -> Fleet:
     """Plan a driver's route along a track, replacing the previous one for that track.
 
-    `where`: scenarios (N,) in which a path that differs between scenarios has changed; all by default. Returns a fleet
-    with the route, in new arrays or in those of the given fleet.
+    `changed`: scenarios (N,) in which a path that differs between scenarios has changed; all by default. Returns a
+    fleet with the route, in new arrays or in those of the given fleet.
     """
     samples, rows = count_samples(path), len(np.atleast_2d(path.distance))
     routes, chosen = fleet.routes, np.arange(rows)

@@ -30,7 +30,7 @@ _part = kernel(error_model="numpy", _nrt=False, forceinline=True)
 
 @_part
 def foresee(memory, o, cos, sin, center_x, horizon, legs):
-    """Fill `legs` with the predicted motion of other entity `o` up to `horizon` (s); return their number.
+    """Fill `legs` with the predicted motion of another entity up to `horizon` (s); return their number.
 
     The entity keeps its turn rate for some time, then goes straight. `cos` and `sin` are of its heading; `center_x` is
     the centre of its box in m.

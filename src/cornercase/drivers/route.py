@@ -25,9 +25,10 @@ class Route(NamedTuple):
     """A path sampled at equal distances, in one row for all scenarios or one row for each.
 
     `step` (N,) is the sample distance in m. Arrays of shape (N, R): `x` and `y` in m, `cos` and `sin` of the heading,
-    `squared_speed`, the square of the highest speed in m²/s² that the curves ahead allow (the lowest within one step),
-    and `straight`, the number of following samples on a straight line. Of shape (N,): `longest`, the largest distance
-    in m between consecutive samples, and `sharpest`, the largest one between their directions as unit vectors.
+    `max_speed_squared`, the square of the highest speed in m²/s² that the curves ahead allow (the lowest within one
+    step), and `straight_count`, the number of following samples on a straight line. Of shape (N,): `max_spacing`, the
+    largest distance in m between consecutive samples, and `max_turn`, the largest one between their directions as unit
+    vectors.
     """
 
     step: FloatArray

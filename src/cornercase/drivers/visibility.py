@@ -85,10 +85,10 @@ def eye_of(own, x, y, cos, sin):
 
 @_part
 def look(field_of_view, sight_range, eye, boxes, others, now, seen):
-    """Fill `seen` (A,) with the others that a driver sees in one scenario, and `now` (A, 5) with their boxes.
+    """Fill `seen` (A,) with the others that a driver sees in one scenario, and `placed_boxes` (A, 5) with their boxes.
 
-    `eye` comes from `eye_pose`, `boxes` and `others` are as in `DriverScene`, `now` is as in `Workspace.boxes`: its
-    centre is NaN if out of range, and its headings are those of the previous call, NaN at first.
+    `eye` comes from `eye_pose`, `boxes` and `others` are as in `DriverScene`, `placed_boxes` is as in
+    `Workspace.boxes`: its centre is NaN if out of range, and its headings are those of the previous call, NaN at first.
     """
     eye_x, eye_y, cos, sin = eye
     count = others.shape[1]

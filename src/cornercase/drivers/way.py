@@ -59,7 +59,7 @@ class Way(NamedTuple):
 
 @_part
 def look_ahead(behaviour, routes, route, scene, v, wanted, work):
-    """Build the path ahead as far as it matters, for current speed `v` and `wanted` speed in m/s."""
+    """Build the path ahead as far as it matters, for the current speed and `target_speed` speed in m/s."""
     driven, cos, sin, center_x = scene.driven, scene.cos, scene.sin, scene.own[CENTER_X]
     places, points, distance = work.places, routes.points, driven.distance
     begin, samples, step = routes.begin[route], routes.samples[route], routes.measures[route, 0]
@@ -93,7 +93,7 @@ def look_ahead(behaviour, routes, route, scene, v, wanted, work):
 
 @_part
 def lay(way, k):
-    """Compute the sample of row `k`, except for its arrival time."""
+    """Compute the sample of a row, except for its arrival time."""
     if k == 0:
         return
     places, points, at = way.places, way.points, way.first + k
@@ -106,13 +106,13 @@ def lay(way, k):
 
 @_part
 def distance_to(way, k):
-    """Distance in m from the driven entity to sample `k`."""
+    """Distance in m from the driven entity to a sample."""
     return (way.before + k) * way.step - way.distance if k > 0 else 0.0
 
 
 @_kernel
 def arrive(behaviour, way, k):
-    """Planned arrival time at sample `k` in s from now; computed up to `k` on demand."""
+    """Planned arrival time at a sample in s from now; computed up to `row` on demand."""
     known = int(way.arrivals[0])
     if k > known:
         squared, root, when, here = way.arrivals[1], way.arrivals[2], way.places[known, 5], distance_to(way, known)
@@ -136,7 +136,7 @@ def arrive(behaviour, way, k):
 
 @_part
 def soonest(behaviour, way, k):
-    """Lower bound of the arrival time at sample `k` in s, ignoring curves; never more than `arrival_time`."""
+    """Lower bound of the arrival time at a sample in s, ignoring curves; never more than `arrival_time`."""
     v, wanted, a, there = way.speed, way.wanted, behaviour.acceleration, distance_to(way, k)
     if k <= way.arrivals[0]:
         return way.places[k, 5]

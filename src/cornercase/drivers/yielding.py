@@ -125,7 +125,8 @@ def _keep_speed(behaviour, routes, route, scene, v, wanted):
 def _react(behaviour, time_step, way, other, vulnerable, yielding, least):
     """Acceleration that one other entity allows, and whether there is a conflict.
 
-    ``(inf, False)`` if the other does not matter; without a conflict, any limit of at least `least` is equivalent.
+    ``(inf, False)`` if the other does not matter; without a conflict, any limit of at least `lowest_so_far` is
+    equivalent.
     """
     legs, half_length, half_width, speed = other
     places, ego = way.places, way.ego
@@ -253,7 +254,7 @@ def _find_conflict(behaviour, way, margin, other, gap_first, gap_after, past_cho
 
 @_part
 def _begin(way, k, margin, other, horizon):
-    """First row of the conflict zone that contains row `k`."""
+    """First row of the conflict zone that contains row `row`."""
     while k > 1:
         lay(way, k - 1)
         if meeting(way.places, k - 1, way.ego, margin, other, horizon)[0] == math.inf:
@@ -287,7 +288,7 @@ def _follow(behaviour, v, gap, leader_speed):
 
 @_part
 def _needed(v, room):
-    """Deceleration that stops within `room` m."""
+    """Deceleration that stops within `distance` m."""
     if v <= 0.0:
         return 0.0
     return v * v / (2.0 * room) if room > 0.0 else math.inf
@@ -308,7 +309,7 @@ def _speed_along(places, row, other):
 
 @_kernel
 def _refine(way, k, margin, other, horizon):
-    """Distance in m at which contact begins, by bisection between row `k` (contact) and the previous row."""
+    """Distance in m at which contact begins, by bisection between row `row` (contact) and the previous row."""
     places, ego, between = way.places, way.ego, way.between
     lay(way, k - 1)
     low, high = 0.0, 1.0

@@ -81,8 +81,8 @@ def distances(
 
     `columns` None means the rows; then only one half is computed.
 
-    `advance` gets the number of cells done since its last call, in this thread. `needed`: pairs that are wanted; others
-    may be infinite.
+    `report_progress` gets the number of cells done since its last call, in this thread. `needed`: pairs that are
+    wanted; others may be infinite.
     """
     if columns is not None and len(columns) < len(rows):
         # The longer side fills the lanes better; the distance is the same from either side.

@@ -38,8 +38,8 @@ def distances(
 ) -> Floats:
     """Distances of checked series, shape (len(rows), len(columns)); infinite on overflow or if not computed.
 
-    `columns` None means the rows. `advance` gets the number of cells done since its last call. Distances that surely
-    exceed `beyond` need not be computed (for all pairs of the rows on the CPU).
+    `columns` None means the rows. `report_progress` gets the number of cells done since its last call. Distances that
+    surely exceed `max_distance` need not be computed (for all pairs of the rows on the CPU).
     """
     total = cells(rows, columns)
     distinct_rows, row_of = distinct(rows)
@@ -87,7 +87,8 @@ def distances(
 def refuse_infinite(found: Floats, rows_from: int = 0, columns_from: int = 0, columns: str = "") -> None:
     """Raise `InputError` for the first pair whose distance has overflowed.
 
-    `rows_from`, `columns_from`: index of the first row and column; `columns`: what a column is, with a trailing space.
+    `first_row`, `first_column`: index of the first row and column; `column_label`: what a column is, with a trailing
+    space.
     """
     if not np.isfinite(found).all():
         i, j = np.argwhere(~np.isfinite(found))[0] + (rows_from, columns_from)

@@ -88,8 +88,8 @@ class Alarm(NamedTuple):
 class Reference:
     """A reference driver.
 
-    `judge` assesses a `RelativeMotion`. `following` gives the gap in m at which it follows a leader of equal speed in
-    m/s. `delay`: s from the first unsafe instant to braking; `delayed_deceleration`: m/s² meanwhile; `jerk`: m/s³.
+    `assess` assesses a `RelativeMotion`. `following_gap` gives the gap in m at which it follows a leader of equal speed
+    in m/s. `delay`: s from the first unsafe instant to braking; `delayed_deceleration`: m/s² meanwhile; `jerk`: m/s³.
     """
 
     title: str

@@ -35,7 +35,7 @@ _DRIVEN: WeakKeyDictionary[LanePath, DrivenPath] = WeakKeyDictionary()
 class DriverError(Exception):
     """A driver raised an exception, or returned no acceleration, for several scenarios at once.
 
-    `error` is for the scenario at fault. `splits`: whether a run with half of the scenarios shows which half is at
+    `error` is for the scenario at fault. `can_bisect`: whether a run with half of the scenarios shows which half is at
     fault; otherwise only single runs do.
     """
 
@@ -48,8 +48,8 @@ class Driving:
     """One entity of a batch and the driver that decides its speed along lanes and trajectories while active.
 
     A trajectory with times leaves the driver nothing to decide. `number` is its index in `World.drivers`; `in_fleet`
-    says whether kernels decide for it. `exceeded`: by limit of the vehicle that the driver exceeded, a sentence without
-    a full stop for a notice; what distinguishes notices of one limit follows a semicolon.
+    says whether kernels decide for it. `limit_notices`: by limit of the vehicle that the driver exceeded, a sentence
+    without a full stop for a notice; what distinguishes notices of one limit follows a semicolon.
     """
 
     def __init__(self, world: World, entity: int, driver: Driver) -> None:

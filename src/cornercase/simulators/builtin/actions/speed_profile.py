@@ -156,8 +156,8 @@ def _either(where: BoolArray, one: Phase, other: Phase) -> Phase:
 def _smoothed(lines: list[Phase], rate: FloatArray, limits: Limits) -> tuple[list[Phase], BoolArray]:
     """Replace corners between constant accelerations by arcs of constant jerk tangent to both.
 
-    `rate` (N,) is the initial acceleration in m/s². If an arc would begin before the last one ends, or a limit is
-    exceeded, the lines are kept from there on. Returns the phases, and where all of them are smooth, shape (N,).
+    `acceleration` (N,) is the initial acceleration in m/s². If an arc would begin before the last one ends, or a limit
+    is exceeded, the lines are kept from there on. Returns the phases, and where all of them are smooth, shape (N,).
     """
     first, still = lines[0], np.zeros_like(rate)
     jerk = _jerk(first.rate - rate, limits)
@@ -191,8 +191,8 @@ def _smoothed(lines: list[Phase], rate: FloatArray, limits: Limits) -> tuple[lis
 def _one_target(line: Phase, end: Phase, rate: FloatArray, limits: Limits) -> tuple[list[Phase], BoolArray]:
     """Reach one speed at a given time, or as early as possible, with final acceleration 0.
 
-    `line` is the constant acceleration to the target `end`; `rate` (N,) the initial acceleration in m/s². Returns the
-    phases, and where all of them are within the limits, shape (N,).
+    `line` is the constant acceleration to the target `end`; `acceleration` (N,) the initial acceleration in m/s².
+    Returns the phases, and where all of them are within the limits, shape (N,).
     """
     j0 = _jerk(line.rate - rate, limits)
     j1 = np.where(line.rate < 0, limits.jerk_up, -limits.jerk_down)

@@ -263,8 +263,8 @@ def _sign(speed: FloatArray) -> FloatArray:
 def _first_phase(v0: FloatArray, v1: FloatArray, way: FloatArray, time: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Acceleration of the first of two phases, and the speed at its end, each (N,).
 
-    The phases have accelerations a and -a, cover `way` in `time`, begin with v0 and end with v1. With vx between them
-    after the time x: way = x (v0 + vx) / 2 + (time - x) (v1 + vx) / 2 and (vx - v0) / x = (vx - v1) / (time - x).
+    The phases have accelerations a and -a, cover `distance` in `time`, begin with v0 and end with v1. With vx between
+    them after the time x: way = x (v0 + vx) / 2 + (time - x) (v1 + vx) / 2 and (vx - v0) / x = (vx - v1) / (time - x).
     """
     mean = way / time
     root = np.sqrt(np.maximum(2.0 * (2.0 * mean**2 - 2.0 * (v0 + v1) * mean + v0**2 + v1**2), 0.0))

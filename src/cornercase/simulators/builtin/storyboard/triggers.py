@@ -113,7 +113,7 @@ class Condition:
 class Past:
     """Earlier values of a condition with a delay in s, shape (N,).
 
-    `sudden`: whether its value may change in the next frame although its inputs have not.
+    `is_sudden`: whether its value may change in the next frame although its inputs have not.
     """
 
     def __init__(self, delay: FloatArray, sudden: bool) -> None:

@@ -19,7 +19,7 @@ _PASSES: Final = 6
 def free_space_on_road(world: World, entity: int, other: int, lateral: bool, otherwise: FloatArray) -> FloatArray:
     """Smallest difference in s (or t if `lateral`) between the corners of two boxes in m, shape (N,).
 
-    It is 0 if side by side, and `otherwise` on different roads. s is positive ahead, t to the left of the road.
+    It is 0 if side by side, and `default` on different roads. s is positive ahead, t to the left of the road.
     """
     own, theirs = lane_of(world, entity), lane_of(world, other)
     if own.road is None or theirs.road is None:
@@ -41,7 +41,7 @@ def free_space_on_road(world: World, entity: int, other: int, lateral: bool, oth
 def free_space_to_place(world: World, entity: int, place: Pose, lateral: bool, otherwise: FloatArray) -> FloatArray:
     """Smallest difference in s (or t if `lateral`) between the corners of a box and a point in m, (N,).
 
-    It is 0 if side by side, and `otherwise` on different roads. s is positive ahead, t to the left of the road.
+    It is 0 if side by side, and `default` on different roads. s is positive ahead, t to the left of the road.
     """
     own = lane_of(world, entity)
     if own.road is None or place.road is None or place.s is None:
@@ -58,7 +58,7 @@ def free_space_to_place(world: World, entity: int, place: Pose, lateral: bool, o
 
 
 def beside_on_road(world: World, entity: int, place: Pose, otherwise: FloatArray) -> FloatArray:
-    """Difference in t from an entity to a point on its road in m, (N,), positive left; `otherwise` on other roads."""
+    """Difference in t from an entity to a point on its road in m, (N,), positive left; `default` on other roads."""
     own = lane_of(world, entity)
     if own.road is None or place.road is None or place.s is None:
         return otherwise

@@ -31,7 +31,7 @@ def remaining(world: World, entity: int, target: Pose, known: KnownPlaces, where
     """Distance along the entity's track to a target in m, shape (N,); negative once passed.
 
     A trajectory leads to its point nearest to the target. Without a track that leads there: the straight-line distance.
-    Results are added to the cache `known`.
+    Results are added to `cache`.
     """
     way = np.full(world.scenarios, np.inf)
     for k, track, rows in world.followed(entity, where & np.isfinite(target.x + target.y)):
@@ -66,7 +66,7 @@ def _place_on(
 ) -> FloatArray:
     """Distance along a track to a target in m, shape (R,); infinite if the track does not lead there.
 
-    With `beside`, a trajectory leads to targets at any lateral distance.
+    With `allow_any_lateral`, a trajectory leads to targets at any lateral distance.
     """
     along = track.nearest(target.x[rows], target.y[rows], rows, world.distance[entity][rows])
     x, y, _ = track.at(along, np.zeros(len(rows)), rows)

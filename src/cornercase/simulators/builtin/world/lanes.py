@@ -115,7 +115,7 @@ def change_lane(world: World, entity: int, lane: IntArray, where: BoolArray) -> 
 
 
 def go_on(world: World, entity: int, number: int) -> None:
-    """Make an entity near the end of its lane's cut path (track `number`) follow the next part."""
+    """Make an entity near the end of its lane's cut path (track `track_number`) follow the next part."""
     assert world.network is not None
     track = world.tracks[entity][number]
     assert isinstance(track, LaneTrack)

@@ -52,14 +52,14 @@ def settle_on_track(world: World, entity: int, where: BoolArray) -> None:
 
 
 def move_at_once(world: World, entity: int, where: BoolArray, way: FloatArray) -> None:
-    """Move an entity by `way` m (N,) along its track and to its offset, so that later actions of the frame see it."""
+    """Move an entity by `distance` m (N,) along its track and to its offset, so that later actions of the frame see it."""
     world.moved[entity] |= where
     for _, track, at in world.followed(entity, where & world.running):
         _advance(world, entity, track, at, way[at])
 
 
 def put_ahead(world: World, entity: int, where: BoolArray, way: FloatArray) -> None:
-    """Shift an entity by `way` m (N,) along its track before it moves in the frame."""
+    """Shift an entity by `distance` m (N,) along its track before it moves in the frame."""
     for _, track, at in world.followed(entity, where):
         world.distance[entity][at] = _along(track, world.distance[entity][at], world.offset[entity][at], way[at])
         _settle(world, entity, track, at)

@@ -49,8 +49,9 @@ class Entity:
     """Constant properties of an entity.
 
     `kind`: vehicle category, ``"pedestrian"`` or ``"misc"``. Box in m; limits in m/s and m/s², infinite if not set.
-    `slides`: follows trajectories with any heading they prescribe. `turning`: where its heading turns along a polyline
-    (`ALONG_LEGS`, `AT_CORNERS`, `AT_VERTICES`), or empty if the following mode decides. `body`: its element and scope.
+    `slides`: follows trajectories with any heading they prescribe. `polyline_turning`: where its heading turns along a
+    polyline (`ALONG_LEGS`, `AT_CORNERS`, `AT_VERTICES`), or empty if the following mode decides. `body`: its element
+    and scope.
     """
 
     name: str
@@ -83,16 +84,16 @@ class World:
     """State of E entities in N concrete scenarios; rows of the tables are documented in `layout`.
 
     The (E, N) arrays are views of `floats`, `flags` and `numbers` (N, K, E): write into them, never replace them.
-    `touching` (E, E, N) is a view of `overlaps` (N, E, E). `time` and `last_step` (N,) in s differ between scenarios.
-    `running` (N,): scenarios in the current frame. `stirred` (N,): scenarios whose storyboard has changed in this
-    frame. `begun`: the first frame, in which nothing moves, is over. `gone` and `pull`: velocity in m/s and
-    acceleration in m/s² of the last step, as x and y. `watches_roads`: a condition asks for entities off the road.
-    `variables` and `parameters`: values (N,) as numbers or texts; `signals`: states (N,) as texts. `selections`: rows
-    of entities. `actor`: row of the entity whose position is being resolved. `drivers`: all that may control entities;
-    `kept` (E): the driver was chosen by the user, and the file cannot change it. `tracks`: all tracks that an entity
-    has followed. `routes`: all assigned routes, as (road, lane, s). `lane_tracks`: cache of tracks along lanes.
-    `acting`: line and name of the acting action, for errors. `errors`: by scenario. `remarks`: sentences on deviations
-    from the file, without a full stop, each once.
+    `overlapping` (E, E, N) is a view of `overlaps` (N, E, E). `time` and `last_step` (N,) in s differ between
+    scenarios. `running` (N,): scenarios in the current frame. `changed` (N,): scenarios whose storyboard has changed in
+    this frame. `started`: the first frame, in which nothing moves, is over. `step_velocity` and `step_acceleration`:
+    velocity in m/s and acceleration in m/s² of the last step, as x and y. `needs_road_check`: a condition asks for
+    entities off the road. `variables` and `parameters`: values (N,) as numbers or texts; `signals`: states (N,) as
+    texts. `selections`: rows of entities. `positioned_entity`: row of the entity whose position is being resolved.
+    `drivers`: all that may control entities; `has_fixed_driver` (E): the driver was chosen by the user, and the file
+    cannot change it. `tracks`: all tracks that an entity has followed. `routes`: all assigned routes, as (road, lane,
+    s). `lane_tracks`: cache of tracks along lanes. `current_action`: line and name of the acting action, for errors.
+    `errors`: by scenario. `notices`: sentences on deviations from the file, without a full stop, each once.
     """
 
     x: FloatArray
@@ -195,7 +196,7 @@ class World:
         self.running &= ~where
 
     def remark(self, place: str, what: str, why: str, where: BoolArray) -> None:
-        """Record that `what` at `place` (file and line) is not run as written, but as `why` says."""
+        """Record that `subject` at `place` (file and line) is not run as written, but as `reason` says."""
         first = np.flatnonzero(where & self.running)
         sentence = f"{Label.ADAPTED}: {what} ({place}): {why}"
         if first.size and not any(one.startswith(f"{sentence}; ") for one in self.remarks):

@@ -107,7 +107,7 @@ def _heading_of(network: RoadNetwork, road: IntArray, s: FloatArray) -> FloatArr
 def ahead_on_road(world: World, entity: int, target: Pose, otherwise: FloatArray) -> FloatArray:
     """Distance in m to a target along the entity's reference line, (N,), negative behind.
 
-    `otherwise` applies if the target is on another road.
+    `default` applies if the target is on another road.
     """
     if world.network is None or target.road is None or target.s is None:
         return otherwise
@@ -119,7 +119,7 @@ def ahead_on_road(world: World, entity: int, target: Pose, otherwise: FloatArray
 
 
 def lanes_between(world: World, one: Pose, two: Pose) -> IntArray:
-    """Number of lanes from pose `one` to pose `two`, positive to the left in driving direction, (N,)."""
+    """Number of lanes from `pose` to `other`, positive to the left in driving direction, (N,)."""
     assert one.lane is not None
     assert two.lane is not None
     # Lane numbers skip 0.
