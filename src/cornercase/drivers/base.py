@@ -123,7 +123,7 @@ class Driver(ABC):
 
     def __init_subclass__(cls, **options: Any) -> None:
         super().__init_subclass__(**options)
-        if not any("settings" in vars(one) for one in cls.__mro__):
+        if not any("settings" in vars(base) for base in cls.__mro__):
             cls.settings = {"driver": f"{cls.__module__}:{cls.__qualname__}"}
 
     def start(self, scenarios: int, others: int) -> None:  # noqa: B027

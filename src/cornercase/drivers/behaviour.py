@@ -69,15 +69,15 @@ def _with_options(behaviour: Behaviour) -> Callable[..., BehaviourDriver]:
     def build(**changed: float) -> BehaviourDriver:
         return BehaviourDriver(behaviour._replace(**{name: float(value) for name, value in changed.items()}))
 
-    made: Any = build
+    factory: Any = build
     # The registry reads there which options there are.
-    made.__signature__ = Signature(
+    factory.__signature__ = Signature(
         [
             Parameter(name, Parameter.KEYWORD_ONLY, default=value, annotation=float)
             for name, value in behaviour._asdict().items()
         ]
     )
-    return cast(Callable[..., BehaviourDriver], made)
+    return cast(Callable[..., BehaviourDriver], factory)
 
 
 cautious, normal, aggressive = map(_with_options, (CAUTIOUS, NORMAL, AGGRESSIVE))

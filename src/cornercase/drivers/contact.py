@@ -51,7 +51,7 @@ def meeting(places, row, ego, margin, other, horizon):
 
 @_part
 def last_contact(places, row, ego, margin, other, horizon, instant, after):
-    """Leg and interval of the last contact at a path sample, if `contact_interval` + `time_offset` ends later than `min_end`.
+    """Leg and interval of the last contact at a path sample, if its end + `time_offset` is later than `min_end`.
 
     The interval is counted from the start of the leg, in s; the leg is -1 if there is no such contact. The horizon is
     above 0. Skips the computation if contact ends too early.
@@ -109,25 +109,25 @@ def _on_leg(places, row, own_length, own_width, other, leg, horizon):
     sin = places[row, 3] * legs[leg, 3] - places[row, 4] * legs[leg, 2]
     if abs(sideways) > half_width + own_length * abs(sin) + own_width * abs(cos):
         return math.inf, -math.inf
-    apart = dx * legs[leg, 2] + dy * legs[leg, 3]
-    first, last = _during(first, last, apart, half_length + own_length * abs(cos) + own_width * abs(sin), speed)
+    along = dx * legs[leg, 2] + dy * legs[leg, 3]
+    first, last = _during(first, last, along, half_length + own_length * abs(cos) + own_width * abs(sin), speed)
     if first > last:
         return math.inf, -math.inf
-    apart, across = dx * places[row, 3] + dy * places[row, 4], dy * places[row, 3] - dx * places[row, 4]
+    along, lateral = dx * places[row, 3] + dy * places[row, 4], dy * places[row, 3] - dx * places[row, 4]
     radius = own_length + half_length * abs(cos) + half_width * abs(sin)
-    first, last = _during(first, last, apart, radius, speed * cos)
+    first, last = _during(first, last, along, radius, speed * cos)
     radius = own_width + half_length * abs(sin) + half_width * abs(cos)
-    return _during(first, last, across, radius, speed * sin)
+    return _during(first, last, lateral, radius, speed * sin)
 
 
 @_part
 def _during(first, last, apart, radius, rate):
     """Clip a time interval to when a point at offset `offset`, moving at `rate`, is within `radius`."""
-    one, two = (-radius - apart) / rate, (radius - apart) / rate
-    still = abs(rate) < 1e-9
-    begin, end = max(first, min(one, two)), min(last, max(one, two))
-    away = -1.0 if abs(apart) > radius else last
-    return (first if still else begin), (away if still else end)
+    first_crossing, second_crossing = (-radius - apart) / rate, (radius - apart) / rate
+    is_still = abs(rate) < 1e-9
+    begin, end = max(first, min(first_crossing, second_crossing)), min(last, max(first_crossing, second_crossing))
+    end_if_still = -1.0 if abs(apart) > radius else last
+    return (first if is_still else begin), (end_if_still if is_still else end)
 
 
 @_part
@@ -179,7 +179,7 @@ def first_contact(places, most, ego, margin, other, horizon, way=None):
 
 @_part
 def next_rows(way, k, margin, other, since, horizon):
-    """First and last row of the next consecutive samples from row `first_row` on with possible contact; computes the first.
+    """First and last row of the next consecutive samples with possible contact; computes the first.
 
     Contacts that end before `min_time` (s) are ignored. The first row may be past the end of the path.
     """
@@ -212,18 +212,18 @@ def _stretch(places, k, ego, margin, other, since, horizon, length):
         over = min(legs[leg, 5], horizon)
         if over < since:
             continue
-        gone, half = _swept(legs, leg, speed, since, over)
-        dx = legs[leg, 0] + (gone + half) * legs[leg, 2] - places[k, 1]
-        dy = legs[leg, 1] + (gone + half) * legs[leg, 3] - places[k, 2]
+        distance, half = _swept(legs, leg, speed, since, over)
+        dx = legs[leg, 0] + (distance + half) * legs[leg, 2] - places[k, 1]
+        dy = legs[leg, 1] + (distance + half) * legs[leg, 3] - places[k, 2]
         cos = places[k, 3] * legs[leg, 2] + places[k, 4] * legs[leg, 3]
         sin = places[k, 3] * legs[leg, 3] - places[k, 4] * legs[leg, 2]
         swept = half_length + abs(half)
-        aside = dy * places[k, 3] - dx * places[k, 4]
-        if abs(aside) > own_width + swept * abs(sin) + half_width * abs(cos) + _HAIR:
+        lateral = dy * places[k, 3] - dx * places[k, 4]
+        if abs(lateral) > own_width + swept * abs(sin) + half_width * abs(cos) + _HAIR:
             continue
-        ahead = dx * places[k, 3] + dy * places[k, 4]
+        longitudinal = dx * places[k, 3] + dy * places[k, 4]
         reach = own_length + swept * abs(cos) + half_width * abs(sin) + _HAIR
-        first, last = max(ahead - reach, 0.0), min(ahead + reach, length)
+        first, last = max(longitudinal - reach, 0.0), min(longitudinal + reach, length)
         if first > last:
             continue
         first, last = _clip(
@@ -258,16 +258,16 @@ def _clip(first, last, rate, middle, radius):
     if abs(rate) < 1e-9:
         # It hardly moves on this axis: a hair more than it could.
         return (first, last) if abs(middle) <= radius + _HAIR else (math.inf, -math.inf)
-    one, two = (middle - radius) / rate, (middle + radius) / rate
-    return max(first, min(one, two)), min(last, max(one, two))
+    first_crossing, second_crossing = (middle - radius) / rate, (middle + radius) / rate
+    return max(first, min(first_crossing, second_crossing)), min(last, max(first_crossing, second_crossing))
 
 
 @_part
 def rows_apart(places, most, k, ego, margin, other, since, horizon):
-    """Number of samples from row `first_row` on that are too far from the other for contact; 0 if the first may touch."""
+    """Number of samples from `first_row` on that are too far from the other for contact."""
     legs, half_length, half_width, speed = other
     width = ego[1] + margin
-    own, least, leg = math.sqrt(ego[0] * ego[0] + width * width), math.inf, legs.shape[0]
+    radius, min_gap, leg = math.sqrt(ego[0] * ego[0] + width * width), math.inf, legs.shape[0]
     # The last leg is the longest, and the likeliest to be near.
     while leg > 0:
         leg -= 1
@@ -276,13 +276,13 @@ def rows_apart(places, most, k, ego, margin, other, since, horizon):
         over = min(legs[leg, 5], horizon)
         if over < since:
             break
-        gone, half = _swept(legs, leg, speed, since, over)
+        distance, half = _swept(legs, leg, speed, since, over)
         dx, dy = legs[leg, 0] - places[k, 1], legs[leg, 1] - places[k, 2]
-        across = abs(dy * legs[leg, 2] - dx * legs[leg, 3]) - half_width
-        begin = dx * legs[leg, 2] + dy * legs[leg, 3] + gone
+        lateral = abs(dy * legs[leg, 2] - dx * legs[leg, 3]) - half_width
+        begin = dx * legs[leg, 2] + dy * legs[leg, 3] + distance
         end = begin + 2.0 * half
         along = max(min(begin, end), -max(begin, end)) - half_length
-        least = min(least, max(across, along) - own)
-        if not least > 1e-6:
+        min_gap = min(min_gap, max(lateral, along) - radius)
+        if not min_gap > 1e-6:
             return 0
-    return 1 + int(min((least - 1e-6) / most, float(len(places))))
+    return 1 + int(min((min_gap - 1e-6) / most, float(len(places))))

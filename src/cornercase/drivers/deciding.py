@@ -83,6 +83,6 @@ def accelerate_each(fleet, track, time, time_step, driven, others, active):
     for n in range(len(active)):
         if active[n]:
             s = driven[n]
-            one = Driven(s[0], s[1], s[2], s[3], s[4], s[5])
-            result[n] = accelerate(fleet, 0, n, route_row(fleet, 0, track, n), time, time_step, one, others[n], work)
+            state = Driven(s[0], s[1], s[2], s[3], s[4], s[5])
+            result[n] = accelerate(fleet, 0, n, route_row(fleet, 0, track, n), time, time_step, state, others[n], work)
     return result

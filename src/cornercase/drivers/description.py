@@ -48,19 +48,19 @@ def describe_driver(driver: str | Driver) -> str | dict[str, Any]:
     if isinstance(driver, str):
         return driver
     cls = type(driver)
-    place = f"{cls.__module__}:{cls.__qualname__}"
-    noted = getattr(driver, "__dict__", {}).get(_NOTED)
-    if noted is None and cls.__module__.startswith("cornercase."):
+    class_path = f"{cls.__module__}:{cls.__qualname__}"
+    spec = getattr(driver, "__dict__", {}).get(_NOTED)
+    if spec is None and cls.__module__.startswith("cornercase."):
         return dict(driver.settings)
-    name, options = (place, None) if noted is None else noted
-    found: dict[str, Any] = {"driver": name}
+    name, options = (class_path, None) if spec is None else spec
+    description: dict[str, Any] = {"driver": name}
     if options is not None:
-        found["options"] = dict(options)
+        description["options"] = dict(options)
     if checksum := _checksum(cls):
-        found["sha256"] = checksum
-    if driver.settings != {"driver": place}:
-        found["settings"] = dict(driver.settings)
-    return found
+        description["sha256"] = checksum
+    if driver.settings != {"driver": class_path}:
+        description["settings"] = dict(driver.settings)
+    return description
 
 
 def _checksum(cls: type) -> str:
@@ -86,7 +86,9 @@ def driver_command(description: object) -> str | None:
         return None
     name, options = description.get("driver"), description.get("options")
     if isinstance(name, str) and isinstance(options, Mapping):
-        return ":".join([name, ",".join(f"{key}={_value(one)}" for key, one in options.items())] if options else [name])
+        return ":".join(
+            [name, ",".join(f"{key}={_value(value)}" for key, value in options.items())] if options else [name]
+        )
     with suppress(InputError):
         return name_driver(description)
     # Nothing of another package is made because a study says so.
@@ -104,10 +106,10 @@ def given_name(driver: str | Driver) -> str | None:
     if isinstance(driver, str):
         factory = DRIVERS.factory(driver.partition(":")[0])
         return None if is_built_in(maker_of(factory)) else driver
-    noted = getattr(driver, "__dict__", {}).get(_NOTED)
-    if noted is None or is_built_in(type(driver)):
+    spec = getattr(driver, "__dict__", {}).get(_NOTED)
+    if spec is None or is_built_in(type(driver)):
         return None
-    name, options = noted
+    name, options = spec
     return driver_command({"driver": name, "options": options})
 
 
@@ -122,12 +124,12 @@ def driver_text(description: object) -> str:
         return command
     parts = [str(description.get("driver", "a driver"))]
     if isinstance(options, Mapping):
-        parts += [f"{key}={_value(one)}" for key, one in options.items()]
+        parts += [f"{key}={_value(value)}" for key, value in options.items()]
     else:
         # Without options its settings are all that tells it from another one.
-        own = description.get("settings")
-        known = own if isinstance(own, Mapping) else description
-        parts += [f"{key}={_value(one)}" for key, one in known.items() if key not in ("driver", "sha256")]
+        settings = description.get("settings")
+        values = settings if isinstance(settings, Mapping) else description
+        parts += [f"{key}={_value(value)}" for key, value in values.items() if key not in ("driver", "sha256")]
     if isinstance(checksum, str):
         parts.append(f"sha256 {checksum[:_OF_A_DIGEST]}…")
     return ", ".join(parts)
@@ -143,14 +145,14 @@ def driver_changes(there: object, here: object) -> Iterator[tuple[str, str, str,
     `stored` and `current` are serialized drivers by entity. `only_the_file`: same class and options, but its file has
     changed.
     """
-    old, new = (dict(one) if isinstance(one, Mapping) else {} for one in (there, here))
+    old, new = (dict(drivers) if isinstance(drivers, Mapping) else {} for drivers in (there, here))
     for entity in sorted({*old, *new}):
-        before, now = old.get(entity), new.get(entity)
-        if before != now:
-            both = isinstance(before, Mapping) and isinstance(now, Mapping)
-            same = both and _without_checksum(before) == _without_checksum(now)
-            yield entity, driver_text(before), driver_text(now), same
+        before, after = old.get(entity), new.get(entity)
+        if before != after:
+            are_mappings = isinstance(before, Mapping) and isinstance(after, Mapping)
+            only_file_changed = are_mappings and _without_checksum(before) == _without_checksum(after)
+            yield entity, driver_text(before), driver_text(after), only_file_changed
 
 
 def _without_checksum(description: Any) -> dict[str, object]:
-    return {key: one for key, one in description.items() if key != "sha256"}
+    return {key: value for key, value in description.items() if key != "sha256"}

@@ -56,18 +56,18 @@ class CompiledDriver(Driver):
 
     def join(self, fleet: Fleet, row: int) -> None:
         """Move the driver's state into a row of a fleet, and keep a view of it."""
-        whole, mine = slice(row, row + 1), self._fleet
+        rows, own_fleet = slice(row, row + 1), self._fleet
         view = Fleet(
-            kind=fleet.kind[whole],
-            parameters=fleet.parameters[whole],
-            own=fleet.own[whole],
-            boxes=fleet.boxes[whole],
-            memory=fleet.memory[whole],
-            awareness=fleet.awareness[whole],
-            routes=mine.routes,
+            kind=fleet.kind[rows],
+            parameters=fleet.parameters[rows],
+            own=fleet.own[rows],
+            boxes=fleet.boxes[rows],
+            memory=fleet.memory[rows],
+            awareness=fleet.awareness[rows],
+            routes=own_fleet.routes,
         )
-        view.kind[:], view.parameters[:] = mine.kind, mine.parameters
-        view.memory[:], view.awareness[:] = mine.memory, mine.awareness
+        view.kind[:], view.parameters[:] = own_fleet.kind, own_fleet.parameters
+        view.memory[:], view.awareness[:] = own_fleet.memory, own_fleet.awareness
         self._fleet = view
 
     def acceleration(self, situation: Situation) -> FloatArray:
@@ -106,16 +106,16 @@ def limit_driver(driver: CompiledDriver, acceleration: float, deceleration: floa
     must not be in a fleet yet.
     """
     fields = Behaviour._fields if driver.kind == BEHAVIOUR else Keeping._fields
-    own, exceeded = driver._fleet.parameters[0], dict[str, float]()
+    parameters, exceeded = driver._fleet.parameters[0], dict[str, float]()
     for limit, bound, names in (
         ("acceleration", acceleration, ("acceleration",)),
         ("deceleration", deceleration, ("max_deceleration", "comfortable_deceleration")),
     ):
         rows = [fields.index(name) for name in names]
-        if own[rows[0]] > bound:
-            exceeded[limit] = float(own[rows[0]])
+        if parameters[rows[0]] > bound:
+            exceeded[limit] = float(parameters[rows[0]])
         # Its formulas divide by them.
-        own[rows] = np.minimum(own[rows], max(bound, _LEAST_LIMIT))
+        parameters[rows] = np.minimum(parameters[rows], max(bound, _LEAST_LIMIT))
     return exceeded
 
 
@@ -162,27 +162,27 @@ def with_route(fleet: Fleet, driver: int, track: int, path: DrivenPath, where: B
         routes = _with_room(routes, driver, track, rows, samples)
     if len(chosen):
         behaviour = Behaviour(*fleet.parameters[driver])
-        places = routes.begin[first + chosen][:, None] + np.arange(samples)
-        routes.points[places], routes.measures[first + chosen] = _plan(path, behaviour, chosen)
+        points = routes.begin[first + chosen][:, None] + np.arange(samples)
+        routes.points[points], routes.measures[first + chosen] = _plan(path, behaviour, chosen)
     return fleet._replace(routes=routes)
 
 
 def _plan(path: DrivenPath, behaviour: Behaviour, rows: IntArray) -> tuple[FloatArray, FloatArray]:
     """Points and measures of rows of a path, as in `Routes`; cached across batches for lanes."""
     lateral, braking = behaviour.lateral_acceleration, behaviour.comfortable_deceleration
-    known = _PLANNED.setdefault(path, {}) if path.distance.ndim == 1 else {}
-    if (lateral, braking) not in known:
+    cache = _PLANNED.setdefault(path, {}) if path.distance.ndim == 1 else {}
+    if (lateral, braking) not in cache:
         plan = plan_route(path, lateral_acceleration=lateral, deceleration=braking, rows=rows)
         columns = plan.x, plan.y, plan.cos, plan.sin, plan.squared_speed, plan.straight
         measures = plan.step, plan.longest, plan.sharpest
-        known[lateral, braking] = np.stack(columns, axis=-1), np.stack(measures, axis=-1)
-    return known[lateral, braking]
+        cache[lateral, braking] = np.stack(columns, axis=-1), np.stack(measures, axis=-1)
+    return cache[lateral, braking]
 
 
 def _with_room(routes: Routes, driver: int, track: int, rows: int, samples: int) -> Routes:
     """Append empty rows of `samples` points each as the route of a driver along a track."""
-    more = ((0, 0), (0, max(track + 1 - routes.row.shape[1], 0)))
-    row, counts = np.pad(routes.row, more, constant_values=-1), np.pad(routes.rows, more)
+    padding = ((0, 0), (0, max(track + 1 - routes.row.shape[1], 0)))
+    row, counts = np.pad(routes.row, padding, constant_values=-1), np.pad(routes.rows, padding)
     row[driver, track], counts[driver, track] = len(routes.begin), rows
     return Routes(
         row=row,
@@ -197,17 +197,17 @@ def _with_room(routes: Routes, driver: int, track: int, rows: int, samples: int)
 def _without(routes: Routes, driver: int, track: int) -> Routes:
     """Remove the route of a driver along a track."""
     first, rows = int(routes.row[driver, track]), int(routes.rows[driver, track])
-    gone = slice(first, first + rows)
-    points = int(routes.samples[gone].sum())
+    removed = slice(first, first + rows)
+    points = int(routes.samples[removed].sum())
     begin = int(routes.begin[first])
     row = np.where(routes.row > first, routes.row - rows, routes.row)
     row[driver, track] = -1
     return Routes(
         row=row,
         rows=routes.rows,
-        begin=np.delete(np.where(routes.begin > begin, routes.begin - points, routes.begin), gone),
-        samples=np.delete(routes.samples, gone),
-        measures=np.delete(routes.measures, gone, axis=0),
+        begin=np.delete(np.where(routes.begin > begin, routes.begin - points, routes.begin), removed),
+        samples=np.delete(routes.samples, removed),
+        measures=np.delete(routes.measures, removed, axis=0),
         points=np.delete(routes.points, slice(begin, begin + points), axis=0),
     )
 
@@ -230,4 +230,4 @@ def _empty_fleet(drivers: int, scenarios: int, others: int) -> Fleet:
 
 
 def _vulnerable(kinds: Sequence[str]) -> BoolArray:
-    return np.array([kind in _VULNERABLE_KINDS for kind in kinds], dtype=np.bool_)
+    return np.array([object_type in _VULNERABLE_KINDS for object_type in kinds], dtype=np.bool_)

@@ -39,8 +39,8 @@ def driver_of_file(name: str) -> Driver:
     files or programs. Otherwise raises `InputError`.
     """
     if not is_registered(name):
-        known = suggestion(name.partition(":")[0], DRIVERS.names())
-        raise InputError(f"asks for the driver '{name}', which does not exist; {known}")
+        hint = suggestion(name.partition(":")[0], DRIVERS.names())
+        raise InputError(f"asks for the driver '{name}', which does not exist; {hint}")
     if (other := _other_option(name)) is not None:
         raise InputError(f"asks for the driver '{name}' with the option '{other}'; in a file, options are numbers.")
     return DRIVERS.create(name)
@@ -71,18 +71,18 @@ def load_driver(name: str) -> Driver:
     This runs the module, so the name must come from the person at the command line, never from a file. The module is
     searched among installed packages, then in the current folder. Raises `InputError` if anything of this fails.
     """
-    module_name, _, rest = name.partition(":")
-    class_name, colon, text = rest.partition(":")
+    module_name, _, class_and_options = name.partition(":")
+    class_name, colon, text = class_and_options.partition(":")
     if "=" in class_name:
         raise InputError(f"There is no driver '{module_name}'; {suggestion(module_name, DRIVERS.names())}")
-    if not all(part.isidentifier() for part in module_name.split(".")) or not class_name.isidentifier():
+    if not all(identifier.isidentifier() for identifier in module_name.split(".")) or not class_name.isidentifier():
         raise InputError(f"The driver '{name}' is not of the form package.module:Class.")
-    place = f"{module_name}:{class_name}"
+    class_path = f"{module_name}:{class_name}"
     if colon and not text:
-        raise InputError(f"The driver '{name}' ends in a colon; give options as in '{place}:name=value'.")
+        raise InputError(f"The driver '{name}' ends in a colon; give options as in '{class_path}:name=value'.")
     # Else Python itself would take a `KeyboardInterrupt` of the driver for one that somebody typed.
     with noted_interrupts():
-        heard = requests_heard()
+        requests = requests_heard()
         try:
             module = import_here(module_name)
         except ModuleNotFoundError as error:
@@ -91,28 +91,28 @@ def load_driver(name: str) -> Driver:
                 " install it or start in its folder."
             ) from error
         except BaseException as error:
-            raise_if_request(error, heard)
+            raise_if_request(error, requests)
             raise InputError(
                 f"The driver '{name}' cannot be loaded since its module fails: {in_one_line(error)}."
             ) from error
-        made = getattr(module, class_name, None)
-        if not isinstance(made, type):
+        driver_class = getattr(module, class_name, None)
+        if not isinstance(driver_class, type):
             raise InputError(f"The driver '{name}' cannot be loaded since '{module_name}' has no class '{class_name}'.")
-        options = read_options("driver", place, made, text) if text else {}
-        require_options("driver", place, made, options)
+        options = read_options("driver", class_path, driver_class, text) if text else {}
+        require_options("driver", class_path, driver_class, options)
         try:
-            driver = made(**options)
+            driver = driver_class(**options)
         except InputError:
             raise
         except BaseException as error:
-            raise_if_request(error, heard)
+            raise_if_request(error, requests)
             raise InputError(f"The driver '{name}' cannot be made: {in_one_line(error)}.") from error
     if not is_driver(driver):
         raise InputError(
-            f"The class '{place}' is not a driver: it neither derives from cornercase.drivers.Driver nor has start(),"
-            " acceleration() and a dict called settings."
+            f"The class '{class_path}' is not a driver: it neither derives from cornercase.drivers.Driver nor has"
+            " start(), acceleration() and a dict called settings."
         )
-    note_name(driver, place, options)
+    note_name(driver, class_path, options)
     return driver
 
 
@@ -125,9 +125,9 @@ def told_driver(driver: str | Driver) -> str | Driver:
     """Load a driver, but keep the name of a registered one, so that studies and files can store it."""
     if not isinstance(driver, str):
         return driver
-    made = named_driver(driver)
+    created = named_driver(driver)
     if is_registered(driver):
         if _other_option(driver) is None:
             return driver
-        note_name(made, driver, {})
-    return made
+        note_name(created, driver, {})
+    return created

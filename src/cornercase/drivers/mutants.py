@@ -120,23 +120,25 @@ def mutants_of(driver: str, count: int, seed: int = 0) -> tuple[Mutant, ...]:
     count = whole_number("count", count, 1, MOST_MUTANTS)
     rng = np.random.default_rng(whole_number("seed", seed, 0))
     parameters = _parameters(text("driver", driver))
-    kinds = [
-        one for one in MUTATIONS if parameters.get(one.parameter, 0.0) or (one.adds and one.parameter in parameters)
+    mutations = [
+        mutation
+        for mutation in MUTATIONS
+        if parameters.get(mutation.parameter, 0.0) or (mutation.adds and mutation.parameter in parameters)
     ]
-    kinds = [kinds[i] for i in rng.permutation(len(kinds))]
-    places = rng.random(len(kinds))
-    found: dict[str, Mutant] = {}
+    mutations = [mutations[i] for i in rng.permutation(len(mutations))]
+    starts = rng.random(len(mutations))
+    mutants: dict[str, Mutant] = {}
     # A name has three digits, so that some severities are the same; there are enough others.
-    for turn in range(2 * count):
-        for kind, place in zip(kinds, places.tolist(), strict=True):
-            severity = math.fmod(place + turn * _GOLDEN, 1.0)
-            value = float(f"{_worse(kind, parameters[kind.parameter], severity):.3g}")
-            name = _renamed(driver, kind.parameter, value)
-            if value != parameters[kind.parameter] and name not in found:
-                found[name] = Mutant(name, kind.words)
-            if len(found) == count:
-                return tuple(found.values())
-    return tuple(found.values())
+    for round_number in range(2 * count):
+        for mutation, start in zip(mutations, starts.tolist(), strict=True):
+            severity = math.fmod(start + round_number * _GOLDEN, 1.0)
+            value = float(f"{_worse(mutation, parameters[mutation.parameter], severity):.3g}")
+            name = _renamed(driver, mutation.parameter, value)
+            if value != parameters[mutation.parameter] and name not in mutants:
+                mutants[name] = Mutant(name, mutation.words)
+            if len(mutants) == count:
+                return tuple(mutants.values())
+    return tuple(mutants.values())
 
 
 def _worse(kind: Mutation, value: float, severity: float) -> float:
@@ -146,8 +148,8 @@ def _worse(kind: Mutation, value: float, severity: float) -> float:
 
 def _renamed(driver: str, parameter: str, value: float) -> str:
     base, _, options = driver.partition(":")
-    others = [one for one in options.split(",") if one and one.partition("=")[0].strip() != parameter]
-    return f"{base}:{','.join([*others, f'{parameter}={value:g}'])}"
+    kept_options = [option for option in options.split(",") if option and option.partition("=")[0].strip() != parameter]
+    return f"{base}:{','.join([*kept_options, f'{parameter}={value:g}'])}"
 
 
 def name_driver(driver: str | Driver | Mapping[str, object]) -> str:
@@ -160,20 +162,20 @@ def name_driver(driver: str | Driver | Mapping[str, object]) -> str:
         _parameters(driver)
         return driver
     settings = dict(driver.settings if isinstance(driver, Driver) else driver)
-    kind = settings.get("driver")
-    bases = {"behaviour": ("normal", "cautious", "aggressive"), "simple": ("simple",)}.get(str(kind), ())
-    found: list[tuple[int, str]] = []
+    driver_kind = settings.get("driver")
+    bases = {"behaviour": ("normal", "cautious", "aggressive"), "simple": ("simple",)}.get(str(driver_kind), ())
+    candidates: list[tuple[int, str]] = []
     for base in bases:
-        known = _parameters(base)
+        defaults = _parameters(base)
         # A class of one's own that derives from a built-in driver may decide otherwise.
-        if set(settings) != {"driver", *known} or not (isinstance(driver, Mapping) or _is_own(driver)):
+        if set(settings) != {"driver", *defaults} or not (isinstance(driver, Mapping) or _is_own(driver)):
             continue
-        changed = {name: value for name, value in settings.items() if name in known and value != known[name]}
+        changed = {name: value for name, value in settings.items() if name in defaults and value != defaults[name]}
         options = ",".join(f"{name}={value!r}" for name, value in changed.items())
-        found.append((len(changed), f"{base}:{options}" if options else base))
-    if not found:
-        raise InputError(f"The driver {kind} has no mutants: its parameters are not known here.")
-    name = min(found, key=lambda one: one[0])[1]
+        candidates.append((len(changed), f"{base}:{options}" if options else base))
+    if not candidates:
+        raise InputError(f"The driver {driver_kind} has no mutants: its parameters are not known here.")
+    name = min(candidates, key=lambda one: one[0])[1]
     _parameters(name)
     return name
 
@@ -183,10 +185,10 @@ def _is_own(driver: Driver) -> bool:
 
 
 def _parameters(driver: str) -> dict[str, float]:
-    made = DRIVERS.create(driver) if is_registered(driver) else None
-    if not isinstance(made, CompiledDriver):
+    created = DRIVERS.create(driver) if is_registered(driver) else None
+    if not isinstance(created, CompiledDriver):
         raise InputError(
             f"The driver {driver} has no mutants: its parameters are not known here; those of cautious, normal,"
             " aggressive and simple are."
         )
-    return {name: float(value) for name, value in made.settings.items() if isinstance(value, int | float)}
+    return {name: float(value) for name, value in created.settings.items() if isinstance(value, int | float)}

@@ -143,5 +143,5 @@ class Keeping(NamedTuple):
 def require_parameter(name: str, value: float, may_be_zero: bool) -> None:
     """Raise `InputError` unless the value is finite and positive, or zero if that is allowed."""
     if not math.isfinite(value) or value < 0.0 or (value == 0.0 and not may_be_zero):
-        least = "of 0 or more" if may_be_zero else "above zero"
-        raise InputError(f"The driver's {name} is {value:g}; it has to be a finite number {least}.")
+        requirement = "of 0 or more" if may_be_zero else "above zero"
+        raise InputError(f"The driver's {name} is {value:g}; it has to be a finite number {requirement}.")

@@ -70,12 +70,12 @@ def count_samples(path: DrivenPath) -> int:
 
 def _straight(step: float, x: FloatArray, y: FloatArray, cos: FloatArray, sin: FloatArray) -> FloatArray:
     """Number of samples that follow each sample of a row on a straight line in its direction."""
-    off = np.hypot(np.diff(x) - step * cos[:-1], np.diff(y) - step * sin[:-1])
-    turned = np.hypot(np.diff(cos), np.diff(sin))
-    ends = np.append(np.flatnonzero((off > _STRAIGHT) | (turned > _STRAIGHT)), len(x) - 1)
-    every = np.arange(len(x))
-    following: FloatArray = (ends[np.searchsorted(ends, every)] - every).astype(np.float64)
-    return following
+    position_error = np.hypot(np.diff(x) - step * cos[:-1], np.diff(y) - step * sin[:-1])
+    direction_change = np.hypot(np.diff(cos), np.diff(sin))
+    ends = np.append(np.flatnonzero((position_error > _STRAIGHT) | (direction_change > _STRAIGHT)), len(x) - 1)
+    samples = np.arange(len(x))
+    counts: FloatArray = (ends[np.searchsorted(ends, samples)] - samples).astype(np.float64)
+    return counts
 
 
 def _plan_row(
@@ -84,15 +84,25 @@ def _plan_row(
     deceleration: float,
     count: int,
 ) -> tuple[float, FloatArray, FloatArray, FloatArray, FloatArray, FloatArray]:
-    here, x, y, heading, curvature = row
+    distance, x, y, heading, curvature = row
     in_curve = lateral_acceleration / np.maximum(np.abs(curvature), lateral_acceleration / _FASTEST**2)
-    from_start = in_curve + 2.0 * deceleration * here
-    squared = np.minimum.accumulate(from_start[::-1])[::-1] - 2.0 * deceleration * here
-    at = np.linspace(0.0, here[-1], count)
-    towards = np.interp(at, here, heading)
-    step = float(at[1])
+    from_start = in_curve + 2.0 * deceleration * distance
+    squared = np.minimum.accumulate(from_start[::-1])[::-1] - 2.0 * deceleration * distance
+    sample_distance = np.linspace(0.0, distance[-1], count)
+    sample_heading = np.interp(sample_distance, distance, heading)
+    step = float(sample_distance[1])
     # The lowest limit around each sample, so that interpolation never exceeds the path's limit.
-    around = np.stack([np.searchsorted(here, at - step), np.searchsorted(here, at + step, "right")], axis=1)
-    lowest = np.minimum.reduceat(np.append(squared, np.inf), around.ravel())[::2]
-    squared_speed = np.minimum(lowest, np.interp(at, here, squared))
-    return step, np.interp(at, here, x), np.interp(at, here, y), np.cos(towards), np.sin(towards), squared_speed
+    window = np.stack(
+        [np.searchsorted(distance, sample_distance - step), np.searchsorted(distance, sample_distance + step, "right")],
+        axis=1,
+    )
+    lowest = np.minimum.reduceat(np.append(squared, np.inf), window.ravel())[::2]
+    squared_speed = np.minimum(lowest, np.interp(sample_distance, distance, squared))
+    return (
+        step,
+        np.interp(sample_distance, distance, x),
+        np.interp(sample_distance, distance, y),
+        np.cos(sample_heading),
+        np.sin(sample_heading),
+        squared_speed,
+    )

@@ -61,26 +61,26 @@ def in_sight(
     """
     half = np.array([0.5, 0.5, 1.0])
     # Compiled once, for arrays in one order.
-    places = np.ascontiguousarray(pose), np.ascontiguousarray(others)
-    seen: BoolArray = _look_each(field_of_view, sight_range, half * box, half[:, None] * boxes, *places)
+    arrays = np.ascontiguousarray(pose), np.ascontiguousarray(others)
+    seen: BoolArray = _look_each(field_of_view, sight_range, half * box, half[:, None] * boxes, *arrays)
     return seen
 
 
 @kernel(error_model="numpy")
 def _look_each(field_of_view, sight_range, own, boxes, pose, others):
     scenarios, count = len(pose), others.shape[2]
-    seen, now = np.empty((scenarios, count), dtype=np.bool_), np.full((count, 5), np.nan)
+    seen, placed_boxes = np.empty((scenarios, count), dtype=np.bool_), np.full((count, 5), np.nan)
     for n in range(scenarios):
         eye = eye_of(own, pose[n, 0], pose[n, 1], math.cos(pose[n, 2]), math.sin(pose[n, 2]))
-        look(field_of_view, sight_range, eye, boxes, others[n], now, seen[n])
+        look(field_of_view, sight_range, eye, boxes, others[n], placed_boxes, seen[n])
     return seen
 
 
 @_part
 def eye_of(own, x, y, cos, sin):
     """Position and direction (x, y, cosine, sine) of a driver's eye; `own` is its box as in `Fleet`."""
-    ahead = own[CENTER_X] + EYE_AHEAD * (2.0 * own[HALF_LENGTH])
-    return x + ahead * cos, y + ahead * sin, cos, sin
+    offset = own[CENTER_X] + EYE_AHEAD * (2.0 * own[HALF_LENGTH])
+    return x + offset * cos, y + offset * sin, cos, sin
 
 
 @_part
@@ -112,12 +112,12 @@ def look(field_of_view, sight_range, eye, boxes, others, now, seen):
         if math.isnan(now[a, 0]):
             continue
         for point in range(5):
-            along, across = 0.0, 0.0
+            longitudinal, lateral = 0.0, 0.0
             if point < 4:
-                along = boxes[HALF_LENGTH, a] * (1.0 if point < 2 else -1.0)
-                across = boxes[HALF_WIDTH, a] * (1.0 if point % 2 == 0 else -1.0)
-            to_x = now[a, 0] + along * now[a, 2] - across * now[a, 3] - eye_x
-            to_y = now[a, 1] + along * now[a, 3] + across * now[a, 2] - eye_y
+                longitudinal = boxes[HALF_LENGTH, a] * (1.0 if point < 2 else -1.0)
+                lateral = boxes[HALF_WIDTH, a] * (1.0 if point % 2 == 0 else -1.0)
+            to_x = now[a, 0] + longitudinal * now[a, 2] - lateral * now[a, 3] - eye_x
+            to_y = now[a, 1] + longitudinal * now[a, 3] + lateral * now[a, 2] - eye_y
             if not _in_view(cos * to_x + sin * to_y, cos * to_y - sin * to_x, to_x, to_y, sight_range, half_view, edge):
                 continue
             hidden = False
@@ -203,9 +203,9 @@ def perceive(behaviour, scene, seen):
             memory[X, a], memory[Y, a] = others[X, a], others[Y, a]
             memory[HEADING, a], memory[SPEED, a] = others[HEADING, a], others[SPEED, a]
         elif time - memory[LAST_SEEN, a] <= memorable:
-            way = memory[SPEED, a] * time_step
-            memory[X, a] += way * math.cos(memory[HEADING, a])
-            memory[Y, a] += way * math.sin(memory[HEADING, a])
+            step = memory[SPEED, a] * time_step
+            memory[X, a] += step * math.cos(memory[HEADING, a])
+            memory[Y, a] += step * math.sin(memory[HEADING, a])
         noticed = time - memory[LAST_SEEN, a] <= memorable and not math.isnan(others[X, a])
         awareness[NOTICED, a] = noticed
         awareness[KNOWN, a] = noticed and memory[LAST_SEEN, a] - memory[FIRST_SEEN, a] >= behaviour.reaction_time - 1e-9

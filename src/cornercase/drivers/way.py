@@ -61,33 +61,33 @@ class Way(NamedTuple):
 def look_ahead(behaviour, routes, route, scene, v, wanted, work):
     """Build the path ahead as far as it matters, for the current speed and `target_speed` speed in m/s."""
     driven, cos, sin, center_x = scene.driven, scene.cos, scene.sin, scene.own[CENTER_X]
-    places, points, distance = work.places, routes.points, driven.distance
+    samples_ahead, points, distance = work.places, routes.points, driven.distance
     begin, samples, step = routes.begin[route], routes.samples[route], routes.measures[route, 0]
-    places[0, 0] = 0.0
-    places[0, 1], places[0, 2] = driven.x + center_x * cos, driven.y + center_x * sin
-    places[0, 3], places[0, 4], places[0, 5] = cos, sin, 0.0
+    samples_ahead[0, 0] = 0.0
+    samples_ahead[0, 1], samples_ahead[0, 2] = driven.x + center_x * cos, driven.y + center_x * sin
+    samples_ahead[0, 3], samples_ahead[0, 4], samples_ahead[0, 5] = cos, sin, 0.0
     at = min(max(distance / step, 0.0), samples - 1.0)
-    here = int(at)
-    part = at - here
-    one, two = begin + here, begin + min(here + 1, samples - 1)
+    segment = int(at)
+    share = at - segment
+    start, end = begin + segment, begin + min(segment + 1, samples - 1)
     # The driven entity is expected to keep its lateral offset from the path.
-    path_x = points[one, 0] + part * (points[two, 0] - points[one, 0])
-    path_y = points[one, 1] + part * (points[two, 1] - points[one, 1])
-    offset = (driven.y - path_y) * points[one, 2] - (driven.x - path_x) * points[one, 3]
+    path_x = points[start, 0] + share * (points[end, 0] - points[start, 0])
+    path_y = points[start, 1] + share * (points[end, 1] - points[start, 1])
+    offset = (driven.y - path_y) * points[start, 2] - (driven.x - path_x) * points[start, 3]
     braking = v * v / (2.0 * behaviour.comfortable_deceleration)
     reach = min(max(v * behaviour.horizon, braking) + behaviour.braking_distance + 30.0, LOOKAHEAD)
-    before = here
+    before = segment
     while before + 1 < samples and (before + 1) * step - distance <= 1e-6:
         before += 1
     last = max(before, min(samples - 1, int((reach + distance) / step) + 1))
     while last > before and last * step - distance > reach:
         last -= 1
-    most = routes.measures[route, 1] + (abs(center_x) + abs(offset)) * routes.measures[route, 2]
+    max_spacing = routes.measures[route, 1] + (abs(center_x) + abs(offset)) * routes.measures[route, 2]
     arrivals = work.arrivals
     arrivals[0], arrivals[1], arrivals[2] = 0.0, v * v, math.sqrt(v * v)
     return Way(
-        places, arrivals, work.between, 1 + last - before, most, points, begin + before, before, step, distance,
-        offset, center_x, (scene.own[HALF_LENGTH], scene.own[HALF_WIDTH]), v, wanted,
+        samples_ahead, arrivals, work.between, 1 + last - before, max_spacing, points, begin + before, before, step,
+        distance, offset, center_x, (scene.own[HALF_LENGTH], scene.own[HALF_WIDTH]), v, wanted,
     )  # fmt: skip
 
 
@@ -96,12 +96,12 @@ def lay(way, k):
     """Compute the sample of a row, except for its arrival time."""
     if k == 0:
         return
-    places, points, at = way.places, way.points, way.first + k
+    samples, points, at = way.places, way.points, way.first + k
     cos, sin = points[at, 2], points[at, 3]
-    places[k, 0] = distance_to(way, k)
-    places[k, 1] = points[at, 0] + way.center_x * cos - way.offset * sin
-    places[k, 2] = points[at, 1] + way.center_x * sin + way.offset * cos
-    places[k, 3], places[k, 4] = cos, sin
+    samples[k, 0] = distance_to(way, k)
+    samples[k, 1] = points[at, 0] + way.center_x * cos - way.offset * sin
+    samples[k, 2] = points[at, 1] + way.center_x * sin + way.offset * cos
+    samples[k, 3], samples[k, 4] = cos, sin
 
 
 @_part
@@ -113,22 +113,27 @@ def distance_to(way, k):
 @_kernel
 def arrive(behaviour, way, k):
     """Planned arrival time at a sample in s from now; computed up to `row` on demand."""
-    known = int(way.arrivals[0])
-    if k > known:
-        squared, root, when, here = way.arrivals[1], way.arrivals[2], way.places[known, 5], distance_to(way, known)
+    known_row = int(way.arrivals[0])
+    if k > known_row:
+        squared, root, when, distance = (
+            way.arrivals[1],
+            way.arrivals[2],
+            way.places[known_row, 5],
+            distance_to(way, known_row),
+        )
         fastest = way.wanted * way.wanted
-        for i in range(known + 1, k + 1):
-            there = distance_to(way, i)
-            leg, here = there - here, there
+        for i in range(known_row + 1, k + 1):
+            next_distance = distance_to(way, i)
+            step, distance = next_distance - distance, next_distance
             limit = min(fastest, way.points[way.first + i, 4])
-            both = root + root
+            speed_sum = root + root
             # At the limit it stays, and so does its root, which takes long to be found.
             if limit != squared:
-                slowest = max(squared - 2.0 * behaviour.comfortable_deceleration * leg, 0.0)
-                squared = max(min(squared + 2.0 * behaviour.acceleration * leg, limit), slowest)
-                there_root = math.sqrt(squared)
-                both, root = root + there_root, there_root
-            when += 2.0 * leg / both if both > 0.0 else math.inf
+                slowest = max(squared - 2.0 * behaviour.comfortable_deceleration * step, 0.0)
+                squared = max(min(squared + 2.0 * behaviour.acceleration * step, limit), slowest)
+                next_root = math.sqrt(squared)
+                speed_sum, root = root + next_root, next_root
+            when += 2.0 * step / speed_sum if speed_sum > 0.0 else math.inf
             way.places[i, 5] = when
         way.arrivals[0], way.arrivals[1], way.arrivals[2] = k, squared, root
     return way.places[k, 5]
@@ -137,13 +142,13 @@ def arrive(behaviour, way, k):
 @_part
 def soonest(behaviour, way, k):
     """Lower bound of the arrival time at a sample in s, ignoring curves; never more than `arrival_time`."""
-    v, wanted, a, there = way.speed, way.wanted, behaviour.acceleration, distance_to(way, k)
+    v, target_speed, a, distance = way.speed, way.wanted, behaviour.acceleration, distance_to(way, k)
     if k <= way.arrivals[0]:
         return way.places[k, 5]
-    if v >= wanted:
-        return (1.0 - _HAIR) * there / v if v > 0.0 else 0.0
-    root = math.sqrt(v * v + 2.0 * a * there)
-    if root <= wanted:
+    if v >= target_speed:
+        return (1.0 - _HAIR) * distance / v if v > 0.0 else 0.0
+    root = math.sqrt(v * v + 2.0 * a * distance)
+    if root <= target_speed:
         return (1.0 - _HAIR) * (root - v) / a - _HAIR
-    until = (wanted * wanted - v * v) / (2.0 * a)
-    return (1.0 - _HAIR) * ((wanted - v) / a + (there - until) / wanted) - _HAIR
+    acceleration_distance = (target_speed * target_speed - v * v) / (2.0 * a)
+    return (1.0 - _HAIR) * ((target_speed - v) / a + (distance - acceleration_distance) / target_speed) - _HAIR

@@ -75,25 +75,25 @@ def decide(behaviour, routes, route, scene, work):
     """
     driven, boxes, memory, awareness = scene.driven, scene.boxes, scene.memory, scene.awareness
     v = max(driven.speed, 0.0)
-    wanted = driven.target_speed * behaviour.target_share
-    if not wanted < math.inf:
-        wanted = behaviour.max_speed
-    a = _keep_speed(behaviour, routes, route, scene, v, wanted)
-    way = look_ahead(behaviour, routes, route, scene, v, wanted, work)
+    target_speed = driven.target_speed * behaviour.target_share
+    if not target_speed < math.inf:
+        target_speed = behaviour.max_speed
+    a = _keep_speed(behaviour, routes, route, scene, v, target_speed)
+    lookahead = look_ahead(behaviour, routes, route, scene, v, target_speed, work)
     for o in range(boxes.shape[1]):
         if not awareness[NOTICED, o]:
             memory[SINCE, o], awareness[YIELDING, o] = math.inf, False
             continue
         if work.seen[o]:
-            towards = (work.boxes[o, 2], work.boxes[o, 3])
+            direction = (work.boxes[o, 2], work.boxes[o, 3])
         else:
-            towards = (math.cos(memory[HEADING, o]), math.sin(memory[HEADING, o]))
-        count = foresee(memory, o, towards[0], towards[1], boxes[CENTER_X, o], behaviour.horizon, work.legs)
+            direction = (math.cos(memory[HEADING, o]), math.sin(memory[HEADING, o]))
+        count = foresee(memory, o, direction[0], direction[1], boxes[CENTER_X, o], behaviour.horizon, work.legs)
         other = (work.legs[:count], boxes[HALF_LENGTH, o], boxes[HALF_WIDTH, o], memory[SPEED, o])
         vulnerable, yielding = boxes[VULNERABLE, o] > 0.0, awareness[YIELDING, o]
         # Of one that it does not know yet, only whether there is a conflict matters.
-        least = a if awareness[KNOWN, o] else -math.inf
-        limit, conflict = _react(behaviour, scene.time_step, way, other, vulnerable, yielding, least)
+        lowest = a if awareness[KNOWN, o] else -math.inf
+        limit, conflict = _react(behaviour, scene.time_step, lookahead, other, vulnerable, yielding, lowest)
         if conflict:
             memory[SINCE, o] = min(memory[SINCE, o], scene.time)
             # The tolerance absorbs rounding errors in the sums of time steps.
@@ -112,9 +112,9 @@ def _keep_speed(behaviour, routes, route, scene, v, wanted):
     samples, points, time_step = routes.samples[route], routes.points, scene.time_step
     next_place = scene.driven.distance + (v + behaviour.acceleration * time_step) * time_step
     at = min(max(next_place / routes.measures[route, 0], 0.0), samples - 1.0)
-    here = min(int(at), samples - 2)
-    k = routes.begin[route] + here
-    squared = points[k, 4] + (at - here) * (points[k + 1, 4] - points[k, 4])
+    segment = min(int(at), samples - 2)
+    k = routes.begin[route] + segment
+    squared = points[k, 4] + (at - segment) * (points[k + 1, 4] - points[k, 4])
     # Too fast for a curve, it brakes harder than is comfortable, but not as in an emergency.
     in_curve = max((math.sqrt(squared) - v) / time_step, -2.0 * behaviour.comfortable_deceleration)
     free = max((wanted - v) / time_step, -behaviour.comfortable_deceleration)
@@ -129,23 +129,23 @@ def _react(behaviour, time_step, way, other, vulnerable, yielding, least):
     equivalent.
     """
     legs, half_length, half_width, speed = other
-    places, ego = way.places, way.ego
-    dx, dy = legs[0, 0] - places[0, 1], legs[0, 1] - places[0, 2]
-    both = distance_to(way, way.rows - 1) + abs(speed) * behaviour.horizon
-    if _further(dx, dy, both + ego[0] + ego[1] + half_length + half_width + LANE):
+    samples, ego = way.places, way.ego
+    dx, dy = legs[0, 0] - samples[0, 1], legs[0, 1] - samples[0, 2]
+    reach = distance_to(way, way.rows - 1) + abs(speed) * behaviour.horizon
+    if _further(dx, dy, reach + ego[0] + ego[1] + half_length + half_width + LANE):
         return math.inf, False
     margin = behaviour.lateral_margin
-    if meeting(places, 0, ego, margin, other, 0.0)[0] <= 0.0:
-        if meeting(places, 0, ego, 0.0, other, 0.0)[0] <= 0.0:
-            in_front = dx * places[0, 3] + dy * places[0, 4] > 0.0
+    if meeting(samples, 0, ego, margin, other, 0.0)[0] <= 0.0:
+        if meeting(samples, 0, ego, 0.0, other, 0.0)[0] <= 0.0:
+            in_front = dx * samples[0, 3] + dy * samples[0, 4] > 0.0
             return (-behaviour.max_deceleration if in_front else math.inf), False
         # The margin is dropped where the other is already within it.
         margin = 0.0
 
     standing = abs(speed) < STANDING
-    k = first_contact(places, way.most, ego, margin, other, 0.0, way)
-    if k > 0 and (standing or _along(places, k, other, 0) >= ALIGNED):
-        its_speed = 0.0 if standing else _speed_along(places, k, other)
+    k = first_contact(samples, way.most, ego, margin, other, 0.0, way)
+    if k > 0 and (standing or _along(samples, k, other, 0) >= ALIGNED):
+        its_speed = 0.0 if standing else _speed_along(samples, k, other)
         # The place before is nearer than where contact begins.
         limit = _follow(behaviour, way.speed, distance_to(way, k - 1), its_speed)
         if not limit >= least:
@@ -170,46 +170,46 @@ def _further(dx, dy, far):
 @_kernel
 def _give_way(behaviour, time_step, way, margin, other, in_corridor, yielding):
     """Acceleration that yields to a crossing entity, and whether that is needed."""
-    places, ego, v = way.places, way.ego, way.speed
-    enters, _, leg = meeting(places, 0, ego, margin, other, behaviour.horizon)
+    samples, ego, v = way.places, way.ego, way.speed
+    enters, _, leg = meeting(samples, 0, ego, margin, other, behaviour.horizon)
     in_its_way = enters < math.inf
-    inside = in_its_way and _along(places, 0, other, leg) > -ALIGNED
+    inside = in_its_way and _along(samples, 0, other, leg) > -ALIGNED
     gap = behaviour.safety_time * (RELEASE if yielding else 1.0)
     start, conflict = _find_conflict(behaviour, way, margin, other, gap, gap, inside)
     if conflict < 0:
         return math.inf, False
-    since, _, leg = meeting(places, start, ego, margin, other, behaviour.horizon)
-    along = _along(places, start, other, leg)
+    since, _, leg = meeting(samples, start, ego, margin, other, behaviour.horizon)
+    along = _along(samples, start, other, leg)
     if along <= -ALIGNED and since > CUT_IN and not in_corridor:
         return math.inf, False
     if along >= ALIGNED and since <= CUT_IN:
-        beside = behaviour.lateral_margin + LANE
-        if meeting(places, 0, ego, beside, other, 0.0)[0] > 0.0:
-            k = first_contact(places, way.most, ego, beside, other, 0.0, way)
+        wide_margin = behaviour.lateral_margin + LANE
+        if meeting(samples, 0, ego, wide_margin, other, 0.0)[0] > 0.0:
+            k = first_contact(samples, way.most, ego, wide_margin, other, 0.0, way)
             if k > 0:
-                gap = _refine(way, k, beside, other, 0.0)
-                return _follow(behaviour, way.speed, gap, _speed_along(places, k, other)), False
+                gap = _refine(way, k, wide_margin, other, 0.0)
+                return _follow(behaviour, way.speed, gap, _speed_along(samples, k, other)), False
 
     if inside:
-        room = 0.0
+        stop_distance = 0.0
     elif in_its_way and start == 1:
-        room = places[conflict, 0]
+        stop_distance = samples[conflict, 0]
     else:
-        room = _refine(way, start, margin, other, behaviour.horizon)
-    soft = _needed(v, room - behaviour.braking_distance)
-    hard = _needed(v, room - LAST_METRE)
+        stop_distance = _refine(way, start, margin, other, behaviour.horizon)
+    soft_deceleration = _needed(v, stop_distance - behaviour.braking_distance)
+    hard_deceleration = _needed(v, stop_distance - LAST_METRE)
     comfortable = behaviour.comfortable_deceleration
     if inside:
         if _find_conflict(behaviour, way, 0.0, other, 0.0, 0.0, True)[1] < 0:
             return math.inf, False
-    elif hard > comfortable and not yielding:
-        first = NARROW if hard > behaviour.max_deceleration else COMMITTED * behaviour.safety_time
+    elif hard_deceleration > comfortable and not yielding:
+        first = NARROW if hard_deceleration > behaviour.max_deceleration else COMMITTED * behaviour.safety_time
         if _find_conflict(behaviour, way, margin, other, min(first, gap), gap, True)[1] < 0:
             return math.inf, False
-    if soft <= comfortable:
-        left = max(room - behaviour.braking_distance - v * time_step, 0.0)
-        return max((math.sqrt(2.0 * comfortable * left) - v) / time_step, -comfortable), True
-    return -max(comfortable, hard), True
+    if soft_deceleration <= comfortable:
+        distance_left = max(stop_distance - behaviour.braking_distance - v * time_step, 0.0)
+        return max((math.sqrt(2.0 * comfortable * distance_left) - v) / time_step, -comfortable), True
+    return -max(comfortable, hard_deceleration), True
 
 
 @_kernel
@@ -218,7 +218,7 @@ def _find_conflict(behaviour, way, margin, other, gap_first, gap_after, past_cho
 
     With `past_choice` (too late to decide), the driver expects entities behind it in the same direction to brake.
     """
-    k, until, places, ego, horizon, earliest = 0, -1, way.places, way.ego, behaviour.horizon, 0.0
+    k, until, samples, ego, horizon, earliest = 0, -1, way.places, way.ego, behaviour.horizon, 0.0
     while k + 1 < way.rows:
         k += 1
         if k > until:
@@ -234,20 +234,20 @@ def _find_conflict(behaviour, way, margin, other, gap_first, gap_after, past_cho
         # Later places are reached later; a hair more, as instants are sums.
         if earliest >= horizon + gap_after + 1e-6:
             break
-        found = last_contact(places, k, ego, margin, other, horizon, earliest, gap_after)
-        if found[0] < 0:
+        contact = last_contact(samples, k, ego, margin, other, horizon, earliest, gap_after)
+        if contact[0] < 0:
             continue
-        arrives = arrive(behaviour, way, k)
-        if arrives >= horizon + gap_after + 1e-6:
+        arrival = arrive(behaviour, way, k)
+        if arrival >= horizon + gap_after + 1e-6:
             break
-        if not (other[0][found[0], 4] + found[2] + gap_after > arrives):
+        if not (other[0][contact[0], 4] + contact[2] + gap_after > arrival):
             continue
-        if not begins_before(places, k, ego, margin, other, horizon, found, arrives, -gap_first):
+        if not begins_before(samples, k, ego, margin, other, horizon, contact, arrival, -gap_first):
             continue
-        enters, leaves, leg = meeting(places, k, ego, margin, other, horizon)
-        if enters == math.inf or (past_choice and arrives < enters and _along(places, k, other, leg) >= ALIGNED):
+        enters, leaves, leg = meeting(samples, k, ego, margin, other, horizon)
+        if enters == math.inf or (past_choice and arrival < enters and _along(samples, k, other, leg) >= ALIGNED):
             continue
-        if enters - gap_first < arrives < leaves + gap_after:
+        if enters - gap_first < arrival < leaves + gap_after:
             return _begin(way, k, margin, other, horizon), k
     return -1, -1
 
@@ -265,25 +265,25 @@ def _begin(way, k, margin, other, horizon):
 
 @_kernel
 def _pass_with_caution(behaviour, time_step, way, other):
-    slow, places, ego, v = behaviour.standing_caution * way.wanted, way.places, way.ego, way.speed
-    if meeting(places, 0, ego, ROADSIDE, other, 0.0)[0] <= 0.0:
-        room = 0.0
+    slow, samples, ego, v = behaviour.standing_caution * way.wanted, way.places, way.ego, way.speed
+    if meeting(samples, 0, ego, ROADSIDE, other, 0.0)[0] <= 0.0:
+        distance = 0.0
     else:
-        k = first_contact(places, way.most, ego, ROADSIDE, other, 0.0, way)
+        k = first_contact(samples, way.most, ego, ROADSIDE, other, 0.0, way)
         if k < 0:
             return math.inf
-        room = max(places[k, 0] - v * time_step, 0.0)
-    allowed = math.sqrt(slow * slow + 2.0 * behaviour.comfortable_deceleration * room)
+        distance = max(samples[k, 0] - v * time_step, 0.0)
+    allowed = math.sqrt(slow * slow + 2.0 * behaviour.comfortable_deceleration * distance)
     return max((allowed - v) / time_step, -behaviour.comfortable_deceleration)
 
 
 @_part
 def _follow(behaviour, v, gap, leader_speed):
     """Interaction term of the Intelligent Driver Model (Treiber, Hennecke, Helbing 2000, eq. 3 and 4)."""
-    best = math.sqrt(behaviour.acceleration * behaviour.comfortable_deceleration)
-    dynamic = v * behaviour.time_headway + v * (v - leader_speed) / (2.0 * best)
-    wanted = behaviour.min_gap + max(dynamic, 0.0)
-    return behaviour.acceleration * (1.0 - (wanted / max(gap, 0.01)) ** 2)
+    deceleration = math.sqrt(behaviour.acceleration * behaviour.comfortable_deceleration)
+    dynamic = v * behaviour.time_headway + v * (v - leader_speed) / (2.0 * deceleration)
+    wanted_gap = behaviour.min_gap + max(dynamic, 0.0)
+    return behaviour.acceleration * (1.0 - (wanted_gap / max(gap, 0.01)) ** 2)
 
 
 @_part
@@ -310,15 +310,15 @@ def _speed_along(places, row, other):
 @_kernel
 def _refine(way, k, margin, other, horizon):
     """Distance in m at which contact begins, by bisection between row `row` (contact) and the previous row."""
-    places, ego, between = way.places, way.ego, way.between
+    samples, ego, between = way.places, way.ego, way.between
     lay(way, k - 1)
     low, high = 0.0, 1.0
     for _ in range(6):
         middle = 0.5 * (low + high)
         for i in range(5):
-            between[0, i] = places[k - 1, i] + middle * (places[k, i] - places[k - 1, i])
+            between[0, i] = samples[k - 1, i] + middle * (samples[k, i] - samples[k - 1, i])
         if meeting(between, 0, ego, margin, other, horizon)[0] <= horizon:
             high = middle
         else:
             low = middle
-    return places[k - 1, 0] + low * (places[k, 0] - places[k - 1, 0])
+    return samples[k - 1, 0] + low * (samples[k, 0] - samples[k - 1, 0])

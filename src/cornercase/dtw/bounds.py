@@ -27,14 +27,14 @@ def may_be_within(series: Sequence[npt.NDArray[np.floating[Any]]], distance: flo
     bounding box: the sum of these costs is a lower bound with any window. `squared`: costs are squared and the root is
     taken of the sum.
     """
-    lengths = np.array([len(one) for one in series], dtype=np.int64)
+    lengths = np.array([len(values_of_series) for values_of_series in series], dtype=np.int64)
     starts = np.concatenate(([0], np.cumsum(lengths)))
-    values = np.concatenate(series).astype(np.float64)
-    low = np.stack([one.min(axis=0) for one in series]).astype(np.float64)
-    high = np.stack([one.max(axis=0) for one in series]).astype(np.float64)
+    points = np.concatenate(series).astype(np.float64)
+    low = np.stack([values_of_series.min(axis=0) for values_of_series in series]).astype(np.float64)
+    high = np.stack([values_of_series.max(axis=0) for values_of_series in series]).astype(np.float64)
     possible = np.ones((len(series), len(series)), dtype=np.bool_)
     limit = distance * (1.0 + _ROUNDING) + _TINY
-    _compare(values, starts, low, high, limit * limit if squared else limit, squared, possible)
+    _compare(points, starts, low, high, limit * limit if squared else limit, squared, possible)
     return possible & possible.T
 
 
@@ -47,8 +47,8 @@ def _compare(values, starts, low, high, limit, squared, possible):
             for t in range(starts[i], starts[i + 1]):
                 cost = 0.0
                 for d in range(dims):
-                    beyond = max(low[j, d] - values[t, d], values[t, d] - high[j, d], 0.0)
-                    cost += beyond * beyond
+                    excess = max(low[j, d] - values[t, d], values[t, d] - high[j, d], 0.0)
+                    cost += excess * excess
                 total += cost if squared else math.sqrt(cost)
                 if total > limit:
                     possible[i, j] = False

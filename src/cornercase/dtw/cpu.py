@@ -86,9 +86,16 @@ def distances(
     """
     if columns is not None and len(columns) < len(rows):
         # The longer side fills the lanes better; the distance is the same from either side.
-        turned = None if needed is None else needed.T
+        transposed = None if needed is None else needed.T
         return distances(
-            columns, rows, squared=squared, window=window, dtype=dtype, n_jobs=n_jobs, advance=advance, needed=turned
+            columns,
+            rows,
+            squared=squared,
+            window=window,
+            dtype=dtype,
+            n_jobs=n_jobs,
+            advance=advance,
+            needed=transposed,
         ).T.copy()
     symmetric = columns is None
     dims = rows[0].shape[1]
@@ -102,18 +109,18 @@ def distances(
     band = -1 if window is None else window
 
     def run(block: _Block, chosen: range) -> int:
-        which = np.arange(chosen.start, chosen.stop)
+        selected = np.arange(chosen.start, chosen.stop)
         j = partners.order[block.first : block.first + len(block.lengths)]
         if needed is not None:
-            which = which[needed[singles.order[which][:, None], j].any(axis=1)]
-        found = np.empty((len(which), lanes), dtype=dtype)
-        kernel(singles.values, singles.starts, singles.lengths, block.values, block.lengths, which, band, found)
-        i = singles.order[which]
-        found = found[:, : len(j)]
-        out[i[:, None], j] = found
+            selected = selected[needed[singles.order[selected][:, None], j].any(axis=1)]
+        result = np.empty((len(selected), lanes), dtype=dtype)
+        kernel(singles.values, singles.starts, singles.lengths, block.values, block.lengths, selected, band, result)
+        i = singles.order[selected]
+        result = result[:, : len(j)]
+        out[i[:, None], j] = result
         if symmetric:
             # Where a block meets itself both halves are there, equal to the bit.
-            out[j[:, None], i] = found.T
+            out[j[:, None], i] = result.T
         return int(singles.lengths[chosen.start : chosen.stop].sum() * block.lengths.sum())
 
     with noted_interrupts() as check:
@@ -127,7 +134,7 @@ def distances(
 
 
 def _sorted(series: Sequence[Floats], dtype: np.dtype[Any]) -> _Singles:
-    lengths = np.array([len(one) for one in series], dtype=np.int64)
+    lengths = np.array([len(values) for values in series], dtype=np.int64)
     order = np.argsort(lengths, kind="stable")
     starts = np.concatenate(([0], np.cumsum(lengths[order] * series[0].shape[1])))
     return _Singles(order, lengths[order], starts, np.concatenate([series[i].ravel() for i in order]).astype(dtype))
@@ -152,8 +159,8 @@ def _tiles(blocks: Sequence[_Block], lengths: IntArray, symmetric: bool, n_jobs:
         cells = np.cumsum(lengths[:end]) * int(block.lengths[-1]) * len(block.lengths)
         start = 0
         while start < end:
-            done = cells[start - 1] if start else 0
-            stop = max(start + 1, int(np.searchsorted(cells, done + share, side="right")))
+            finished = cells[start - 1] if start else 0
+            stop = max(start + 1, int(np.searchsorted(cells, finished + share, side="right")))
             yield block, range(start, min(stop, end))
             start = stop
 
@@ -174,8 +181,8 @@ def _run_all(
         for tile in tiles:
             waiting.add(pool.submit(run, *tile))
             if len(waiting) > n_jobs:
-                done, waiting = wait(waiting, return_when=FIRST_COMPLETED)
-                advance(sum(future.result() for future in done))
+                finished, waiting = wait(waiting, return_when=FIRST_COMPLETED)
+                advance(sum(future.result() for future in finished))
         advance(sum(future.result() for future in waiting))
 
 
@@ -254,9 +261,9 @@ def _kernel(dims: int, squared: bool, banded: bool, lanes: int) -> Callable[...,
         infinity = np.full(lanes, np.inf, dtype=values.dtype)
         below = np.zeros(lanes, dtype=values.dtype)
         above = np.zeros(lanes, dtype=values.dtype)
-        for place, one in enumerate(which):
-            x = values[starts[one] : starts[one + 1]]
-            length = lengths[one]
+        for out_row, index in enumerate(which):
+            x = values[starts[index] : starts[index + 1]]
+            length = lengths[index]
             row[:lanes] = 0.0
             row[lanes:] = np.inf
             reach_below, reach_above = length, longest
@@ -281,7 +288,7 @@ def _kernel(dims: int, squared: bool, banded: bool, lanes: int) -> Callable[...,
                 distance = row[block_lengths[lane] * lanes + lane]
                 if squared:
                     distance = math.sqrt(distance)
-                out[place, lane] = distance
+                out[out_row, lane] = distance
 
     return compiling.kernel()(tile)
 
@@ -290,6 +297,6 @@ def compiled(dims: int, squared: bool, banded: bool, dtype: npt.DTypeLike) -> Ca
     """Return a kernel that is compiled."""
     dtype = np.dtype(dtype)
     kernel = _kernel(dims, squared, banded, simd.BYTES // dtype.itemsize)
-    floats, whole = np.zeros(dims, dtype=dtype), np.zeros(1, dtype=np.int64)
-    kernel(floats, whole, whole, floats, whole, whole[:0], 1, np.empty((0, 1), dtype=dtype))
+    floats, integers = np.zeros(dims, dtype=dtype), np.zeros(1, dtype=np.int64)
+    kernel(floats, integers, integers, floats, integers, integers[:0], 1, np.empty((0, 1), dtype=dtype))
     return kernel

@@ -68,18 +68,18 @@ def distance_matrix(
         raise InputError(f"{path}: {journal.name} is not beside it, so what it holds is unknown; give another path.")
     elif not path.exists():
         journal.unlink(missing_ok=True)
-    was_there = path.exists()
+    existed = path.exists()
     try:
-        noted = _begun(journal, fingerprint)
-        view = out if isinstance(out, np.memmap) else _map_of(path, size, settings.dtype, new=not noted)
+        checksums = _begun(journal, fingerprint)
+        view = out if isinstance(out, np.memmap) else _map_of(path, size, settings.dtype, new=not checksums)
         try:
             _reserve(path)
         except (InputError, OSError):
-            if not was_there:
+            if not existed:
                 path.unlink()
                 journal.unlink()
             raise
-        _fill(view, series, journal, noted, settings, advance, client)
+        _fill(view, series, journal, checksums, settings, advance, client)
     except OSError as error:
         raise InputError(f"{path}: cannot be written ({error.strerror}).") from error
     return view
@@ -96,23 +96,23 @@ def _fill(
 ) -> None:
     bands = [range(first, min(first + SIDE, len(series))) for first in range(0, len(series), SIDE)]
     parts = [[series[i] for i in band] for band in bands]
-    wanted = []
+    missing = []
     for a in range(len(bands)):
         for b in range(a, len(bands)):
             if (a, b) in noted and _is_there(view, bands[a], bands[b], noted[a, b]):
                 advance(pairs.cells(parts[a], None if a == b else parts[b]))
             else:
-                wanted.append((a, b))
+                missing.append((a, b))
     with journal.open("ab") as notes:
-        for a, b, square in _squares(parts, wanted, settings, advance, client):
+        for a, b, square in _squares(parts, missing, settings, advance, client):
             rows, columns = bands[a], bands[b]
             pairs.refuse_infinite(square, rows.start, columns.start)
             # A map of its own for each square: what is unmapped no longer counts as this process's memory.
-            part = np.memmap(str(view.filename), view.dtype, "r+", view.offset, view.shape)
-            part[rows.start : rows.stop, columns.start : columns.stop] = square
-            part[columns.start : columns.stop, rows.start : rows.stop] = square.T
-            part.flush()
-            del part
+            memmap = np.memmap(str(view.filename), view.dtype, "r+", view.offset, view.shape)
+            memmap[rows.start : rows.stop, columns.start : columns.stop] = square
+            memmap[columns.start : columns.stop, rows.start : rows.stop] = square.T
+            memmap.flush()
+            del memmap
             notes.write(f"{a} {b} {_checksum(square)}\n".encode())
             notes.flush()
             os.fsync(notes.fileno())
@@ -121,9 +121,9 @@ def _fill(
 def _is_there(view: FloatMap, rows: range, columns: range, checksum: int) -> bool:
     """Check that a square and its mirror image match a checksum."""
     # A map of its own, as where squares are written.
-    part = np.memmap(str(view.filename), view.dtype, "r", view.offset, view.shape)
-    square = part[rows.start : rows.stop, columns.start : columns.stop]
-    mirror = part[columns.start : columns.stop, rows.start : rows.stop].T
+    memmap = np.memmap(str(view.filename), view.dtype, "r", view.offset, view.shape)
+    square = memmap[rows.start : rows.stop, columns.start : columns.stop]
+    mirror = memmap[columns.start : columns.stop, rows.start : rows.stop].T
     return _checksum(square) == checksum == _checksum(mirror)
 
 
@@ -204,30 +204,30 @@ def _begun(journal: Path, fingerprint: str) -> dict[tuple[int, int], int]:
         return {}
     content = journal.read_bytes()
     # A line without its end was not all written when the machine went down.
-    whole = content[: content.rfind(b"\n") + 1]
-    if len(whole) < len(content):
-        journal.write_bytes(whole)
-    first, *squares = whole.decode(errors="replace").splitlines() or [fingerprint]
-    if not whole:
+    complete = content[: content.rfind(b"\n") + 1]
+    if len(complete) < len(content):
+        journal.write_bytes(complete)
+    first, *squares = complete.decode(errors="replace").splitlines() or [fingerprint]
+    if not complete:
         journal.write_text(fingerprint + "\n", encoding="utf-8", newline="\n")
     if first != fingerprint:
         raise InputError(
             f"{journal}: belongs to other series or settings; give those again, or delete it and the matrix."
         )
-    noted = {}
+    checksums = {}
     for line in squares:
         # What cannot be read was damaged, and its square is computed again.
         with suppress(ValueError):
             a, b, checksum = map(int, line.split())
-            noted[a, b] = checksum
-    return noted
+            checksums[a, b] = checksum
+    return checksums
 
 
 def _fingerprint(series: Sequence[Floats], settings: Settings) -> str:
     digest = hashlib.sha256()
-    for one in series:
-        digest.update(repr(one.shape).encode())
-        digest.update(one.tobytes())
+    for values in series:
+        digest.update(repr(values.shape).encode())
+        digest.update(values.tobytes())
     cost = "squared" if settings.squared else "euclidean"
     return (
         f"cornercase-dtw 2 {digest.hexdigest()} {len(series)} {cost} window={settings.window} "

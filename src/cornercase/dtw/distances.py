@@ -102,9 +102,9 @@ def distance_matrix(
     arrays = _centred(arrays, settings.dtype, len(arrays))
     with _shown(progress, pairs.cells(arrays, None)) as advance:
         if out is None:
-            found = _computed(arrays, None, settings, client, advance)
-            pairs.refuse_infinite(found)
-            return found
+            result = _computed(arrays, None, settings, client, advance)
+            pairs.refuse_infinite(result)
+            return result
         if isinstance(out, np.ndarray) and not isinstance(out, np.memmap):
             raise InputError("out is an array in memory; give a path or a numpy.memmap.")
         if not arrays:
@@ -157,12 +157,12 @@ def distances_to(
     columns = _checked(landmarks, "Landmark", rows[0].shape[1] if rows else None)
     if not rows or not columns:
         return np.zeros((len(rows), len(columns)), dtype=settings.dtype)
-    both = _centred([*rows, *columns], settings.dtype, len(rows))
-    rows, columns = both[: len(rows)], both[len(rows) :]
+    arrays = _centred([*rows, *columns], settings.dtype, len(rows))
+    rows, columns = arrays[: len(rows)], arrays[len(rows) :]
     with _shown(progress, pairs.cells(rows, columns)) as advance:
-        found = _computed(rows, columns, settings, client, advance)
-    pairs.refuse_infinite(found, columns="landmark ")
-    return found
+        result = _computed(rows, columns, settings, client, advance)
+    pairs.refuse_infinite(result, columns="landmark ")
+    return result
 
 
 def kernel_matrix(
@@ -212,11 +212,11 @@ def kernel_matrix(
         return np.ones((len(arrays), len(arrays)), dtype=settings.dtype)
     arrays = _centred(arrays, settings.dtype, len(arrays))
     # exp underflows to 0 below the logarithm of half the smallest positive number.
-    vanishes = 1.0 + np.log(2.0) - np.log(float(np.finfo(settings.dtype).smallest_subnormal))
+    max_exponent = 1.0 + np.log(2.0) - np.log(float(np.finfo(settings.dtype).smallest_subnormal))
     with _shown(progress, pairs.cells(arrays, None)) as advance:
-        found = pairs.distances(arrays, None, settings, advance, beyond=float(np.sqrt(vanishes / gamma)))
+        result = pairs.distances(arrays, None, settings, advance, beyond=float(np.sqrt(max_exponent / gamma)))
     with np.errstate(over="ignore", under="ignore"):
-        kernel: npt.NDArray[np.floating[Any]] = np.exp(-settings.dtype.type(gamma) * found**2)
+        kernel: npt.NDArray[np.floating[Any]] = np.exp(-settings.dtype.type(gamma) * result**2)
     return kernel
 
 
@@ -288,9 +288,9 @@ def _checked(
 ) -> list[npt.NDArray[np.float64]]:
     """Return the series as finite arrays of shape (T_i, k); `dims` is k if already known."""
     arrays: list[npt.NDArray[np.float64]] = []
-    for index, one in enumerate(series):
+    for index, values in enumerate(series):
         try:
-            array = np.asarray(one, dtype=np.float64)
+            array = np.asarray(values, dtype=np.float64)
         except (TypeError, ValueError) as error:
             raise InputError(f"{name} {index} is not an array of numbers; give shape (T,) or (T, k).") from error
         if array.ndim not in (1, 2):

@@ -60,7 +60,7 @@ def distances(
     if settings.device == "cuda":
         from cornercase.dtw import cuda
 
-        found = cuda.distances(
+        result = cuda.distances(
             distinct_rows,
             distinct_columns,
             squared=settings.squared,
@@ -69,7 +69,7 @@ def distances(
             advance=settled,
         )
     else:
-        found = cpu.distances(
+        result = cpu.distances(
             distinct_rows,
             distinct_columns,
             squared=settings.squared,
@@ -80,8 +80,8 @@ def distances(
             needed=needed,
         )
     if len(distinct_rows) < len(rows) or (distinct_columns and columns and len(distinct_columns) < len(columns)):
-        found = found[row_of[:, None], column_of]
-    return found
+        result = result[row_of[:, None], column_of]
+    return result
 
 
 def refuse_infinite(found: Floats, rows_from: int = 0, columns_from: int = 0, columns: str = "") -> None:
@@ -111,16 +111,16 @@ def require_gpu() -> None:
 
 def cells(rows: Sequence[Floats], columns: Sequence[Floats] | None) -> int:
     """Total number of cells of the tables of all pairs."""
-    lengths = np.array([len(one) for one in rows], dtype=np.float64)
+    lengths = np.array([len(values) for values in rows], dtype=np.float64)
     if columns is None:
         return int((lengths.sum() ** 2 - (lengths**2).sum()) / 2)
-    return int(lengths.sum() * sum(len(one) for one in columns))
+    return int(lengths.sum() * sum(len(values) for values in columns))
 
 
 def distinct(series: Sequence[Floats]) -> tuple[Sequence[Floats], IntArray]:
     """Return series without bitwise duplicates, and the index among them for each series."""
-    place: dict[bytes, int] = {}
-    index = np.array([place.setdefault(one.tobytes(), len(place)) for one in series], dtype=np.int64)
+    positions: dict[bytes, int] = {}
+    index = np.array([positions.setdefault(values.tobytes(), len(positions)) for values in series], dtype=np.int64)
     _, first = np.unique(index, return_index=True)
     return [series[i] for i in first], index
 
@@ -140,9 +140,9 @@ def without_common_rests(
     other.
     """
     series = [*rows, *(columns or ())]
-    begins = np.array([one[0] for one in series])
-    ends = np.array([one[-1] for one in series])
-    at_begin, at_end = bool((begins == begins[0]).all()), bool((ends == ends[0]).all())
+    starts = np.array([values[0] for values in series])
+    ends = np.array([values[-1] for values in series])
+    at_begin, at_end = bool((starts == starts[0]).all()), bool((ends == ends[0]).all())
     if not at_begin and not at_end:
         return rows, columns
 
@@ -155,4 +155,6 @@ def without_common_rests(
             one = one[: moving[-1] + 2] if len(moving) else one[:1]
         return one
 
-    return [shortened(one) for one in rows], None if columns is None else [shortened(one) for one in columns]
+    return [shortened(values) for values in rows], None if columns is None else [
+        shortened(values) for values in columns
+    ]

@@ -47,9 +47,9 @@ def _pointer(context: Any, builder: Any, array_type: Any, array: Any, index: Any
 
 def _broadcast(builder: Any, scalar: Any, vector: ir.VectorType) -> Any:
     undefined = ir.Constant(vector, ir.Undefined)
-    one = builder.insert_element(undefined, scalar, ir.Constant(ir.IntType(32), 0))
+    first_lane = builder.insert_element(undefined, scalar, ir.Constant(ir.IntType(32), 0))
     mask = ir.Constant(ir.VectorType(ir.IntType(32), vector.count), None)
-    return builder.shuffle_vector(one, undefined, mask)
+    return builder.shuffle_vector(first_lane, undefined, mask)
 
 
 def _call(builder: Any, name: str, value: Any) -> Any:
@@ -108,8 +108,10 @@ def sum_of_squares(typingctx: Any, point: Any, array: Any, index: Any) -> Any:
     """Squared distances of a point to the interleaved points from `index` on."""
 
     def codegen(context: Any, builder: Any, signature: Any, args: Any) -> Any:
-        kind = _ir_type(point.dtype)
-        pointer = builder.bitcast(_pointer(context, builder, signature.args[1], args[1], args[2]), kind.as_pointer())
+        vector_type = _ir_type(point.dtype)
+        pointer = builder.bitcast(
+            _pointer(context, builder, signature.args[1], args[1], args[2]), vector_type.as_pointer()
+        )
         total = None
         for d in range(len(point)):
             other = builder.load(
@@ -162,8 +164,8 @@ def lowest(typingctx: Any, a: Any, b: Any) -> Any:
         a, b = args
         if not _INTEGER_MINIMUM:
             return builder.select(builder.fcmp_ordered("<", a, b), a, b)
-        whole = ir.VectorType(ir.IntType(BYTES * 8 // a.type.count), a.type.count)
-        p, q = builder.bitcast(a, whole), builder.bitcast(b, whole)
+        integer_vector = ir.VectorType(ir.IntType(BYTES * 8 // a.type.count), a.type.count)
+        p, q = builder.bitcast(a, integer_vector), builder.bitcast(b, integer_vector)
         return builder.bitcast(builder.select(builder.icmp_signed("<", p, q), p, q), a.type)
 
     return a(a, b), codegen

@@ -61,9 +61,9 @@ class Tiles:
                     running[self._submit(*square)] = square
                 for future in ended(self._client, list(running)):
                     square = running.pop(future)
-                    found, error = take(self._client, future)
+                    result, error = take(self._client, future)
                     if error is None:
-                        yield *square, found
+                        yield *square, result
                     elif isinstance(error, KilledWorker) and lost.count(square) < _MOST_LOST:
                         lost.append(square)
                         waiting.append(square)
@@ -154,24 +154,24 @@ def distances(
     advance: Callable[[int], None],
 ) -> Floats:
     """Compute distances of checked series on a cluster, like `pairs.distances`."""
-    of_rows = bands_of(len(rows))
-    parts: list[Sequence[Floats]] = [[rows[i] for i in band] for band in of_rows]
+    row_bands = bands_of(len(rows))
+    parts: list[Sequence[Floats]] = [[rows[i] for i in band] for band in row_bands]
     if columns is None:
-        found = np.zeros((len(rows), len(rows)), dtype=settings.dtype)
-        wanted = [(a, b) for a in range(len(parts)) for b in range(a, len(parts))]
+        result = np.zeros((len(rows), len(rows)), dtype=settings.dtype)
+        squares = [(a, b) for a in range(len(parts)) for b in range(a, len(parts))]
     else:
-        found = np.zeros((len(rows), len(columns)), dtype=settings.dtype)
-        wanted = [(a, len(of_rows)) for a in range(len(of_rows))]
+        result = np.zeros((len(rows), len(columns)), dtype=settings.dtype)
+        squares = [(a, len(row_bands)) for a in range(len(row_bands))]
         parts.append(columns)
-    for a, b, square in Tiles(client, settings, parts).squares(wanted):
-        i = slice(of_rows[a].start, of_rows[a].stop)
+    for a, b, square in Tiles(client, settings, parts).squares(squares):
+        i = slice(row_bands[a].start, row_bands[a].stop)
         if columns is None:
-            j = slice(of_rows[b].start, of_rows[b].stop)
-            found[i, j], found[j, i] = square, square.T
+            j = slice(row_bands[b].start, row_bands[b].stop)
+            result[i, j], result[j, i] = square, square.T
         else:
-            found[i] = square
+            result[i] = square
         advance(pairs.cells(parts[a], None if a == b else parts[b]))
-    return found
+    return result
 
 
 def bands_of(size: int) -> list[range]:

@@ -64,15 +64,15 @@ class ReferenceDriver(Driver):
     def acceleration(self, situation: Situation) -> FloatArray:
         """Return the acceleration along the path in m/s², shape (N,); 0 in scenarios that are not active."""
         s, dt = situation, situation.time_step
-        alarm = self._reference.judge(self._surroundings.view(s, self._acceleration))
-        counts = alarm.unsafe & s.active[:, None]
-        wanted = np.where(counts, alarm.deceleration, 0.0).max(axis=1, initial=0.0)
-        unsafe = counts.any(axis=1)
-        reacts = self._reaction.acceleration(unsafe, wanted, dt)
+        assessment = self._reference.judge(self._surroundings.view(s, self._acceleration))
+        is_unsafe = assessment.unsafe & s.active[:, None]
+        deceleration = np.where(is_unsafe, assessment.deceleration, 0.0).max(axis=1, initial=0.0)
+        unsafe = is_unsafe.any(axis=1)
+        reaction = self._reaction.acceleration(unsafe, deceleration, dt)
         # Where the scenario asks for no speed, it is kept.
         target = np.where(np.isfinite(s.target_speed), s.target_speed, s.speed)
-        most = np.where(self._reaction.reacted, 0.0, _GAINING)
-        goes = np.clip((target - s.speed) / dt, -_LOSING, most)
-        a = np.maximum(np.where(unsafe, reacts, goes), -s.speed / dt)
+        max_acceleration = np.where(self._reaction.reacted, 0.0, _GAINING)
+        free = np.clip((target - s.speed) / dt, -_LOSING, max_acceleration)
+        a = np.maximum(np.where(unsafe, reaction, free), -s.speed / dt)
         self._acceleration[s.active] = a[s.active]
         return np.where(s.active, a, 0.0)

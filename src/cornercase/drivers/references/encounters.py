@@ -80,29 +80,42 @@ def drive_cut_in(
     UN Regulation No. 157, Annex 4, Appendix 3.
     """
     reference, n = REFERENCES[name], len(speed)
-    rising, behind = _rise(lateral_speed)
+    rising, ramp_distance = _rise(lateral_speed)
     x, v, a = np.zeros(n), speed.copy(), np.zeros(n)
     other_x = gap + LENGTH + (speed - other_speed) * TIME_STEP * rising.sum(axis=0)
-    aside = LANE + behind
-    reaction, never = Reaction(reference, n), np.zeros(n, dtype=np.bool_)
-    crash, over, intruded = never.copy(), never.copy(), never.copy()
+    lateral_distance = LANE + ramp_distance
+    reaction, false = Reaction(reference, n), np.zeros(n, dtype=np.bool_)
+    crash, over, intruded = false.copy(), false.copy(), false.copy()
     proactive, critical, start = np.zeros(n), np.zeros(n), other_x - LENGTH
     for i in range(STEPS):
-        u = np.where(rising[i], i * _RISE, lateral_speed) if i < len(rising) else lateral_speed
-        u = np.where(aside <= 0.0, 0.0, u)
-        touches = (np.abs(other_x - x) < LENGTH) & (np.abs(aside) < WIDTH) & ~over
+        current_lateral_speed = np.where(rising[i], i * _RISE, lateral_speed) if i < len(rising) else lateral_speed
+        current_lateral_speed = np.where(lateral_distance <= 0.0, 0.0, current_lateral_speed)
+        touches = (np.abs(other_x - x) < LENGTH) & (np.abs(lateral_distance) < WIDTH) & ~over
         crash, over = crash | touches, over | touches
-        now = (other_x - LENGTH / 2) - (x + LENGTH / 2)
-        view = View(now, aside - WIDTH, u, v, other_speed, a, np.full(n, 2 * LENGTH), never)
+        current_gap = (other_x - LENGTH / 2) - (x + LENGTH / 2)
+        view = View(
+            current_gap,
+            lateral_distance - WIDTH,
+            current_lateral_speed,
+            v,
+            other_speed,
+            a,
+            np.full(n, 2 * LENGTH),
+            false,
+        )
         if name == "cc-human":
             begins = (view.lateral_gap < 0.0) & ~intruded
             intruded |= begins
             over |= begins & (time_to_collision(view) > URGENT)
-        alarm = reference.judge(view)
-        proactive = np.where(over, proactive, np.maximum(proactive, alarm.proactive))
-        critical = np.where(over, critical, np.maximum(critical, alarm.critical))
-        v, a = _next_speed(v, reaction.acceleration(alarm.unsafe, alarm.deceleration, TIME_STEP))
-        x, other_x, aside = x + v * TIME_STEP, other_x + other_speed * TIME_STEP, aside - u * TIME_STEP
+        assessment = reference.judge(view)
+        proactive = np.where(over, proactive, np.maximum(proactive, assessment.proactive))
+        critical = np.where(over, critical, np.maximum(critical, assessment.critical))
+        v, a = _next_speed(v, reaction.acceleration(assessment.unsafe, assessment.deceleration, TIME_STEP))
+        x, other_x, lateral_distance = (
+            x + v * TIME_STEP,
+            other_x + other_speed * TIME_STEP,
+            lateral_distance - current_lateral_speed * TIME_STEP,
+        )
     return EncounterOutcome(crash, proactive, critical, start)
 
 
@@ -135,31 +148,31 @@ def drive_cut_out(name: str, speed: FloatArray, front_gap: FloatArray, lateral_s
     reference, n = REFERENCES[name], len(speed)
     start = reference.following(speed)
     x, v, a, other_v, none = np.zeros(n), speed.copy(), np.zeros(n), speed.copy(), np.zeros(n)
-    other_x, aside = start + LENGTH, np.zeros(n)
+    other_x, lateral_distance = start + LENGTH, np.zeros(n)
     # The gap is laid out for a car of the usual length, in whose place a longer one stands.
     standing_x, half = other_x + LENGTH + front_gap, (LENGTH + STANDING_LENGTH) / 2
     always, in_lane = np.ones(n, dtype=np.bool_), np.full(n, -WIDTH)
-    reaction, crash, hit, shown = Reaction(reference, n), ~always, ~always, ~always
+    reaction, crash, hit, is_recorded = Reaction(reference, n), ~always, ~always, ~always
     proactive, critical = np.zeros(n), np.zeros(n)
     for _ in range(STEPS):
-        hit = hit | ((standing_x - other_x < half) & (aside < WIDTH))
-        crash = crash | (standing_x - x < half) | (hit & (other_x - x < LENGTH) & (aside < WIDTH))
+        hit = hit | ((standing_x - other_x < half) & (lateral_distance < WIDTH))
+        crash = crash | (standing_x - x < half) | (hit & (other_x - x < LENGTH) & (lateral_distance < WIDTH))
         other_v = np.where(hit, 0.0, other_v)
-        leaves = (aside > WANDERING) | hit
+        leaves = (lateral_distance > WANDERING) | hit
         lengths = np.full(n, 2 * half)
         view = View((standing_x - STANDING_LENGTH / 2) - (x + LENGTH / 2), in_lane, none, v, none, a, lengths, always)
         to_standing = reference.judge(view)
         gap = (other_x - LENGTH / 2) - (x + LENGTH / 2)
-        view = View(gap, aside - WIDTH, none, v, other_v, a, np.full(n, 2 * LENGTH), always)
+        view = View(gap, lateral_distance - WIDTH, none, v, other_v, a, np.full(n, 2 * LENGTH), always)
         to_other = reference.judge(view)
-        first = leaves & ~shown & ~hit
+        first = leaves & ~is_recorded & ~hit
         proactive[first], critical[first] = to_standing.proactive[first], to_standing.critical[first]
-        shown |= leaves
+        is_recorded |= leaves
         unsafe = np.where(hit, to_other.unsafe, to_standing.unsafe & leaves)
-        wanted = np.where(hit, to_other.deceleration, to_standing.deceleration)
-        v, a = _next_speed(v, reaction.acceleration(unsafe, wanted, TIME_STEP))
+        deceleration = np.where(hit, to_other.deceleration, to_standing.deceleration)
+        v, a = _next_speed(v, reaction.acceleration(unsafe, deceleration, TIME_STEP))
         x, other_x = x + v * TIME_STEP, other_x + other_v * TIME_STEP
-        aside = aside + np.where(hit, 0.0, lateral_speed) * TIME_STEP
+        lateral_distance = lateral_distance + np.where(hit, 0.0, lateral_speed) * TIME_STEP
     return EncounterOutcome(crash, np.where(hit, 0.0, proactive), np.where(hit, 0.0, critical), start)
 
 
@@ -193,10 +206,10 @@ def drive_deceleration(name: str, speed: FloatArray, deceleration: FloatArray) -
         crash = crash | (other_x - x < LENGTH)
         gap = (other_x - LENGTH / 2) - (x + LENGTH / 2)
         view = View(gap, np.full(n, -WIDTH), np.zeros(n), v, other_v, a, np.full(n, 2 * LENGTH), always)
-        alarm = reference.judge(view)
-        proactive = np.where(crash, proactive, np.maximum(proactive, alarm.proactive))
-        critical = np.where(crash, critical, np.maximum(critical, alarm.critical))
-        v, a = _next_speed(v, reaction.acceleration(alarm.unsafe, alarm.deceleration, TIME_STEP))
+        assessment = reference.judge(view)
+        proactive = np.where(crash, proactive, np.maximum(proactive, assessment.proactive))
+        critical = np.where(crash, critical, np.maximum(critical, assessment.critical))
+        v, a = _next_speed(v, reaction.acceleration(assessment.unsafe, assessment.deceleration, TIME_STEP))
         other_v = np.maximum(other_v - deceleration * GRAVITY * TIME_STEP, 0.0)
         x, other_x = x + v * TIME_STEP, other_x + other_v * TIME_STEP
     return EncounterOutcome(crash, proactive, critical, start)

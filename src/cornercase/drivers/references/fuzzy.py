@@ -43,12 +43,12 @@ def critical_metric(
     acceleration in m/s², but at least -4, during its reaction time.
     """
     a = np.maximum(acceleration, -COMFORTABLE)
-    closing, left = speed - other_speed, speed + a * REACTION_TIME - other_speed
+    closing, remaining = speed - other_speed, speed + a * REACTION_TIME - other_speed
     meanwhile = (speed + a * REACTION_TIME / 2.0 - other_speed) * REACTION_TIME
     with np.errstate(divide="ignore", invalid="ignore"):
-        enough = gap >= closing**2 / np.abs(2.0 * a)
-    braking = _between(gap, meanwhile + left**2 / (2.0 * COMFORTABLE), meanwhile + left**2 / (2.0 * HARD))
-    return np.where(closing <= 0.0, 0.0, np.where(left < 0.0, np.where(enough, 0.0, 1.0), braking))
+        is_enough = gap >= closing**2 / np.abs(2.0 * a)
+    braking = _between(gap, meanwhile + remaining**2 / (2.0 * COMFORTABLE), meanwhile + remaining**2 / (2.0 * HARD))
+    return np.where(closing <= 0.0, 0.0, np.where(remaining < 0.0, np.where(is_enough, 0.0, 1.0), braking))
 
 
 def passes_clear(
@@ -59,14 +59,14 @@ def passes_clear(
     Gaps between the boxes in m, negative if they overlap; `inward` and `closing` speeds in m/s; `lengths` of both
     boxes. UN Regulation No. 157, 01 series of amendments, Annex 3, Appendix 3: performance model 2.
     """
-    beside = lateral_gap > 0.0
+    is_beside = lateral_gap > 0.0
     with np.errstate(divide="ignore", invalid="ignore"):
         late = lateral_gap / inward > (gap + lengths) / closing + _LATERAL_RESERVE
-    return np.asarray(beside & (late | (inward <= 0.0)))
+    return np.asarray(is_beside & (late | (inward <= 0.0)))
 
 
 def _between(value: FloatArray, safe: FloatArray, unsafe: FloatArray) -> FloatArray:
     """0 from `safe` upwards, 1 below `unsafe`, linear in between."""
     with np.errstate(divide="ignore", invalid="ignore"):
-        part = (value - safe) / (unsafe - safe)
-    return np.where(value >= safe, 0.0, np.where(value < unsafe, 1.0, part))
+        share = (value - safe) / (unsafe - safe)
+    return np.where(value >= safe, 0.0, np.where(value < unsafe, 1.0, share))

@@ -118,14 +118,14 @@ class Reaction:
 
         `deceleration` in m/s² is what the driver wants once it brakes. Safe runs do not change.
         """
-        of = self._reference
+        model = self._reference
         brakes = unsafe & (self._delay <= _HAIR)
         waits = unsafe & ~brakes
         self.reacted |= unsafe
         self._delay[waits] -= time_step
-        risen = np.minimum(self._braking + of.jerk * time_step, deceleration)
+        risen = np.minimum(self._braking + model.jerk * time_step, deceleration)
         self._braking[brakes] = risen[brakes]
-        return np.where(brakes, -self._braking, np.where(waits, -of.delayed_deceleration, 0.0))
+        return np.where(brakes, -self._braking, np.where(waits, -model.delayed_deceleration, 0.0))
 
 
 def rss_distance(speed: FloatArray, other_speed: FloatArray) -> FloatArray:
@@ -164,29 +164,29 @@ def _human_judges(view: View) -> Alarm:
 
 def _rss_judges(view: View) -> Alarm:
     # Until its middle has passed the other's, the driver is the one behind.
-    behind = view.gap + 0.5 * view.lengths > 0.0
-    near = view.gap < np.maximum(rss_distance(view.speed, np.maximum(view.other_speed, 0.0)), 0.0)
-    beside = view.lateral_gap < rss_lateral_distance(np.maximum(view.inward, 0.0))
-    return _alarm(behind & near & beside, FULL_BRAKING)
+    is_behind = view.gap + 0.5 * view.lengths > 0.0
+    is_near = view.gap < np.maximum(rss_distance(view.speed, np.maximum(view.other_speed, 0.0)), 0.0)
+    is_laterally_near = view.lateral_gap < rss_lateral_distance(np.maximum(view.inward, 0.0))
+    return _alarm(is_behind & is_near & is_laterally_near, FULL_BRAKING)
 
 
 def _regulation_judges(view: View) -> Alarm:
-    enough = (view.speed - view.other_speed) / (2.0 * _BRAKING_157) + _DELAY_157 + _RESERVE_157
-    return _alarm((view.lateral_gap <= _CUTTING_IN) & (time_to_collision(view) <= enough), _BRAKING_157)
+    min_time = (view.speed - view.other_speed) / (2.0 * _BRAKING_157) + _DELAY_157 + _RESERVE_157
+    return _alarm((view.lateral_gap <= _CUTTING_IN) & (time_to_collision(view) <= min_time), _BRAKING_157)
 
 
 def _fuzzy_judges(view: View) -> Alarm:
     closing, other_speed = view.speed - view.other_speed, np.maximum(view.other_speed, 0.0)
-    clear = passes_clear(view.gap, view.lateral_gap, view.inward, closing, view.lengths) | (view.gap <= 0.0)
-    proactive = np.where(clear, 0.0, proactive_metric(view.gap, view.speed, other_speed))
-    critical = np.where(clear, 0.0, critical_metric(view.gap, view.speed, other_speed, view.acceleration))
-    wanted = np.where(critical > 0.0, critical * (HARD - COMFORTABLE) + COMFORTABLE, proactive * COMFORTABLE)
-    return Alarm(proactive + critical > 0.0, wanted, proactive, critical)
+    is_clear = passes_clear(view.gap, view.lateral_gap, view.inward, closing, view.lengths) | (view.gap <= 0.0)
+    proactive = np.where(is_clear, 0.0, proactive_metric(view.gap, view.speed, other_speed))
+    critical = np.where(is_clear, 0.0, critical_metric(view.gap, view.speed, other_speed, view.acceleration))
+    deceleration = np.where(critical > 0.0, critical * (HARD - COMFORTABLE) + COMFORTABLE, proactive * COMFORTABLE)
+    return Alarm(proactive + critical > 0.0, deceleration, proactive, critical)
 
 
 def _alarm(unsafe: BoolArray, deceleration: float) -> Alarm:
-    nothing = np.zeros(unsafe.shape)
-    return Alarm(unsafe, nothing + deceleration, nothing, nothing)
+    zeros = np.zeros(unsafe.shape)
+    return Alarm(unsafe, zeros + deceleration, zeros, zeros)
 
 
 def _human_follows(speed: FloatArray) -> FloatArray:

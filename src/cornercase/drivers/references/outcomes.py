@@ -66,22 +66,26 @@ def judge_reference(
     it is measured against. If the ego collides with nobody, the nearest one of several counts.
     """
     name = driver.partition(":")[0]
-    hit = _first_collision(run, ego)
+    collision = _first_collision(run, ego)
     if name in REFERENCES:
-        met = _first_collision(original, ego)
+        original_collision = _first_collision(original, ego)
         others = (other,) if isinstance(other, str) else other
-        whom, at = _nearest(original, ego, others) if met is None else (_partner(met, ego), met.time)
-        if not _is_known(original, ego, whom, at):
+        partner, time = (
+            _nearest(original, ego, others)
+            if original_collision is None
+            else (_partner(original_collision, ego), original_collision.time)
+        )
+        if not _is_known(original, ego, partner, time):
             return ReferenceOutcome(None)
-        if hit is not None and not _is_known(run, ego, _partner(hit, ego), hit.time):
+        if collision is not None and not _is_known(run, ego, _partner(collision, ego), collision.time):
             return ReferenceOutcome(None)
-    if hit is None or (name == "cc-human" and _is_over_before(run, ego, hit)):
+    if collision is None or (name == "cc-human" and _is_over_before(run, ego, collision)):
         return ReferenceOutcome(False)
-    return ReferenceOutcome(True, float(hit.time))
+    return ReferenceOutcome(True, float(collision.time))
 
 
 def _first_collision(recording: Recording, ego: str) -> Collision | None:
-    return next((one for one in recording.collisions if ego in one.entities), None)
+    return next((collision for collision in recording.collisions if ego in collision.entities), None)
 
 
 def _partner(collision: Collision, ego: str) -> str:
@@ -91,9 +95,9 @@ def _partner(collision: Collision, ego: str) -> str:
 
 def _nearest(recording: Recording, ego: str, others: Sequence[str]) -> tuple[str, float]:
     """Name of the nearest entity and the time in s of the smallest distance; the first ones if none coexists."""
-    apart = np.stack([np.hypot(*(recording.center(one) - recording.center(ego)).T) for one in others])
-    whom, at = np.unravel_index(np.where(np.isnan(apart), np.inf, apart).argmin(), apart.shape)
-    return others[int(whom)], float(recording.time[int(at)])
+    distances = np.stack([np.hypot(*(recording.center(name) - recording.center(ego)).T) for name in others])
+    row, column = np.unravel_index(np.where(np.isnan(distances), np.inf, distances).argmin(), distances.shape)
+    return others[int(row)], float(recording.time[int(column)])
 
 
 def _is_known(recording: Recording, ego: str, other: str, at: float) -> bool:
@@ -101,26 +105,26 @@ def _is_known(recording: Recording, ego: str, other: str, at: float) -> bool:
     i, j = recording.index(ego), recording.index(other)
     if recording.kinds[j] in _NO_MOTORWAY:
         return False
-    before = max(int(np.abs(recording.time - at).argmin()) - 1, 0)
-    heading = recording.heading[i, before]
-    x, y = recording.center(other)[before] - recording.center(ego)[before]
+    sample = max(int(np.abs(recording.time - at).argmin()) - 1, 0)
+    heading = recording.heading[i, sample]
+    x, y = recording.center(other)[sample] - recording.center(ego)[sample]
     if x * np.cos(heading) + y * np.sin(heading) < -0.5 * (recording.length[i] + recording.length[j]):
         return False
     moving = (recording.time >= at - _BEFORE) & (recording.time <= at + _CLOCK) & (recording.speed[j] > _MOVING)
-    turned = (recording.heading[j, moving] - recording.heading[i, moving] + np.pi) % (2.0 * np.pi) - np.pi
-    return not (np.abs(turned) > _ALONG).any()
+    angle = (recording.heading[j, moving] - recording.heading[i, moving] + np.pi) % (2.0 * np.pi) - np.pi
+    return not (np.abs(angle) > _ALONG).any()
 
 
 def _is_over_before(run: Recording, ego: str, hit: Collision) -> bool:
     """Check whether the vehicle that is hit had cut in earlier, with time to spare."""
-    i, others = run.index(ego), [k for k, name in enumerate(run.names) if name != ego]
-    there = np.isfinite(run.x[i]) & (run.time <= hit.time + _CLOCK)
-    situation = _all_instants(run, i, others, there)
-    view = Surroundings(int(there.sum()), len(others)).view(situation, run.acceleration[i, there])
-    k = others.index(run.index(_partner(hit, ego)))
-    in_the_way, beside = view.lateral_gap[:, k] < 0.0, view.lateral_gap[:, k] >= 0.0
-    cuts_in = np.flatnonzero(in_the_way[1:] & beside[:-1]) + 1
-    if not len(cuts_in) or cuts_in[-1] == len(in_the_way) - 1:
+    i, other_rows = run.index(ego), [k for k, name in enumerate(run.names) if name != ego]
+    valid = np.isfinite(run.x[i]) & (run.time <= hit.time + _CLOCK)
+    situation = _all_instants(run, i, other_rows, valid)
+    view = Surroundings(int(valid.sum()), len(other_rows)).view(situation, run.acceleration[i, valid])
+    k = other_rows.index(run.index(_partner(hit, ego)))
+    in_corridor, is_beside = view.lateral_gap[:, k] < 0.0, view.lateral_gap[:, k] >= 0.0
+    cuts_in = np.flatnonzero(in_corridor[1:] & is_beside[:-1]) + 1
+    if not len(cuts_in) or cuts_in[-1] == len(in_corridor) - 1:
         return False
     return bool(time_to_collision(view)[cuts_in[-1], k] > URGENT)
 
@@ -128,12 +132,12 @@ def _is_over_before(run: Recording, ego: str, hit: Collision) -> bool:
 def _all_instants(run: Recording, i: int, others: list[int], there: BoolArray) -> Situation:
     """The situation at each instant, as parallel scenarios; the path is the driven one."""
     x, y, heading = run.x[i, there], run.y[i, there], run.heading[i, there]
-    none = np.zeros(len(x))
+    zeros = np.zeros(len(x))
     return Situation(
         time=0.0,
         time_step=float(run.time[1] - run.time[0]),
         path=_driven(x, y, heading),
-        distance=none,
+        distance=zeros,
         x=x,
         y=y,
         heading=heading,
@@ -142,7 +146,7 @@ def _all_instants(run: Recording, i: int, others: list[int], there: BoolArray) -
         length=float(run.length[i]),
         width=float(run.width[i]),
         center_x=float(run.center_x[i]),
-        target_speed=none,
+        target_speed=zeros,
         others_x=run.x[others][:, there].T,
         others_y=run.y[others][:, there].T,
         others_heading=run.heading[others][:, there].T,

@@ -103,9 +103,9 @@ class AssignRouteAction(Action):
 
     def start(self, world: World, where: BoolArray) -> None:
         roads = np.stack([pose.road for pose in self._route(world) if pose.road is not None])
-        for one in np.unique(roads[:, where], axis=1).T:
-            rows = where & (roads == one[:, None]).all(axis=0)
-            assign_route(world, self._entity, tuple(int(road) for road in one), rows)
+        for route in np.unique(roads[:, where], axis=1).T:
+            rows = where & (roads == route[:, None]).all(axis=0)
+            assign_route(world, self._entity, tuple(int(road) for road in route), rows)
 
 
 class AcquirePositionAction(Action):
@@ -154,9 +154,9 @@ class ValueAction(Action):
         self._name, self._values = name, values
         where = f"{scope.source}, line {element.sourceline}: <{element.tag}>"
         self._operation: Callable[[Any, Any], Any] = np.add
-        change, given = element.find("SetAction"), None
+        change, source = element.find("SetAction"), None
         if change is not None:
-            given = change
+            source = change
             self._set = True
         else:
             self._set = False
@@ -164,11 +164,11 @@ class ValueAction(Action):
             inner = None if rule is None else next(iter(rule.iterchildren("*")), None)
             if inner is None or inner.tag not in ("AddValue", "MultiplyByValue"):
                 raise InputError(f"{where} neither sets, adds nor multiplies.")
-            given = inner
+            source = inner
             self._operation = np.multiply if inner.tag == "MultiplyByValue" else np.add
         numeric = values[self._name].dtype.kind == "f"
-        text = "" if numeric else as_held(given, scope, values[self._name])
-        self._value = scope.number(given, "value") if numeric else np.full(scope.scenarios, text)
+        text = "" if numeric else as_held(source, scope, values[self._name])
+        self._value = scope.number(source, "value") if numeric else np.full(scope.scenarios, text)
         if not numeric and not self._set:
             raise InputError(f"{where}: '{self._name}' is not a number and can only be set.")
 
@@ -180,17 +180,17 @@ class ValueAction(Action):
 
 
 def _read_value(element: etree._Element, scope: Scope, world: World, entity: int | None) -> Action | None:
-    kind = "variableRef" if element.tag == "VariableAction" else "parameterRef"
-    what, values = kind.removesuffix("Ref"), world.variables if kind == "variableRef" else world.parameters
-    name = element.get(kind, "").lstrip("$")
+    attribute = "variableRef" if element.tag == "VariableAction" else "parameterRef"
+    noun, values = attribute.removesuffix("Ref"), world.variables if attribute == "variableRef" else world.parameters
+    name = element.get(attribute, "").lstrip("$")
     if name in values:
         return ValueAction(element, scope, values, name)
-    if nobody_asks(element, f"{what.capitalize()}Condition"):
-        why = f"is skipped, as there is no {what} '{name}', and no condition asks for one"
-        adapt(element, f"<{element.tag}>", why, f"{kind} names a {what} that is declared")
+    if nobody_asks(element, f"{noun.capitalize()}Condition"):
+        why = f"is skipped, as there is no {noun} '{name}', and no condition asks for one"
+        adapt(element, f"<{element.tag}>", why, f"{attribute} names a {noun} that is declared")
         return None
     where = f"{scope.source}, line {element.sourceline}: <{element.tag}>"
-    raise InputError(f"{where}: there is no {what} '{name}'; {suggestion(name, values)}")
+    raise InputError(f"{where}: there is no {noun} '{name}'; {suggestion(name, values)}")
 
 
 class SignalControllerAction(Action):

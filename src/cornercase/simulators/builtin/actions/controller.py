@@ -66,16 +66,16 @@ class Driving:
             self._join_fleet()
 
     def _join_fleet(self) -> None:
-        driver, own = self.driver, self._world.entities[self.entity]
+        driver, entity = self.driver, self._world.entities[self.entity]
         assert decides_in_fleet(driver)
         try:
             self._start()
         except DriverError as failure:
             # The fleet needs one that is started.
             self._failure = failure
-            built_in = next(one for one in type(driver).__mro__ if is_built_in(one) and issubclass(one, Driver))
+            built_in = next(base for base in type(driver).__mro__ if is_built_in(base) and issubclass(base, Driver))
             built_in.start(driver, self._world.scenarios, len(self._others))
-        for limit, value in limit_driver(driver, own.max_acceleration, own.max_deceleration).items():
+        for limit, value in limit_driver(driver, entity.max_acceleration, entity.max_deceleration).items():
             self._note(limit, f"it would go up to {value:.6g} m/s²")
 
     def begin(self) -> None:
@@ -86,17 +86,19 @@ class Driving:
             self._start()
 
     def _start(self) -> None:
-        heard = requests_heard()
+        requests = requests_heard()
         try:
             self.driver.start(self._world.scenarios, len(self._others))
         except BaseException as error:
-            raise DriverError(failure_of(self._name, error, heard, 0.0), splits=True) from error
+            raise DriverError(failure_of(self._name, error, requests, 0.0), splits=True) from error
 
     @property
     def _name(self) -> str:
         """Name of the driver in errors and notices."""
-        own, entity = type(self.driver), quoted_name(self._world.names[self.entity])
-        return f"the driver of {entity}" + ("" if is_built_in(own) else f" ({own.__module__}:{own.__qualname__})")
+        driver_class, entity = type(self.driver), quoted_name(self._world.names[self.entity])
+        return f"the driver of {entity}" + (
+            "" if is_built_in(driver_class) else f" ({driver_class.__module__}:{driver_class.__qualname__})"
+        )
 
     def step(self, dt: float) -> None:
         """Decide the entity's speed at the end of the coming time step."""
@@ -121,38 +123,38 @@ class Driving:
 
     def _decided(self, situation: Situation) -> FloatArray:
         """Call the driver, which may be user code, and check its accelerations."""
-        expected, heard = self._world.scenarios, requests_heard()
+        expected, requests = self._world.scenarios, requests_heard()
         try:
-            given = self.driver.acceleration(situation)
+            returned = self.driver.acceleration(situation)
         except BaseException as error:
-            raise DriverError(failure_of(self._name, error, heard, situation.time), splits=True) from error
+            raise DriverError(failure_of(self._name, error, requests, situation.time), splits=True) from error
         try:
-            acceleration: FloatArray = np.asarray(given).astype(np.float64, casting="same_kind")
+            acceleration: FloatArray = np.asarray(returned).astype(np.float64, casting="same_kind")
             # One number would be that of the first scenario for all others, too.
             if acceleration.shape != (expected,):
                 raise ValueError
             return acceleration
         except BaseException as error:
-            raise_if_request(error, heard)
-            each = "for the scenario" if expected == 1 else f"for each of {expected} scenarios"
+            raise_if_request(error, requests)
+            expectation = "for the scenario" if expected == 1 else f"for each of {expected} scenarios"
             instant = format_instant(situation.time)
-            why = f"{self._name} gave no acceleration {each}{instant}, but {_shown(given)}"
+            why = f"{self._name} gave no acceleration {expectation}{instant}, but {_shown(returned)}"
             raise DriverError(PartError(why), splits=False) from error
 
     def _possible(self, acceleration: FloatArray, rows: BoolArray, time: float) -> FloatArray:
         """Clip accelerations to what the vehicle can do."""
-        own = self._world.entities[self.entity]
-        most, least = own.max_acceleration, -own.max_deceleration
-        for limit, beyond in (("acceleration", acceleration - most), ("deceleration", least - acceleration)):
-            worst = float(beyond[rows].max(initial=0.0))
+        entity = self._world.entities[self.entity]
+        highest, lowest = entity.max_acceleration, -entity.max_deceleration
+        for limit, excess in (("acceleration", acceleration - highest), ("deceleration", lowest - acceleration)):
+            worst = float(excess[rows].max(initial=0.0))
             if limit not in self.exceeded and worst > _ROUNDING:
-                asked = worst + (own.max_acceleration if limit == "acceleration" else own.max_deceleration)
-                self._note(limit, f"first {asked:.6g} m/s²{format_instant(time)}")
-        return np.clip(acceleration, least, most)
+                requested = worst + (entity.max_acceleration if limit == "acceleration" else entity.max_deceleration)
+                self._note(limit, f"first {requested:.6g} m/s²{format_instant(time)}")
+        return np.clip(acceleration, lowest, highest)
 
     def _note(self, limit: str, asked: str) -> None:
-        own = self._world.entities[self.entity]
-        bound = own.max_acceleration if limit == "acceleration" else own.max_deceleration
+        entity = self._world.entities[self.entity]
+        bound = entity.max_acceleration if limit == "acceleration" else entity.max_deceleration
         self.exceeded[limit] = (
             f"{self._name} asks for more {limit} than the {bound:.6g} m/s² of <Performance>, and gets that; {asked}"
         )
@@ -160,7 +162,7 @@ class Driving:
     def _situation(self, k: int, track: Track, dt: float, rows: BoolArray) -> Situation:
         world, e, others = self._world, self.entity, self._others
         box, boxes = world.entities[e], [world.entities[a] for a in others]
-        there = (world.present & world.visible)[others].T
+        is_visible = (world.present & world.visible)[others].T
         # A driver may keep what it is told, or write into it.
         return Situation(
             time=float(world.time[rows].max()),
@@ -176,14 +178,14 @@ class Driving:
             width=box.width,
             center_x=box.center_x,
             target_speed=world.target_speed[e].copy(),
-            others_x=np.where(there, world.x[others].T, np.nan),
-            others_y=np.where(there, world.y[others].T, np.nan),
-            others_heading=np.where(there, world.heading[others].T, np.nan),
-            others_speed=np.where(there, world.speed[others].T, np.nan),
-            others_length=np.array([one.length for one in boxes]),
-            others_width=np.array([one.width for one in boxes]),
-            others_center_x=np.array([one.center_x for one in boxes]),
-            others_kind=tuple(one.kind for one in boxes),
+            others_x=np.where(is_visible, world.x[others].T, np.nan),
+            others_y=np.where(is_visible, world.y[others].T, np.nan),
+            others_heading=np.where(is_visible, world.heading[others].T, np.nan),
+            others_speed=np.where(is_visible, world.speed[others].T, np.nan),
+            others_length=np.array([other.length for other in boxes]),
+            others_width=np.array([other.width for other in boxes]),
+            others_center_x=np.array([other.center_x for other in boxes]),
+            others_kind=tuple(other.kind for other in boxes),
             active=rows.copy(),
         )
 
@@ -219,14 +221,14 @@ def _sampled(track: Trajectory) -> DrivenPath:
     does not depend on the others.
     """
     ends = np.minimum(track.lengths, _LONGEST)
-    places = _SPACING * np.arange(int(np.ceil((ends.max() + _BEYOND) / _SPACING)) + 1)
-    every = np.arange(len(ends))
-    x, y, heading, curvature = (np.empty((len(ends), len(places))) for _ in range(4))
-    for k, place in enumerate(places):
-        at = np.full(len(ends), place)
-        x[:, k], y[:, k], heading[:, k] = track.at(at, np.zeros(len(ends)), every)
-        curvature[:, k] = np.where(at <= ends, track.curvature(at, every), 0.0)
-    return DrivenPath(np.tile(places, (len(ends), 1)), x, y, np.unwrap(heading, axis=1), curvature)
+    distances = _SPACING * np.arange(int(np.ceil((ends.max() + _BEYOND) / _SPACING)) + 1)
+    scenarios = np.arange(len(ends))
+    x, y, heading, curvature = (np.empty((len(ends), len(distances))) for _ in range(4))
+    for k, distance in enumerate(distances):
+        at = np.full(len(ends), distance)
+        x[:, k], y[:, k], heading[:, k] = track.at(at, np.zeros(len(ends)), scenarios)
+        curvature[:, k] = np.where(at <= ends, track.curvature(at, scenarios), 0.0)
+    return DrivenPath(np.tile(distances, (len(ends), 1)), x, y, np.unwrap(heading, axis=1), curvature)
 
 
 class ControllerAction(Action):
@@ -260,10 +262,10 @@ class ControllerAction(Action):
             controller, scope = scope.from_catalog(reference, "Controller")
         if controller is None:
             return -1
-        item = named(unrecorded(controller, "Properties", "Property"), DRIVER_PROPERTY)
-        if item is None:
+        property_element = named(unrecorded(controller, "Properties", "Property"), DRIVER_PROPERTY)
+        if property_element is None:
             return -1
-        driver = registered_driver(scope.text(item, "value"), scope.source)
+        driver = registered_driver(scope.text(property_element, "value"), scope.source)
         return Driving(world, self._entity, driver).number
 
 

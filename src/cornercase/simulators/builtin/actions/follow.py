@@ -36,8 +36,8 @@ class FollowTrajectoryAction(Action):
         self._shape = read_trajectory(element if holder is None else holder, scope, world, read_position)
         mode = element.find("TrajectoryFollowingMode")
         reference = element.find("TimeReference")
-        kind = None if reference is None else next(reference.iterchildren("*"), None)
-        timing = kind if kind is not None and kind.tag == "Timing" else None
+        timing_element = None if reference is None else next(reference.iterchildren("*"), None)
+        timing = timing_element if timing_element is not None and timing_element.tag == "Timing" else None
         self._smooth = mode is None or scope.text(mode, "followingMode", "follow") == "follow"
         self._absolute = False
         self._clock: Clock | None = None
@@ -59,7 +59,7 @@ class FollowTrajectoryAction(Action):
         return TRAJECTORY_ACTION, self._entity, self._clock is not None
 
     def start(self, world: World, where: BoolArray) -> None:
-        e, every = self._entity, np.arange(world.scenarios)
+        e, scenarios = self._entity, np.arange(world.scenarios)
         track = self._shape(world, self._smooth, self._clock, e)
         # All scenarios share one track, whenever each starts it, since each step loops over an entity's tracks.
         if self._track is None:
@@ -71,22 +71,22 @@ class FollowTrajectoryAction(Action):
         follow_track(world, e, track, self._skip, where)
         world.offset[e][where] = world.turn[e][where] = 0.0
         world.stranded[e][where] = False
-        x, y, heading = track.at(self._skip, np.zeros(world.scenarios), every)
-        line, oriented = track.direction(self._skip, every), track.oriented(self._skip, every)
+        x, y, heading = track.at(self._skip, np.zeros(world.scenarios), scenarios)
+        line, oriented = track.direction(self._skip, scenarios), track.oriented(self._skip, scenarios)
         backwards = world.speed[e] < 0.0
         if track.time is not None:
-            back = (np.diff(track.time) < -_TINY).any(axis=1)
-            world.fail(where & back, f"the times of a trajectory of {world.names[e]} go back")
+            decreases = (np.diff(track.time) < -_TINY).any(axis=1)
+            world.fail(where & decreases, f"the times of a trajectory of {world.names[e]} go back")
         if self._clock is not None:
             clock, speed = track.clock_at(self._skip)
-            ahead = np.zeros_like(clock) if self._absolute else clock - self._clock.shift - world.time
-            self._ahead[where] = ahead[where]
+            clock_offset = np.zeros_like(clock) if self._absolute else clock - self._clock.shift - world.time
+            self._ahead[where] = clock_offset[where]
             backwards = oriented & _against(heading, line)
             world.speed[e][where] = np.where(backwards, -speed, speed)[where]
         # Without a heading of its own, an entity that drives backwards is turned round.
         heading = np.where(oriented, heading, line + np.where(backwards, np.pi, 0.0))
-        turned = _against(heading, line) & ~(oriented & world.entities[e].slides)
-        self._sign[where] = np.where(turned, -1.0, 1.0)[where]
+        is_reversed = _against(heading, line) & ~(oriented & world.entities[e].slides)
+        self._sign[where] = np.where(is_reversed, -1.0, 1.0)[where]
         self._was_oriented[where] = oriented[where]
         world.x[e][where], world.y[e][where], world.heading[e][where] = x[where], y[where], heading[where]
 
@@ -104,42 +104,44 @@ class FollowTrajectoryAction(Action):
         e, before = self._entity, world.distance[self._entity].copy()
         assert track.time is not None
         time, last = world.time + dt + self._ahead, track.time[:, -1]
-        over = rows & (time > last - _TINY)
-        along = track.distance_at(time)
+        is_over = rows & (time > last - _TINY)
+        distance = track.distance_at(time)
         if dt > 0:
             # An entity turned against the line drives backwards.
             against = _against(world.heading[e], track.direction(before, np.arange(world.scenarios)))
-            gone = np.where(along < before, -1.0, 1.0) * np.where(against, -1.0, 1.0) * np.abs(along - before) / dt
-            going = rows & (time < last + _TINY)
-            world.speed[e][going] = gone[going]
-        self._put(world, track, along, rows)
-        if over.any():
-            self._leave(world, track, (time - last) * world.speed[e], over)
-        return over
+            signed_speed = (
+                np.where(distance < before, -1.0, 1.0) * np.where(against, -1.0, 1.0) * np.abs(distance - before) / dt
+            )
+            moves = rows & (time < last + _TINY)
+            world.speed[e][moves] = signed_speed[moves]
+        self._put(world, track, distance, rows)
+        if is_over.any():
+            self._leave(world, track, (time - last) * world.speed[e], is_over)
+        return is_over
 
     def _go(self, world: World, track: Trajectory, dt: float, rows: BoolArray) -> BoolArray:
         e, before = self._entity, world.distance[self._entity].copy()
-        way = world.speed[e] * self._sign * dt
-        along = np.clip(before + way, 0.0, track.lengths)
-        self._put(world, track, along, rows)
-        reached = rows & (along > track.lengths - _TINY) & (way > 0)
-        begun = rows & (along < _TINY) & (way < 0)
-        if (reached | begun).any():
+        step = world.speed[e] * self._sign * dt
+        distance = np.clip(before + step, 0.0, track.lengths)
+        self._put(world, track, distance, rows)
+        reached = rows & (distance > track.lengths - _TINY) & (step > 0)
+        at_start = rows & (distance < _TINY) & (step < 0)
+        if (reached | at_start).any():
             # Back at the start, the rest of the step is lost, as in esmini.
-            rest = np.where(reached, np.maximum(np.abs(way) - np.abs(along - before), 0.0), 0.0)
-            self._leave(world, track, rest, reached | begun)
-        return np.asarray(reached | begun)
+            remaining = np.where(reached, np.maximum(np.abs(step) - np.abs(distance - before), 0.0), 0.0)
+            self._leave(world, track, remaining, reached | at_start)
+        return np.asarray(reached | at_start)
 
     def _put(self, world: World, track: Trajectory, along: FloatArray, rows: BoolArray) -> None:
         """Move the entity to a distance along the trajectory, with the heading there."""
-        e, every = self._entity, np.arange(world.scenarios)
-        oriented = track.oriented(along, every)
-        loose = rows & ~oriented & (self._was_oriented > 0.0)
-        if loose.any():
+        e, scenarios = self._entity, np.arange(world.scenarios)
+        oriented = track.oriented(along, scenarios)
+        loses_heading = rows & ~oriented & (self._was_oriented > 0.0)
+        if loses_heading.any():
             # From here on the line alone gives the heading: the entity keeps to the side that it is turned to.
-            heading = track.at(along, np.zeros(world.scenarios), every)[2]
-            against = _against(heading, track.direction(along, every))
-            self._sign[loose] = np.where(against, -1.0, 1.0)[loose]
+            heading = track.at(along, np.zeros(world.scenarios), scenarios)[2]
+            against = _against(heading, track.direction(along, scenarios))
+            self._sign[loses_heading] = np.where(against, -1.0, 1.0)[loses_heading]
         self._was_oriented[rows] = oriented[rows]
         world.turn[e][rows] = np.where(oriented | (self._sign > 0.0), 0.0, np.pi)[rows]
         world.distance[e][rows] = along[rows]
@@ -157,9 +159,9 @@ class FollowTrajectoryAction(Action):
             # Where roads do not quite meet, the lane may be a little beside; the way onto it is no motion.
             x, y, _ = lane.at(world.distance[e][at], world.offset[e][at], at)
             dx, dy = x - world.x[e][at], y - world.y[e][at]
-            apart = np.hypot(dx, dy) > _SEAM
+            has_gap = np.hypot(dx, dy) > _SEAM
             for state, shift in ((world.x, dx), (world.y, dy), (world.from_x, dx), (world.from_y, dy)):
-                state[e][at] += np.where(apart, shift, 0.0)
+                state[e][at] += np.where(has_gap, shift, 0.0)
         world.stranded[e][where] = (world.track[e] == FREE)[where]
 
 

@@ -77,10 +77,10 @@ class LaneChangeAction(Action):
             world.fail(where, f"{world.names[e]} cannot change lanes, as there are no roads")
             return
         lane = self._lane(world)
-        done = change_lane(world, e, lane, where)
-        if not done[where].all():
+        exists = change_lane(world, e, lane, where)
+        if not exists[where].all():
             # As in esmini, it ends in its own lane; there it jumps aside first.
-            self._stay(world, where & ~done)
+            self._stay(world, where & ~exists)
         pose = lane_of(world, e)
         forward = np.where(looks_along(world, pose), 1.0, -1.0)
         self._from[where] = world.offset[e][where]
@@ -95,38 +95,38 @@ class LaneChangeAction(Action):
 
     def step(self, world: World, dt: float, where: BoolArray) -> BoolArray:
         e, change = self._entity, self._to - self._from
-        way = ahead = np.abs(world.speed[e]) * dt
+        step_length = longitudinal = np.abs(world.speed[e]) * dt
         moves = where & (np.abs(world.speed[e]) > 1e-6)
         abrupt = self._extent <= 1e-6
         extent = np.where(abrupt, 1.0, self._extent)
         rate = change / extent * self._transition.slope(self._done / extent)
         if self._transition.dimension == "distance":
-            ahead = way / np.sqrt(1.0 + rate**2)
-            done = self._done + ahead
-            part = self._transition.at(done / extent)
+            longitudinal = step_length / np.sqrt(1.0 + rate**2)
+            progress = self._done + longitudinal
+            share = self._transition.at(progress / extent)
             # As in esmini, the heading is that of driving forwards even where the entity drives backwards.
             turn = np.arctan(rate)
         else:
-            across = np.minimum(dt * np.abs(rate), way)
+            lateral = np.minimum(dt * np.abs(rate), step_length)
             # An entity that is too slow for the change moves only sideways, at constant speed.
-            slow = dt * np.abs(rate) > way + 1e-6
+            slow = dt * np.abs(rate) > step_length + 1e-6
             with np.errstate(divide="ignore", invalid="ignore"):
-                done = self._done + np.where(slow, way * extent / np.abs(change), dt)
-            part = np.where(slow, np.clip(done / extent, 0.0, 1.0), self._transition.at(done / extent))
-            ahead = np.sqrt(np.maximum(way**2 - across**2, 0.0))
-            turn = np.arctan2(np.sign(rate) * across, ahead)
+                progress = self._done + np.where(slow, step_length * extent / np.abs(change), dt)
+            share = np.where(slow, np.clip(progress / extent, 0.0, 1.0), self._transition.at(progress / extent))
+            longitudinal = np.sqrt(np.maximum(step_length**2 - lateral**2, 0.0))
+            turn = np.arctan2(np.sign(rate) * lateral, longitudinal)
             turn = np.sign(world.speed[e]) * np.where(slow, np.sign(rate) * _SIDEWAYS, turn)
-        offset = np.where(abrupt, self._to, self._from + part * change)
-        arrived = abrupt | (done > self._extent - _SHORT) | (np.abs(offset - self._to) < _THERE)
-        self._done[moves] = done[moves]
+        offset = np.where(abrupt, self._to, self._from + share * change)
+        arrived = abrupt | (progress > self._extent - _SHORT) | (np.abs(offset - self._to) < _THERE)
+        self._done[moves] = progress[moves]
         world.offset[e][moves] = offset[moves]
         world.turn[e][moves] = np.where(arrived, 0.0, turn)[moves]
         world.changes_lanes[e][moves & arrived] = False
         # It moves even where it was just put somewhere; a speed that another action sets in this frame counts from
         # the next, for one that stands too.
         world.pace[e][where] = world.speed[e][where]
-        way = np.sign(world.speed[e]) * np.where(abrupt, way, ahead)
-        move_at_once(world, e, where, np.where(moves, way, 0.0))
+        step_length = np.sign(world.speed[e]) * np.where(abrupt, step_length, longitudinal)
+        move_at_once(world, e, where, np.where(moves, step_length, 0.0))
         # At the end of the road it is over, wherever between the lanes that is.
         stuck = moves & ~arrived & np.isfinite(world.at_end_since[e])
         self.leave(world, stuck)
@@ -139,11 +139,11 @@ class LaneChangeAction(Action):
 
     def _stay(self, world: World, where: BoolArray) -> None:
         """Take the entity's current lane as the target lane, in the scenarios of a mask."""
-        e, own = self._entity, lane_of(world, self._entity).lane
-        assert own is not None
+        e, own_lane = self._entity, lane_of(world, self._entity).lane
+        assert own_lane is not None
         why = f"{world.names[e]} is to change to a lane that is not there, and stays in its own"
         world.remark(self._place, "<LaneChangeAction>", why, where)
-        stays = change_lane(world, e, own, where)
+        stays = change_lane(world, e, own_lane, where)
         world.fail(where & ~stays, f"{world.names[e]} is to change lanes, and is in none ({self._place})")
 
     def _lane(self, world: World) -> IntArray:
@@ -196,8 +196,8 @@ class LaneOffsetAction(Action):
             # Its left is the left of the entity that it refers to.
             pose = lane_of(world, e)
             along = looks_along(world, replace(pose, heading=world.heading[e] - world.turn[e]))
-            same = looks_along(world, lane_of(world, self._reference)) == along
-            side = np.where(same, self._value, -self._value)
+            same_direction = looks_along(world, lane_of(world, self._reference)) == along
+            side = np.where(same_direction, self._value, -self._value)
             target = offset_from(world, e, self._reference) + side
         self._to[where] = target[where]
         self._duration[where] = time_by_acceleration(self._shape, self._to - self._from, self._most)[where]
@@ -206,11 +206,11 @@ class LaneOffsetAction(Action):
     def step(self, world: World, dt: float, where: BoolArray) -> BoolArray:
         e, change = self._entity, self._to - self._from
         duration = np.where(self._duration > 0, self._duration, 1.0)
-        part = np.where(self._duration > 0, self._elapsed / duration, 1.0)
-        offset = self._from + shaped(self._shape, part) * change
+        share = np.where(self._duration > 0, self._elapsed / duration, 1.0)
+        offset = self._from + shaped(self._shape, share) * change
         arrived = (self._elapsed > self._duration - _THERE) | (np.abs(offset - self._to) < _THERE)
         offset = np.where(arrived, self._to, offset)
-        slope = change / duration * steepness(self._shape, part)
+        slope = change / duration * steepness(self._shape, share)
         world.offset[e][where] = offset[where]
         speed = world.speed[e]
         turn = np.arctan(slope / np.where(np.abs(speed) > 1e-6, speed, 1e-6))
@@ -256,14 +256,14 @@ class LateralDistanceAction(Action):
         self._first[where] = False
         error = self._wanted - (world.offset[e] - offset_from(world, e, self._other))
         reached = moves & (np.abs(error) < _REACHED)
-        across = self._velocity(world, error, dt, moves)
+        lateral_speed = self._velocity(world, error, dt, moves)
         rigid = np.isinf(self._most) & np.isinf(self._fastest)
-        shift = np.where(rigid, error, across * dt)
-        ahead = np.sqrt(np.maximum((world.speed[e] * dt) ** 2 - np.where(rigid, 0.0, shift) ** 2, 0.0))
+        shift = np.where(rigid, error, lateral_speed * dt)
+        longitudinal = np.sqrt(np.maximum((world.speed[e] * dt) ** 2 - np.where(rigid, 0.0, shift) ** 2, 0.0))
         world.offset[e][moves] += shift[moves]
         world.sideways[e][moves] = np.where(rigid, 0.0, np.abs(shift))[moves]
         world.pace[e][moves] = world.speed[e][moves]
-        world.turn[e][moves] = np.arctan2(shift, np.maximum(ahead, 1e-9))[moves]
+        world.turn[e][moves] = np.arctan2(shift, np.maximum(longitudinal, 1e-9))[moves]
         return np.asarray(where & reached & (not self._continuous))
 
     def _velocity(self, world: World, error: FloatArray, dt: float, moves: BoolArray) -> FloatArray:
@@ -273,15 +273,17 @@ class LateralDistanceAction(Action):
         stiffness = 0.4 * np.where(springy, self._most, 0.0)
         # As in esmini, what the other one moves across its own heading, which on a lane change is nearly nothing.
         heading = world.heading[self._other]
-        theirs = world.gone[1][self._other] * np.cos(heading) - world.gone[0][self._other] * np.sin(heading)
-        wanted = stiffness * error - 2.0 * np.sqrt(stiffness) * (self._speed - theirs)
+        other_lateral_speed = world.gone[1][self._other] * np.cos(heading) - world.gone[0][self._other] * np.sin(
+            heading
+        )
+        acceleration = stiffness * error - 2.0 * np.sqrt(stiffness) * (self._speed - other_lateral_speed)
         step = np.where(np.isfinite(self._jerk), self._jerk * dt, np.inf)
-        wanted = self._acceleration + np.clip(wanted - self._acceleration, -step, step)
-        wanted = np.clip(wanted, -self._most, self._most)
-        sprung = np.clip(self._speed + wanted * dt, -fastest, fastest)
-        even = np.sign(error) * fastest
+        acceleration = self._acceleration + np.clip(acceleration - self._acceleration, -step, step)
+        acceleration = np.clip(acceleration, -self._most, self._most)
+        sprung = np.clip(self._speed + acceleration * dt, -fastest, fastest)
+        constant_speed = np.sign(error) * fastest
         if dt > 0:
-            even = np.where(np.abs(even) * dt > np.abs(error), error / dt, even)
-        self._acceleration[moves & springy] = wanted[moves & springy]
-        self._speed[moves] = np.where(springy, sprung, even)[moves]
+            constant_speed = np.where(np.abs(constant_speed) * dt > np.abs(error), error / dt, constant_speed)
+        self._acceleration[moves & springy] = acceleration[moves & springy]
+        self._speed[moves] = np.where(springy, sprung, constant_speed)[moves]
         return self._speed

@@ -56,18 +56,18 @@ class SpeedProfileAction(Action):
         self._reference = None if element.get("entityRef") is None else entity_index(element, scope, world)
         constraints = element.find("DynamicConstraints")
         names = ("maxSpeed", "maxAcceleration", "maxDeceleration", "maxAccelerationRate", "maxDecelerationRate")
-        n, own = scope.scenarios, world.entities[entity]
+        n, vehicle = scope.scenarios, world.entities[entity]
         unlimited = np.full(n, np.inf)
-        given = [unlimited if constraints is None else scope.number(constraints, name, np.inf) for name in names]
-        of_vehicle = (own.max_speed, own.max_acceleration, own.max_deceleration, np.inf, np.inf)
-        self._limits = Limits(*(np.minimum(bound, one) for bound, one in zip(given, of_vehicle, strict=True)))
+        bounds = [unlimited if constraints is None else scope.number(constraints, name, np.inf) for name in names]
+        of_vehicle = (vehicle.max_speed, vehicle.max_acceleration, vehicle.max_deceleration, np.inf, np.inf)
+        self._limits = Limits(*(np.minimum(bound, limit) for bound, limit in zip(bounds, of_vehicle, strict=True)))
         follow = scope.text(element, "followingMode", "position") == "follow"
-        self._smooth = np.isfinite(given[3]) & np.isfinite(given[4]) & follow
+        self._smooth = np.isfinite(bounds[3]) & np.isfinite(bounds[4]) & follow
         entries = list(element.iterfind("SpeedProfileEntry"))
         if not entries:
             raise InputError(f"{scope.source}, line {element.sourceline}: <SpeedProfileAction> has no entries.")
-        self._speeds = [scope.number(one, "speed") for one in entries]
-        self._spans = [scope.number(one, "time", -1.0) for one in entries]
+        self._speeds = [scope.number(limit, "speed") for limit in entries]
+        self._spans = [scope.number(limit, "time", -1.0) for limit in entries]
         if len(np.unique(np.abs(self._spans[0]) < _TINY)) > 1:
             raise VariesError(scope.origins(entries[0].get("time", "")))
         self._mine = np.full(n, -1)
@@ -81,48 +81,50 @@ class SpeedProfileAction(Action):
             rows = where & (self._smooth == smooth)
             if not rows.any():
                 continue
-            profile, kept = self._lines(world, base, smooth), rows
+            profile, within_limits = self._lines(world, base, smooth), rows
             if smooth and len(profile) == 2:
-                profile, kept = _one_target(profile[0], profile[1], rate, self._limits)
+                profile, within_limits = _one_target(profile[0], profile[1], rate, self._limits)
             elif smooth:
-                profile, kept = _smoothed(profile, rate, self._limits)
+                profile, within_limits = _smoothed(profile, rate, self._limits)
             self._profiles.append(profile)
             self._mine[rows] = len(self._profiles) - 1
-            self._smooth[rows & ~kept] = False
+            self._smooth[rows & ~within_limits] = False
 
     def step(self, world: World, dt: float, where: BoolArray) -> BoolArray:
         e = self._entity
-        wanted, over = world.speed[e].copy(), np.zeros_like(where)
+        target, is_over = world.speed[e].copy(), np.zeros_like(where)
         for k, profile in enumerate(self._profiles):
             rows = where & (self._mine == k)
             if rows.any():
                 speed, passed = _at(profile, world.time + dt)
                 rows &= world.time + dt < profile[-1].time + _PATIENCE
-                wanted[rows] = speed[rows]
+                target[rows] = speed[rows]
                 # With the speed of the last target, and all targets before it passed, it is over.
-                there = np.abs(speed - profile[-1].speed) < _TINY
-                over[rows] = (there & (passed >= len(self._speeds) - 1))[rows]
-        world.set_speed(e, where, wanted)
-        return where & over
+                at_target = np.abs(speed - profile[-1].speed) < _TINY
+                is_over[rows] = (at_target & (passed >= len(self._speeds) - 1))[rows]
+        world.set_speed(e, where, target)
+        return where & is_over
 
     def _lines(self, world: World, base: FloatArray, smooth: bool) -> list[Phase]:
         """Phases of constant acceleration between targets, and a last one of constant speed."""
-        now, time = world.speed[self._entity].copy(), world.time.copy()
+        current, time = world.speed[self._entity].copy(), world.time.copy()
         targets = list(zip(self._speeds, self._spans, strict=True))
-        still = np.zeros(world.scenarios)
+        zeros = np.zeros(world.scenarios)
         if (np.abs(self._spans[0]) < _TINY).all():
             first, _ = targets.pop(0)
             # A smooth profile begins at the present speed.
-            now = now if smooth else base + first
+            current = current if smooth else base + first
         lines = []
         for speed, span in targets:
-            change = base + speed - now
+            change = base + speed - current
             limit = np.where(change < 0, self._limits.down, self._limits.up)
             fastest = np.where(np.isfinite(limit), np.abs(change) / np.maximum(limit, 1e-9), 0.0)
             needed = np.where(span < -_TINY, fastest, np.maximum(span, fastest))
-            lines.append(Phase(time, now, np.where(needed > 0, change / np.where(needed > 0, needed, 1.0), 0.0), still))
-            time, now = time + needed, now + change
-        return [*lines, Phase(time, now, still, still)]
+            lines.append(
+                Phase(time, current, np.where(needed > 0, change / np.where(needed > 0, needed, 1.0), 0.0), zeros)
+            )
+            time, current = time + needed, current + change
+        return [*lines, Phase(time, current, zeros, zeros)]
 
 
 def _at(profile: list[Phase], time: FloatArray) -> tuple[FloatArray, IntArray]:
@@ -159,33 +161,35 @@ def _smoothed(lines: list[Phase], rate: FloatArray, limits: Limits) -> tuple[lis
     `acceleration` (N,) is the initial acceleration in m/s². If an arc would begin before the last one ends, or a limit
     is exceeded, the lines are kept from there on. Returns the phases, and where all of them are smooth, shape (N,).
     """
-    first, still = lines[0], np.zeros_like(rate)
+    first, zeros = lines[0], np.zeros_like(rate)
     jerk = _jerk(first.rate - rate, limits)
     # A profile that begins level does so at once.
     span = np.where(np.abs(first.rate) > _TINY, (first.rate - rate) / jerk, 0.0)
     arc = Phase(first.time, first.speed, rate, jerk)
-    now = Phase(first.time + span, first.speed + rate * span + 0.5 * jerk * span**2, first.rate, still)
-    kept = (_allowed(arc, limits) | (span == 0.0)) & _allowed(now, limits)
-    plain = Phase(now.time, first.speed + first.rate * span, first.rate, still)
-    now = _either(kept, now, plain)
-    phases = [arc, now]
+    current = Phase(first.time + span, first.speed + rate * span + 0.5 * jerk * span**2, first.rate, zeros)
+    is_smooth = (_allowed(arc, limits) | (span == 0.0)) & _allowed(current, limits)
+    plain = Phase(current.time, first.speed + first.rate * span, first.rate, zeros)
+    current = _either(is_smooth, current, plain)
+    phases = [arc, current]
     # Lines as speed = rate * time + level.
-    level = now.speed - now.rate * now.time
+    level = current.speed - current.rate * current.time
     for line in lines[1:]:
-        change = line.rate - now.rate
+        change = line.rate - current.rate
         jerk, bends = _jerk(change, limits), np.abs(change) > _TINY
         # The arc begins where it touches both lines.
         new = line.speed - line.rate * line.time
         with np.errstate(divide="ignore", invalid="ignore"):
-            begin = np.where(bends, (change**2 - 2.0 * jerk * (level - new)) / (-2.0 * jerk * change), now.time)
-        kept &= begin >= now.time
+            begin = np.where(bends, (change**2 - 2.0 * jerk * (level - new)) / (-2.0 * jerk * change), current.time)
+        is_smooth &= begin >= current.time
         span = np.where(bends, change / jerk, 0.0)
-        arc = Phase(begin, now.speed + now.rate * (begin - now.time), now.rate, np.where(bends, jerk, 0.0))
-        after = Phase(begin + span, arc.speed + now.rate * span + 0.5 * jerk * span**2, line.rate, still)
-        phases += [_either(kept, arc, now), _either(kept, after, line)]
-        now, level = phases[-1], new
-        kept &= _allowed(arc, limits) & _allowed(after, limits)
-    return phases, kept
+        arc = Phase(
+            begin, current.speed + current.rate * (begin - current.time), current.rate, np.where(bends, jerk, 0.0)
+        )
+        after = Phase(begin + span, arc.speed + current.rate * span + 0.5 * jerk * span**2, line.rate, zeros)
+        phases += [_either(is_smooth, arc, current), _either(is_smooth, after, line)]
+        current, level = phases[-1], new
+        is_smooth &= _allowed(arc, limits) & _allowed(after, limits)
+    return phases, is_smooth
 
 
 def _one_target(line: Phase, end: Phase, rate: FloatArray, limits: Limits) -> tuple[list[Phase], BoolArray]:
@@ -203,24 +207,24 @@ def _one_target(line: Phase, end: Phase, rate: FloatArray, limits: Limits) -> tu
     root = b**2 - 4.0 * a * c
     with np.errstate(divide="ignore", invalid="ignore"):
         # Of the two solutions, the peak nearer to 0 leaves time between the two phases of jerk.
-        whole = np.sqrt(np.maximum(root, 0.0))
-        peak = np.where(a == 0.0, -c / b, np.where(b > 0.0, -2.0 * c / (b + whole), 0.5 * (whole - b) / a))
+        square_root = np.sqrt(np.maximum(root, 0.0))
+        peak = np.where(a == 0.0, -c / b, np.where(b > 0.0, -2.0 * c / (b + square_root), 0.5 * (square_root - b) / a))
         # If there is no such time, the acceleration falls as soon as it has risen.
         sharp = np.sign(j0) * np.sqrt(np.maximum((change + 0.5 * rate**2 / j0) / (0.5 / j0 - 0.5 / j1), 0.0))
     peak = np.where(root >= 0.0, peak, sharp)
     peak = np.clip(peak, -limits.down, limits.up)
     rise, fall = (peak - rate) / j0, -peak / j1
-    done = (peak**2 - rate**2) / (2.0 * j0) - peak**2 / (2.0 * j1)
+    ramps_change = (peak**2 - rate**2) / (2.0 * j0) - peak**2 / (2.0 * j1)
     with np.errstate(divide="ignore", invalid="ignore"):
-        even = np.where(np.abs(peak) > 1e-9, (change - done) / peak, 0.0)
+        constant_time = np.where(np.abs(peak) > 1e-9, (change - ramps_change) / peak, 0.0)
     t1 = line.time + rise
     v1 = line.speed + rate * rise + 0.5 * j0 * rise**2
-    t2, v2 = t1 + even, v1 + peak * even
-    still = np.zeros_like(peak)
+    t2, v2 = t1 + constant_time, v1 + peak * constant_time
+    zeros = np.zeros_like(peak)
     phases = [
         Phase(line.time, line.speed, rate, j0),
-        Phase(t1, v1, peak, still),
+        Phase(t1, v1, peak, zeros),
         Phase(t2, v2, peak, j1),
-        Phase(t2 + fall, end.speed, still, still),
+        Phase(t2 + fall, end.speed, zeros, zeros),
     ]
     return phases, np.logical_and.reduce([_allowed(phase, limits) for phase in phases])

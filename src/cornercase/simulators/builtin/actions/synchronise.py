@@ -126,34 +126,34 @@ class SynchronizeAction(Action):
 
     def step(self, world: World, dt: float, where: BoolArray) -> BoolArray:
         e, m = self._entity, self._master
-        way, signed = self._ways(world, where)
-        way = np.abs(way)
-        way_master = np.abs(signed)
-        done = (way < self._tolerance + _TINY) | (way_master < self._tolerance_master + _TINY)
-        done |= (way > self._last + AWAY) | (way_master > self._last_master + AWAY)
-        self._last[where], self._last_master[where] = way[where], way_master[where]
-        way = np.maximum(way - self._tolerance, _TINY)
-        way_master = np.maximum(way_master - self._tolerance_master, _TINY)
+        distance, signed = self._ways(world, where)
+        distance = np.abs(distance)
+        master_distance = np.abs(signed)
+        is_done = (distance < self._tolerance + _TINY) | (master_distance < self._tolerance_master + _TINY)
+        is_done |= (distance > self._last + AWAY) | (master_distance > self._last_master + AWAY)
+        self._last[where], self._last_master[where] = distance[where], master_distance[where]
+        distance = np.maximum(distance - self._tolerance, _TINY)
+        master_distance = np.maximum(master_distance - self._tolerance_master, _TINY)
         # Of the master's speed, the part along its road and towards its target counts.
-        ahead = _sign(world.speed[m]) * np.sign(signed * np.cos(world.turn[m]))
-        speed_master = ahead * speed_along_road(world, m, where)
-        comes = (speed_master > _TINY) & (dt > 0)
-        time = np.where(comes, way_master / np.where(comes, speed_master, 1.0), NEVER)
-        done |= comes & (time < dt)
+        direction = _sign(world.speed[m]) * np.sign(signed * np.cos(world.turn[m]))
+        speed_master = direction * speed_along_road(world, m, where)
+        approaches = (speed_master > _TINY) & (dt > 0)
+        time = np.where(approaches, master_distance / np.where(approaches, speed_master, 1.0), NEVER)
+        is_done |= approaches & (time < dt)
 
         final, waited = self._final_speed(world), self._mode == WAITING
         if self._of_final == NO_FINAL_SPEED:
-            wanted = self._arrive(world, dt, way, time, comes, where)
+            target = self._arrive(world, dt, distance, time, approaches, where)
         else:
-            wanted = self._arrive_with(world, dt, way, time, final, comes, where & ~done)
-            wanted = np.where(done, final, wanted)
+            target = self._arrive_with(world, dt, distance, time, final, approaches, where & ~is_done)
+            target = np.where(is_done, final, target)
         # An entity with a driver is asked for a speed that it can reach.
-        speed = np.clip(wanted, 0.0, world.entities[e].max_speed)
+        speed = np.clip(target, 0.0, world.entities[e].max_speed)
         # Who arrives without a final speed keeps its own, unless its master has just stopped coming.
-        change = where & ~(done & (comes | waited)) if self._of_final == NO_FINAL_SPEED else where
-        own = np.where(np.isfinite(wanted), wanted, world.speed[e])
-        world.set_speed(e, change, np.where(world.driven[e], speed, own))
-        return where & done
+        change = where & ~(is_done & (approaches | waited)) if self._of_final == NO_FINAL_SPEED else where
+        own_speed = np.where(np.isfinite(target), target, world.speed[e])
+        world.set_speed(e, change, np.where(world.driven[e], speed, own_speed))
+        return where & is_done
 
     def _final_speed(self, world: World) -> FloatArray:
         master = world.speed[self._master]
@@ -166,11 +166,11 @@ class SynchronizeAction(Action):
     ) -> FloatArray:
         """Speed at the end of the step without a final speed: one constant acceleration."""
         speed, mean, driven = world.speed[self._entity], way / time, world.driven[self._entity]
-        even = speed + 2.0 * (mean - speed) / time * dt
+        linear = speed + 2.0 * (mean - speed) / time * dt
         waits = ~comes & (self._mode != WAITING)
         free = where & ~driven
         self._mode[free] = np.where(comes, LAST, WAITING)[free]
-        return np.where(driven, mean, np.where(comes, even, np.where(waits, 0.0, speed)))
+        return np.where(driven, mean, np.where(comes, linear, np.where(waits, 0.0, speed)))
 
     def _arrive_with(
         self,
@@ -184,7 +184,7 @@ class SynchronizeAction(Action):
     ) -> FloatArray:
         """Speed at the end of the step with a final speed."""
         v0, mode = world.speed[self._entity], self._mode.copy()
-        shown = _sign(v0) * speed_along_road(world, self._entity, acting)
+        road_speed = _sign(v0) * speed_along_road(world, self._entity, acting)
         safe = np.maximum(np.abs(final), 1e-9)
         steady_way = np.where(self._steady_time > 0, self._steady_time * final, self._steady_distance)
         steady_time = steady_way / safe
@@ -228,19 +228,19 @@ class SynchronizeAction(Action):
         mode[new] = FIRST
         self._convex[new] = ((final + v0) / 2.0 < way / time)[new]
 
-        rate, apex = _first_phase(shown, final, way, time)
-        turned = left & (mode == FIRST) & np.where(self._convex > 0.0, rate < 0, rate > 0)
-        mode[turned] = LAST
-        rate = np.where(turned, 0.0, rate)
+        rate, apex = _first_phase(road_speed, final, way, time)
+        has_wrong_sign = left & (mode == FIRST) & np.where(self._convex > 0.0, rate < 0, rate > 0)
+        mode[has_wrong_sign] = LAST
+        rate = np.where(has_wrong_sign, 0.0, rate)
         # Instead of driving backwards it stops, waits, and continues in time.
-        back = left & (mode == FIRST) & (apex < 0)
+        would_reverse = left & (mode == FIRST) & (apex < 0)
         with np.errstate(divide="ignore", invalid="ignore"):
-            stop_time = 2.0 * shown * way / (shown**2 + final**2)
-            gentle = np.where(stop_time > _TINY, -shown / stop_time, 0.0)
-        hard = back & (stop_time * shown / 2.0 > way / 2.0)
-        rate = np.where(back, np.where(hard, -HARDEST, gentle), rate)
+            stop_time = 2.0 * road_speed * way / (road_speed**2 + final**2)
+            gentle = np.where(stop_time > _TINY, -road_speed / stop_time, 0.0)
+        hard = would_reverse & (stop_time * road_speed / 2.0 > way / 2.0)
+        rate = np.where(would_reverse, np.where(hard, -HARDEST, gentle), rate)
         mode[hard] = BRAKING
-        stopped = back & (shown + rate * dt < 0)
+        stopped = would_reverse & (road_speed + rate * dt < 0)
         mode[stopped] = STANDING
         settle(stopped, 0.0)
         settle(left, v0 + rate * dt)
@@ -250,9 +250,9 @@ class SynchronizeAction(Action):
 
 def _way(world: World, entity: int, target: Pose, known: KnownPlaces, where: BoolArray) -> FloatArray:
     """Distance to a target along the trajectory, else along the road's reference line, in m, shape (N,)."""
-    way = remaining(world, entity, target, known, where)
+    distance = remaining(world, entity, target, known, where)
     follows = on_lane(world, entity)
-    return np.where(follows, ahead_on_road(world, entity, target, way), way) if follows.any() else way
+    return np.where(follows, ahead_on_road(world, entity, target, distance), distance) if follows.any() else distance
 
 
 def _sign(speed: FloatArray) -> FloatArray:
@@ -269,8 +269,8 @@ def _first_phase(v0: FloatArray, v1: FloatArray, way: FloatArray, time: FloatArr
     mean = way / time
     root = np.sqrt(np.maximum(2.0 * (2.0 * mean**2 - 2.0 * (v0 + v1) * mean + v0**2 + v1**2), 0.0))
     rate, apex = np.zeros_like(v0), np.zeros_like(v0)
-    same = np.abs(v1 - v0) < _TINY
-    open_ = ~same
+    is_equal = np.abs(v1 - v0) < _TINY
+    open_ = ~is_equal
     with np.errstate(divide="ignore", invalid="ignore"):
         for sign in (-1.0, 1.0):
             vx = mean + 0.5 * sign * root
@@ -278,6 +278,6 @@ def _first_phase(v0: FloatArray, v1: FloatArray, way: FloatArray, time: FloatArr
             good = open_ & (x > 0) & (x < time)
             rate, apex = np.where(good, (vx - v0) / x, rate), np.where(good, vx, apex)
             open_ &= ~good
-        apex = np.where(same, 2.0 * mean - v0, apex)
-        rate = np.where(same, 2.0 * (apex - v0) / time, rate)
+        apex = np.where(is_equal, 2.0 * mean - v0, apex)
+        rate = np.where(is_equal, 2.0 * (apex - v0) / time, rate)
     return rate, apex

@@ -62,9 +62,9 @@ def read_trailer_action(element: etree._Element, scope: Scope, world: World, ent
 def _leave(world: World, vehicle: int, where: BoolArray) -> None:
     """Disconnect the trailer of a vehicle."""
     for tow in world.tows:
-        left = where & (world.pulled_by[tow.trailer] == vehicle)
-        if tow.vehicle == vehicle and left.any():
-            world.pulled_by[tow.trailer][left] = -1
-            attach_to_lane(world, tow.trailer, left)
+        released = where & (world.pulled_by[tow.trailer] == vehicle)
+        if tow.vehicle == vehicle and released.any():
+            world.pulled_by[tow.trailer][released] = -1
+            attach_to_lane(world, tow.trailer, released)
             # As in esmini, one that is on no road stays where it is.
-            world.speed[tow.trailer][left & (world.track[tow.trailer] == FREE)] = 0.0
+            world.speed[tow.trailer][released & (world.track[tow.trailer] == FREE)] = 0.0

@@ -142,13 +142,13 @@ class Element:
             child.end(where & (child.state == RUNNING))
         # The last child that ends ends its parent.
         ending = where & ((self.state == RUNNING) | (self.state == STANDBY))
-        left = ending & (self._executions < self._times) if self._times is not None else np.zeros_like(ending)
-        self.move(ending & ~left, COMPLETE, END)
-        if anywhere(left):
-            self._forget_triggers(left)
-            self.move(left, STANDBY, END)
+        runs_again = ending & (self._executions < self._times) if self._times is not None else np.zeros_like(ending)
+        self.move(ending & ~runs_again, COMPLETE, END)
+        if anywhere(runs_again):
+            self._forget_triggers(runs_again)
+            self.move(runs_again, STANDBY, END)
             for child in self.children:
-                child.reset(left)
+                child.reset(runs_again)
         self._tell_parent(ending)
 
     def stop(self, where: BoolArray) -> None:

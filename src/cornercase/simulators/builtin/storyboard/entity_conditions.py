@@ -88,17 +88,17 @@ def _reach_position(element: etree._Element, scope: Scope, world: World) -> Enti
     oriented = holder.find("*/Orientation") is not None
 
     # Where it stays put, it is looked up once.
-    place = position(world) if stays_put(holder) else None
+    fixed_pose = position(world) if stays_put(holder) else None
 
     def reached(world: World, e: int) -> BoolArray:
-        pose = position(world) if place is None else place
+        pose = position(world) if fixed_pose is None else fixed_pose
         near = np.hypot(pose.x - world.x[e], pose.y - world.y[e]) < tolerance
         turn = within_half_turn(pose.heading - world.heading[e])
         return np.asarray(near & (np.abs(turn) < ALIGNED) if oriented else near)
 
-    if place is None:
+    if fixed_pose is None:
         return reached
-    values = (place.x, place.y, place.heading, tolerance)
+    values = (fixed_pose.x, fixed_pose.y, fixed_pose.heading, tolerance)
     return Known(reached, Leaf(leaves.REACHES, option=int(oriented), values=values))
 
 
@@ -126,11 +126,13 @@ def _relative_speed(element: etree._Element, scope: Scope, world: World) -> Enti
 
     def holds(world: World, e: int) -> BoolArray:
         if not direction:
-            apart = world.speed[e] - world.speed[other]
+            difference = world.speed[e] - world.speed[other]
         else:
-            own, theirs = (_along(world, world.gone, one, other, direction) for one in (e, other))
-            apart = own - theirs
-        return np.asarray(rule(apart, value) & world.present[other])
+            own_component, other_component = (
+                _along(world, world.gone, entity, other, direction) for entity in (e, other)
+            )
+            difference = own_component - other_component
+        return np.asarray(rule(difference, value) & world.present[other])
 
     option = _COMPONENTS.get(direction, gaps.UPWARDS)
     return Known(holds, Leaf(leaves.RELATIVE_SPEED, other, number_of_rule(rule), option, (value,)))
@@ -172,8 +174,8 @@ def _off_road(element: etree._Element, scope: Scope, world: World) -> EntityTest
 def _collision(element: etree._Element, scope: Scope, world: World) -> EntityTest:
     by_type = element.find("ByType")
     if by_type is not None:
-        kind = scope.text(by_type, "type")
-        others = [k for k, one in enumerate(world.entities) if _type_of(one.kind) == kind]
+        object_type = scope.text(by_type, "type")
+        others = [k for k, entity in enumerate(world.entities) if _type_of(entity.kind) == object_type]
     else:
         others = entities_in(element, scope, world)
     if by_type is None and not others:
@@ -209,25 +211,25 @@ def _distance(element: etree._Element, scope: Scope, world: World) -> EntityTest
         raise InputError(f"{scope.source}, line {element.sourceline}: <DistanceCondition> has no <Position>.")
     position, gap = read_position(holder, scope, world), read_gap(element, scope)
     rule, value = rule_of(element, scope), scope.number(element, "value")
-    place = position(world) if stays_put(holder) else None
+    fixed_pose = position(world) if stays_put(holder) else None
 
     def holds(world: World, e: int) -> BoolArray:
-        pose = position(world) if place is None else place
+        pose = position(world) if fixed_pose is None else fixed_pose
         return np.asarray(rule(np.abs(gap.to_place(world, e, pose)), value))
 
     option = _measured(gap, to_entity=False)
-    if option is None or place is None:
+    if option is None or fixed_pose is None:
         return holds
-    leaf = Leaf(leaves.APART_FROM_PLACE, -1, number_of_rule(rule), option, (place.x, place.y, value))
+    leaf = Leaf(leaves.APART_FROM_PLACE, -1, number_of_rule(rule), option, (fixed_pose.x, fixed_pose.y, value))
     return Known(holds, leaf)
 
 
 def _measured(gap: Gap, to_entity: bool) -> int | None:
     """Option by which kernels measure a gap; None if they cannot."""
-    kinds = {"euclidean": gaps.EUCLIDEAN, "longitudinal": gaps.LONGITUDINAL, "lateral": gaps.LATERAL}
+    options = {"euclidean": gaps.EUCLIDEAN, "longitudinal": gaps.LONGITUDINAL, "lateral": gaps.LATERAL}
     if (gap.along_road and gap.kind != "euclidean") or (to_entity and gap.free and gap.kind == "euclidean"):
         return None
-    return kinds[gap.kind] + gaps.FREE * gap.free
+    return options[gap.kind] + gaps.FREE * gap.free
 
 
 def _time_headway(element: etree._Element, scope: Scope, world: World) -> EntityTest:
@@ -279,9 +281,9 @@ def _collides(world: World, e: int, other: int, gap: Gap, rule: Callable[[Any, A
     x, y = world.gone[0][other], world.gone[1][other]
     pace = np.hypot(x, y)
     stands = (np.abs(x) < TOLERANCE) & (np.abs(y) < TOLERANCE)
-    own = (world.gone[0][e] * x + world.gone[1][e] * y) / np.where(stands, 1.0, pace)
-    signs = np.where(world.speed[e] < 0.0, -1.0, 1.0) * np.where(own < 0.0, -1.0, 1.0)
-    closing = np.where(stands, world.speed[e], signs * (own - np.abs(world.speed[other])))
+    own_speed = (world.gone[0][e] * x + world.gone[1][e] * y) / np.where(stands, 1.0, pace)
+    signs = np.where(world.speed[e] < 0.0, -1.0, 1.0) * np.where(own_speed < 0.0, -1.0, 1.0)
+    closing = np.where(stands, world.speed[e], signs * (own_speed - np.abs(world.speed[other])))
     return np.asarray(_in_time(distance, closing, rule, value) & world.present[other])
 
 
@@ -300,56 +302,60 @@ def _relative_clearance(element: etree._Element, scope: Scope, world: World) -> 
     others = entities_in(element, scope, world)
 
     def holds(world: World, e: int) -> BoolArray:
-        own = lane_of(world, e)
-        assert own.lane is not None
+        own_pose = lane_of(world, e)
+        assert own_pose.lane is not None
         occupied = np.zeros(world.scenarios, dtype=np.bool_)
         for other in others or [k for k in range(len(world.entities)) if k != e]:
             pose = lane_of(world, other)
             assert pose.lane is not None
-            way = along_roads(world, e, pose)
+            distance = along_roads(world, e, pose)
             if free:
-                ahead, behind = longitudinal_reach(world, e, other)
-                way = np.where(way > 0, np.maximum(way - ahead, 0.0), np.minimum(way + behind, 0.0))
+                overlap_ahead, overlap_behind = longitudinal_reach(world, e, other)
+                distance = np.where(
+                    distance > 0, np.maximum(distance - overlap_ahead, 0.0), np.minimum(distance + overlap_behind, 0.0)
+                )
             # On a road that runs the other way, the lanes of the own side have the other sign.
-            turned = runs_against(world, e, pose)
-            lane = np.where(turned, -own.lane, own.lane)
-            apart = lanes_between(world, replace(own, lane=lane), pose) * np.where(turned, -1, 1)
-            same = np.sign(lane) == np.sign(pose.lane)
-            inside = (way >= -backward) & (way <= forward) & (apart >= first) & (apart <= last)
-            occupied |= inside & (same | opposite) & world.present[other]
-        return np.asarray(~occupied & has_lane_between(world, own, first, last, opposite))
+            is_opposite = runs_against(world, e, pose)
+            lane = np.where(is_opposite, -own_pose.lane, own_pose.lane)
+            lane_difference = lanes_between(world, replace(own_pose, lane=lane), pose) * np.where(is_opposite, -1, 1)
+            same_side = np.sign(lane) == np.sign(pose.lane)
+            inside = (
+                (distance >= -backward) & (distance <= forward) & (lane_difference >= first) & (lane_difference <= last)
+            )
+            occupied |= inside & (same_side | opposite) & world.present[other]
+        return np.asarray(~occupied & has_lane_between(world, own_pose, first, last, opposite))
 
     return holds
 
 
 def _angle(element: etree._Element, scope: Scope, world: World) -> EntityTest:
     angle, tolerance = scope.number(element, "angle"), scope.number(element, "angleTolerance")
-    kind, system = scope.text(element, "angleType", "heading"), scope.text(element, "coordinateSystem", "world")
+    angle_type, system = scope.text(element, "angleType", "heading"), scope.text(element, "coordinateSystem", "world")
     other = entity_index(element, scope, world) if element.get("entityRef") is not None else None
 
     def holds(world: World, e: int) -> BoolArray:
-        now = world.heading[e]
-        if kind != "heading":
-            now = np.zeros(world.scenarios)
+        current = world.heading[e]
+        if angle_type != "heading":
+            current = np.zeros(world.scenarios)
         elif other is not None:
-            now = now - world.heading[other]
+            current = current - world.heading[other]
         elif system == "entity":
-            now = np.zeros(world.scenarios)
+            current = np.zeros(world.scenarios)
         elif system in ("road", "lane") and world.network is not None:
             pose = lane_of(world, e)
-            now = now - road_heading(world, pose)
+            current = current - road_heading(world, pose)
             if system == "lane" and pose.lane is not None and pose.road is not None and pose.s is not None:
                 against = [
                     not world.network.runs_along(int(r), int(k), float(s))
                     for r, k, s in zip(pose.road, pose.lane, pose.s, strict=True)
                 ]
-                now = now - np.where(against, np.pi, 0.0)
-        apart = np.abs(within_half_turn(now - angle))
-        return np.asarray(apart < tolerance + TOLERANCE)
+                current = current - np.where(against, np.pi, 0.0)
+        difference = np.abs(within_half_turn(current - angle))
+        return np.asarray(difference < tolerance + TOLERANCE)
 
-    if kind == "heading" and other is None and system in ("road", "lane") and world.network is not None:
+    if angle_type == "heading" and other is None and system in ("road", "lane") and world.network is not None:
         return holds
-    if kind != "heading" or (other is None and system == "entity"):
+    if angle_type != "heading" or (other is None and system == "entity"):
         return Known(holds, Leaf(leaves.TURNED, values=(angle, tolerance)))
     return Known(holds, Leaf(leaves.TURNED, -1 if other is None else other, option=1, values=(angle, tolerance)))
 

@@ -65,10 +65,10 @@ class RunningAction(Element):
         where = where & (self.state == RUNNING)
         if anywhere(where):
             self._world.acting = self._place
-            done = where if self.action is None else self.action.step(self._world, dt, where) & where
+            is_done = where if self.action is None else self.action.step(self._world, dt, where) & where
             self._world.acting = None
-            self._world.stirred |= done
-            self._finish(done)
+            self._world.stirred |= is_done
+            self._finish(is_done)
 
     def look_up(self, where: BoolArray) -> None:
         """Look up what kernels cannot before the action acts, in the scenarios of a mask."""
@@ -182,8 +182,8 @@ class Group(Element):
             self._run(begins)
         running = where & (self.state == RUNNING)
         if anywhere(running):
-            for part in self._parts:
-                part.evaluate(world, running)
+            for child in self._parts:
+                child.evaluate(world, running)
 
     def start(self, where: BoolArray) -> None:
         """Start with the parent, or wait for the start trigger."""
@@ -197,8 +197,8 @@ class Group(Element):
         """Let all actions below the element act for one time step."""
         where = where & (self.state == RUNNING)
         if anywhere(where):
-            for part in self._parts:
-                part.step(dt, where)
+            for child in self._parts:
+                child.step(dt, where)
 
     def has_end(self, world: World) -> BoolArray:
         """Where it runs and its stop trigger may fire later, but does not fire now, shape (N,)."""
@@ -211,5 +211,5 @@ class Group(Element):
         if anywhere(where):
             self.move(where, RUNNING, START)
             self._executions[where] += 1
-            for part in self._parts:
-                part.start(where)
+            for child in self._parts:
+                child.start(where)

@@ -57,10 +57,10 @@ class Storyboard:
         self._momentary = [action for action in self.actions if action.momentary]
         self._stop = read_trigger(root.find("StopTrigger"), scope, world, self)
         for kind, reference, watch, where in self._watches:
-            found = self.named(kind, reference)
-            if found is None:
+            element = self.named(kind, reference)
+            if element is None:
                 raise InputError(f"{where}: there is no {kind} '{reference}' in the storyboard.")
-            found.watch(watch)
+            element.watch(watch)
 
     def waits(self) -> Iterator[tuple[Starter, BoolArray]]:
         """Yield all triggers in a fixed order, and where each may fire in the next frame."""
@@ -85,8 +85,8 @@ class Storyboard:
         path = tuple(name.split("::"))
         for element, parents in self._elements.get((kind, path[-1]), ()):
             # A name need not give all parents.
-            given = iter(parents)
-            if all(part in given for part in path[:-1]):
+            names = iter(parents)
+            if all(segment in names for segment in path[:-1]):
                 return element
         return None
 
@@ -120,15 +120,15 @@ class Storyboard:
         The storyboard, or a running act, has a stop trigger that may fire, or an entity follows a trajectory with
         times.
         """
-        every = np.ones(self._world.scenarios, dtype=np.bool_)
+        all_scenarios = np.ones(self._world.scenarios, dtype=np.bool_)
         result = self._stop.may_fire(self._world)
         for act in (act for story in self.stories for act in story.children if isinstance(act, Group)):
             result |= act.has_end(self._world)
-        for one in self.actions:
-            if one.action is not None and one.action.keeps_time:
-                result |= one.state == RUNNING
+        for action in self.actions:
+            if action.action is not None and action.action.keeps_time:
+                result |= action.state == RUNNING
         # It may fire in the last frame, at which the storyboard does not look.
-        return result & ~self._stopped & ~self._stop.fires(self._world, every)
+        return result & ~self._stopped & ~self._stop.fires(self._world, all_scenarios)
 
     def look_up(self, where: BoolArray) -> None:
         """Look up what kernels cannot before the actions act, in the scenarios of a mask."""
@@ -152,14 +152,14 @@ class Storyboard:
         actions = root.find("Init/Actions")
         if actions is None:
             return
-        every = [one for tag in _INIT for one in actions.iterfind(tag)]
-        for element in _in_order_of_reference(every, scope):
+        elements = [child for tag in _INIT for child in actions.iterfind(tag)]
+        for element in _in_order_of_reference(elements, scope):
             if element.tag != "Private":
                 yield self._action("init", element, scope, None)
                 continue
             for entity in self._entities(element, scope):
-                for item in element.iterfind("PrivateAction"):
-                    yield self._action("init", item, scope, entity)
+                for private_action in element.iterfind("PrivateAction"):
+                    yield self._action("init", private_action, scope, entity)
 
     def _entities(self, element: etree._Element, scope: Scope) -> list[int]:
         members = self._world.selections.get(scope.text(element, "entityRef"))
@@ -196,14 +196,14 @@ class Storyboard:
                 maneuver, inner = scope.from_catalog(element, "Maneuver")
             else:
                 maneuver, inner = element, scope.within(element)
-            own = maneuver.get("name", "")
-            with self._inside(name), self._inside(own):
+            maneuver_name = maneuver.get("name", "")
+            with self._inside(name), self._inside(maneuver_name):
                 events = []
                 for event in maneuver.iterfind("Event"):
                     with placed(event, inner.source):
                         events.append(self._read_event(event, inner, actors, select))
             with self._inside(name):
-                maneuvers.append(self._known(Group("maneuver", own, scope.scenarios, events)))
+                maneuvers.append(self._known(Group("maneuver", maneuver_name, scope.scenarios, events)))
         times = scope.whole_number(group, "maximumExecutionCount", 1, least=1)
         return self._known(Group("maneuverGroup", name, scope.scenarios, maneuvers, times=times))
 
@@ -238,15 +238,19 @@ class Storyboard:
         entity: int | None,
         chosen: Callable[[], BoolArray] | None = None,
     ) -> RunningAction:
-        rivals, what = self._actions.setdefault(entity, []), inner_action(element)
-        with placed(what, scope.source):
+        rivals, action_element = self._actions.setdefault(entity, []), inner_action(element)
+        with placed(action_element, scope.source):
             action = read_action(element, scope, self._world, entity)
         # Of the scenario file whoever runs the scenario knows the name.
-        own = str(self._scenario.path)
-        place = f"line {what.sourceline}" if scope.source == own else place_of(what, scope.source)
-        holder = "<Init>" if next(what.iterancestors("Init"), None) is not None else f"'{name}'"
-        place += f": <{what.tag}> of {holder}"
-        self.actions.append(RunningAction(name, scope.scenarios, action, self._world, rivals, chosen, place))
+        scenario_file = str(self._scenario.path)
+        location = (
+            f"line {action_element.sourceline}"
+            if scope.source == scenario_file
+            else place_of(action_element, scope.source)
+        )
+        holder = "<Init>" if next(action_element.iterancestors("Init"), None) is not None else f"'{name}'"
+        location += f": <{action_element.tag}> of {holder}"
+        self.actions.append(RunningAction(name, scope.scenarios, action, self._world, rivals, chosen, location))
         return self.actions[-1]
 
     def _known(self, element: E) -> E:
@@ -265,16 +269,20 @@ class Storyboard:
 
 def _in_order_of_reference(actions: list[etree._Element], scope: Scope) -> list[etree._Element]:
     """Sort initial actions so that entities are placed before others are placed relative to them."""
-    left = [_Initial.of(element, scope) for element in actions]
+    remaining = [_Initial.of(element, scope) for element in actions]
     ordered: list[etree._Element] = []
-    while left:
-        adding = {one.entity for one in left if one.adds}
-        placing = {one.entity for one in left if one.places}
-        ready = [one for one in left if (one.adds or one.entity not in adding) and not one.references & placing]
+    while remaining:
+        adding = {action.entity for action in remaining if action.adds}
+        placing = {action.entity for action in remaining if action.places}
+        ready = [
+            action
+            for action in remaining
+            if (action.adds or action.entity not in adding) and not action.references & placing
+        ]
         # Entities that refer to each other stay in the file's order.
-        ready = ready or left[:1]
-        ordered += [one.element for one in ready]
-        left = [one for one in left if one not in ready]
+        ready = ready or remaining[:1]
+        ordered += [action.element for action in ready]
+        remaining = [action for action in remaining if action not in ready]
     return ordered
 
 

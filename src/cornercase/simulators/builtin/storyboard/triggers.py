@@ -63,17 +63,17 @@ class Condition:
         """Evaluate the condition in the scenarios of the mask, shape (N,)."""
         if not anywhere(where):
             return where
-        now = self.test(world, where)
+        value = self.test(world, where)
         last = self._last
         if self._edge == "none":
-            result = now
+            result = value
         elif self._edge == "rising":
-            result = now & (last == 0)
+            result = value & (last == 0)
         elif self._edge == "falling":
-            result = ~now & (last == 1)
+            result = ~value & (last == 1)
         else:
-            result = (last >= 0) & (now != (last == 1))
-        self._last = np.where(where, now.astype(np.int8), last)
+            result = (last >= 0) & (value != (last == 1))
+        self._last = np.where(where, value.astype(np.int8), last)
         if self._edge != "none":
             world.stirred |= self._last != last
         return where & (result if self._past is None else self._past.recall(world, result, where))
@@ -131,24 +131,24 @@ class Past:
         self._newest[new] = value[new]
         if self._sudden:
             world.stirred |= new
-        for then, was, changed in self._frames:
+        for past_time, past_value, changed in self._frames:
             # The first two frames are at the same time; of them the later counts.
-            again = new & changed & (time <= then)
-            was[again] = value[again]
-            new &= ~again
+            same_time = new & changed & (time <= past_time)
+            past_value[same_time] = value[same_time]
+            new &= ~same_time
         if anywhere(new):
             self._frames.append((time.copy(), value.copy(), new))
-        result, found = np.zeros_like(where), np.zeros_like(where)
-        for then, was, changed in self._frames:
-            due = where & changed & (then <= time - self._delay + TOLERANCE)
-            self._now[due] = was[due]
-            result |= due & was
-            found |= due
+        result, is_due = np.zeros_like(where), np.zeros_like(where)
+        for past_time, past_value, changed in self._frames:
+            due = where & changed & (past_time <= time - self._delay + TOLERANCE)
+            self._now[due] = past_value[due]
+            result |= due & past_value
+            is_due |= due
             changed &= ~due
         if self._sudden:
-            world.stirred |= found
+            world.stirred |= is_due
         self._frames = [frame for frame in self._frames if frame[2].any()]
-        return np.where(found, result, self._now == 1)
+        return np.where(is_due, result, self._now == 1)
 
     @property
     def delay(self) -> FloatArray:
@@ -223,7 +223,7 @@ class Trigger:
         result = np.zeros(world.scenarios, dtype=np.bool_)
         for group in self._groups:
             constants = [condition.constant(world) for condition in group]
-            result |= np.all([one for one in constants if one is not None], axis=0)
+            result |= np.all([value for value in constants if value is not None], axis=0)
         return result
 
     def reset(self, where: BoolArray) -> None:
@@ -238,17 +238,17 @@ def read_trigger(element: etree._Element | None, scope: Scope, world: World, ele
     groups: list[list[Condition]] = []
     for group in () if element is None else element.iterfind("ConditionGroup"):
         conditions = []
-        for item in group.iterfind("Condition"):
-            edge = scope.text(item, "conditionEdge", "none")
+        for condition in group.iterfind("Condition"):
+            edge = scope.text(condition, "conditionEdge", "none")
             if edge not in ("none", "rising", "falling", "risingOrFalling"):
                 raise InputError(
-                    f"{scope.source}, line {item.sourceline}: conditionEdge '{edge}' of <Condition> is not none,"
+                    f"{scope.source}, line {condition.sourceline}: conditionEdge '{edge}' of <Condition> is not none,"
                     " rising, falling or risingOrFalling."
                 )
-            delay = scope.number(item, "delay", 0.0)
-            scope.refuse(item, "delay", "is below 0", delay < 0.0)
-            with placed(item, scope.source):
-                conditions.append(Condition(_read_test(item, scope, world, elements), edge, delay))
+            delay = scope.number(condition, "delay", 0.0)
+            scope.refuse(condition, "delay", "is below 0", delay < 0.0)
+            with placed(condition, scope.source):
+                conditions.append(Condition(_read_test(condition, scope, world, elements), edge, delay))
         if not conditions:
             rule = "a <ConditionGroup> holds at least one <Condition>"
             adapt(group, "<ConditionGroup> without a condition", "is true from the beginning", rule)
@@ -313,11 +313,11 @@ def _of_triggering_entities(element: etree._Element, scope: Scope, world: World,
     holder = element.find("TriggeringEntities")
     if holder is None:
         raise InputError(f"{scope.source}, line {element.sourceline}: <ByEntityCondition> has no <TriggeringEntities>.")
-    every = scope.text(holder, "triggeringEntitiesRule", "any") == "all"
+    require_all = scope.text(holder, "triggeringEntitiesRule", "any") == "all"
     entities = entities_in(holder, scope, world)
     if not entities:
         raise InputError(f"{scope.source}, line {holder.sourceline}: <TriggeringEntities> names no entity.")
-    return OfEntities(entities, every, test)
+    return OfEntities(entities, require_all, test)
 
 
 def _simulation_time(element: etree._Element, scope: Scope, world: World, elements: Elements) -> Test:
@@ -337,15 +337,19 @@ def _element_state(element: etree._Element, scope: Scope, world: World, elements
 
 
 def _held(element: etree._Element, scope: Scope, world: World, elements: Elements) -> Test:
-    kind = "variableRef" if element.tag == "VariableCondition" else "parameterRef"
-    values = world.variables if kind == "variableRef" else world.parameters
-    name = scope.text(element, kind) if not element.get(kind, "").startswith("$") else element.get(kind, "")[1:]
+    attribute = "variableRef" if element.tag == "VariableCondition" else "parameterRef"
+    values = world.variables if attribute == "variableRef" else world.parameters
+    name = (
+        scope.text(element, attribute)
+        if not element.get(attribute, "").startswith("$")
+        else element.get(attribute, "")[1:]
+    )
     if name not in values:
         if element.tag == "ParameterCondition" and is_never_true(element, name):
             return _never(element, scope, world, elements)
-        what = "variable" if kind == "variableRef" else "parameter"
+        noun = "variable" if attribute == "variableRef" else "parameter"
         raise InputError(
-            f"{scope.source}, line {element.sourceline}: <{element.tag}>: there is no {what} '{name}';"
+            f"{scope.source}, line {element.sourceline}: <{element.tag}>: there is no {noun} '{name}';"
             f" {suggestion(name, values)}"
         )
     if values[name].dtype.kind == "f":
@@ -406,9 +410,9 @@ def _signal(element: etree._Element, scope: Scope, world: World, elements: Eleme
 
 
 def _signal_controller(element: etree._Element, scope: Scope, world: World, elements: Elements) -> Test:
-    place = f"{scope.source}, line {element.sourceline}: <{element.tag}>"
-    controller = named_controller(world.signal_controllers, scope.text(element, "trafficSignalControllerRef"), place)
-    phase = named_phase(controller, scope.text(element, "phase"), place)
+    location = f"{scope.source}, line {element.sourceline}: <{element.tag}>"
+    controller = named_controller(world.signal_controllers, scope.text(element, "trafficSignalControllerRef"), location)
+    phase = named_phase(controller, scope.text(element, "phase"), location)
     return lambda world, where: np.asarray(controller.phase(world.time) == phase)
 
 

@@ -21,21 +21,23 @@ def free_space_on_road(world: World, entity: int, other: int, lateral: bool, oth
 
     It is 0 if side by side, and `default` on different roads. s is positive ahead, t to the left of the road.
     """
-    own, theirs = lane_of(world, entity), lane_of(world, other)
-    if own.road is None or theirs.road is None:
+    own_pose, other_pose = lane_of(world, entity), lane_of(world, other)
+    if own_pose.road is None or other_pose.road is None:
         return otherwise
     corners = entity_corners(world)
-    same = (own.road == theirs.road) & world.present[entity] & world.present[other]
-    first, second = (_on_road(world, pose, corners[k], same, lateral) for k, pose in ((entity, own), (other, theirs)))
-    apart = second[:, None, :] - first[:, :, None]
+    same_road = (own_pose.road == other_pose.road) & world.present[entity] & world.present[other]
+    first, second = (
+        _on_road(world, pose, corners[k], same_road, lateral) for k, pose in ((entity, own_pose), (other, other_pose))
+    )
+    differences = second[:, None, :] - first[:, :, None]
     if not lateral:
-        apart *= _direction(world, own)[:, None, None]
+        differences *= _direction(world, own_pose)[:, None, None]
     # They are abreast where some corner of the one lies between corners of the other.
-    behind = apart < 0.0
+    behind = differences < 0.0
     abreast = (behind.any(axis=2) & ~behind.all(axis=2)).any(axis=1)
-    flat = apart.reshape(world.scenarios, -1)
-    least = flat[np.arange(world.scenarios), np.abs(flat).argmin(axis=1)]
-    return np.where(same, np.where(abreast | overlap(world, entity, other), 0.0, least), otherwise)
+    flat = differences.reshape(world.scenarios, -1)
+    smallest = flat[np.arange(world.scenarios), np.abs(flat).argmin(axis=1)]
+    return np.where(same_road, np.where(abreast | overlap(world, entity, other), 0.0, smallest), otherwise)
 
 
 def free_space_to_place(world: World, entity: int, place: Pose, lateral: bool, otherwise: FloatArray) -> FloatArray:
@@ -43,31 +45,31 @@ def free_space_to_place(world: World, entity: int, place: Pose, lateral: bool, o
 
     It is 0 if side by side, and `default` on different roads. s is positive ahead, t to the left of the road.
     """
-    own = lane_of(world, entity)
-    if own.road is None or place.road is None or place.s is None:
+    own_pose = lane_of(world, entity)
+    if own_pose.road is None or place.road is None or place.s is None:
         return otherwise
-    same = (own.road == place.road) & world.present[entity] & np.isfinite(place.x)
-    first = _on_road(world, own, entity_corners(world)[entity], same, lateral)
+    same_road = (own_pose.road == place.road) & world.present[entity] & np.isfinite(place.x)
+    first = _on_road(world, own_pose, entity_corners(world)[entity], same_road, lateral)
     point = np.stack([place.x, place.y], axis=-1)[:, None, :]
-    apart = _on_road(world, place, point, same, lateral) - first
+    differences = _on_road(world, place, point, same_road, lateral) - first
     if not lateral:
-        apart *= _direction(world, own)[:, None]
-    row, size = np.arange(world.scenarios), np.abs(apart)
-    least, most = apart[row, size.argmin(axis=1)], apart[row, size.argmax(axis=1)]
-    return np.where(same, np.where((least < 0.0) != (most < 0.0), 0.0, least), otherwise)
+        differences *= _direction(world, own_pose)[:, None]
+    row, size = np.arange(world.scenarios), np.abs(differences)
+    smallest, largest = differences[row, size.argmin(axis=1)], differences[row, size.argmax(axis=1)]
+    return np.where(same_road, np.where((smallest < 0.0) != (largest < 0.0), 0.0, smallest), otherwise)
 
 
 def beside_on_road(world: World, entity: int, place: Pose, otherwise: FloatArray) -> FloatArray:
     """Difference in t from an entity to a point on its road in m, (N,), positive left; `default` on other roads."""
-    own = lane_of(world, entity)
-    if own.road is None or place.road is None or place.s is None:
+    own_pose = lane_of(world, entity)
+    if own_pose.road is None or place.road is None or place.s is None:
         return otherwise
-    same = (own.road == place.road) & world.present[entity] & np.isfinite(place.x)
+    same_road = (own_pose.road == place.road) & world.present[entity] & np.isfinite(place.x)
     own_t, t = (
-        _on_road(world, pose, np.stack([pose.x, pose.y], axis=-1)[:, None, :], same, True)[:, 0]
-        for pose in (own, place)
+        _on_road(world, pose, np.stack([pose.x, pose.y], axis=-1)[:, None, :], same_road, True)[:, 0]
+        for pose in (own_pose, place)
     )
-    return np.where(same, t - own_t, otherwise)
+    return np.where(same_road, t - own_t, otherwise)
 
 
 def _direction(world: World, pose: Pose) -> FloatArray:

@@ -33,14 +33,14 @@ def remaining(world: World, entity: int, target: Pose, known: KnownPlaces, where
     A trajectory leads to its point nearest to the target. Without a track that leads there: the straight-line distance.
     Results are added to `cache`.
     """
-    way = np.full(world.scenarios, np.inf)
+    distance = np.full(world.scenarios, np.inf)
     for k, track, rows in world.followed(entity, where & np.isfinite(target.x + target.y)):
         new = rows[(known.track[rows] != k) | np.isnan(known.place[rows])]
         if new.size:
             known.track[new], known.place[new] = k, _place_on(world, entity, track, target, new, beside=True)
-        way[rows] = known.place[rows] - world.distance[entity][rows]
-    crow = np.hypot(target.x - world.x[entity], target.y - world.y[entity])
-    return np.where(np.isfinite(way), way, crow)
+        distance[rows] = known.place[rows] - world.distance[entity][rows]
+    straight_line = np.hypot(target.x - world.x[entity], target.y - world.y[entity])
+    return np.where(np.isfinite(distance), distance, straight_line)
 
 
 def along_roads(world: World, entity: int, target: Pose) -> FloatArray:
@@ -52,12 +52,14 @@ def along_roads(world: World, entity: int, target: Pose) -> FloatArray:
     for _, track, rows in world.followed(entity, np.isfinite(target.x + target.y)):
         result[rows] = _place_on(world, entity, track, target, rows) - world.distance[entity][rows]
     rows = np.flatnonzero(~np.isfinite(result) & np.isfinite(world.x[entity] + target.x))
-    own = lane_of(world, entity) if rows.size else None
-    if world.network is not None and own is not None and own.road is not None and own.s is not None:
+    own_pose = lane_of(world, entity) if rows.size else None
+    if world.network is not None and own_pose is not None and own_pose.road is not None and own_pose.s is not None:
         assert target.road is not None
         assert target.s is not None
-        ahead = looks_along(world, own)
-        result[rows] = world.network.way(own.road[rows], own.s[rows], ahead[rows], target.road[rows], target.s[rows])
+        points_along = looks_along(world, own_pose)
+        result[rows] = world.network.way(
+            own_pose.road[rows], own_pose.s[rows], points_along[rows], target.road[rows], target.s[rows]
+        )
     return result
 
 
@@ -76,8 +78,8 @@ def _place_on(
 
 def offset_from(world: World, entity: int, other: int) -> FloatArray:
     """Offset of another entity from this one's track in m, shape (N,); positive to the left."""
-    there, (x, y) = world.present[other], _beside_its_track(world, other)
-    return offset_of(world, entity, np.where(there, x, np.nan), np.where(there, y, np.nan))
+    is_present, (x, y) = world.present[other], _beside_its_track(world, other)
+    return offset_of(world, entity, np.where(is_present, x, np.nan), np.where(is_present, y, np.nan))
 
 
 def offset_of(world: World, entity: int, x: FloatArray, y: FloatArray) -> FloatArray:
@@ -130,18 +132,18 @@ def lateral_gap(world: World, entity: int, other: int) -> FloatArray:
 
 def longitudinal_reach(world: World, entity: int, other: int) -> tuple[float, float]:
     """Box lengths between two reference points in m: with the other ahead, and with it behind."""
-    one, two = world.entities[entity], world.entities[other]
-    fronts = [0.5 * box.length + box.center_x for box in (one, two)]
-    rears = [0.5 * box.length - box.center_x for box in (one, two)]
+    own_box, other_box = world.entities[entity], world.entities[other]
+    fronts = [0.5 * box.length + box.center_x for box in (own_box, other_box)]
+    rears = [0.5 * box.length - box.center_x for box in (own_box, other_box)]
     return fronts[0] + rears[1], rears[0] + fronts[1]
 
 
 def extent(world: World, entity: int, other: int) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
     """Range of another box relative to an entity's centre in m: min and max ahead, min and max left, each (N,)."""
     corners = entity_corners(world)[other]
-    one = world.entities[entity]
+    box = world.entities[entity]
     cos, sin = np.cos(world.heading[entity]), np.sin(world.heading[entity])
-    x = corners[..., 0] - (world.x[entity] + one.center_x * cos)[:, None]
-    y = corners[..., 1] - (world.y[entity] + one.center_x * sin)[:, None]
-    along, across = x * cos[:, None] + y * sin[:, None], y * cos[:, None] - x * sin[:, None]
-    return along.min(axis=1), along.max(axis=1), across.min(axis=1), across.max(axis=1)
+    x = corners[..., 0] - (world.x[entity] + box.center_x * cos)[:, None]
+    y = corners[..., 1] - (world.y[entity] + box.center_x * sin)[:, None]
+    longitudinal, lateral = x * cos[:, None] + y * sin[:, None], y * cos[:, None] - x * sin[:, None]
+    return longitudinal.min(axis=1), longitudinal.max(axis=1), lateral.min(axis=1), lateral.max(axis=1)

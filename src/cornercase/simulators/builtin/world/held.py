@@ -30,8 +30,10 @@ def nobody_asks(element: etree._Element, *conditions: str) -> bool:
     """Check that no condition with one of the tags is in an element's file; False if catalogs could contain some."""
     root = element.getroottree().getroot()
     # Looking through the file does not count as reading it.
-    asked = below(root, *conditions)
+    found_conditions = below(root, *conditions)
     groups = below(root, "ManeuverGroup")
-    referred = (one for group in groups for one in etree.ElementBase.iterchildren(group, "CatalogReference"))
-    stands = etree.ElementBase.find(root, "Storyboard") is not None
-    return stands and next(asked, None) is None and next(referred, None) is None
+    references = (
+        reference for group in groups for reference in etree.ElementBase.iterchildren(group, "CatalogReference")
+    )
+    is_scenario_file = etree.ElementBase.find(root, "Storyboard") is not None
+    return is_scenario_file and next(found_conditions, None) is None and next(references, None) is None

@@ -52,8 +52,8 @@ def attach_to_lane(world: World, entity: int, where: BoolArray, pose: Pose | Non
     if world.network is None:
         return
     if pose is None or pose.lane is None or pose.road is None:
-        place = world.network.locate(world.x[entity], world.y[entity])
-        pose = Pose(world.x[entity], world.y[entity], world.heading[entity], *place)
+        location = world.network.locate(world.x[entity], world.y[entity])
+        pose = Pose(world.x[entity], world.y[entity], world.heading[entity], *location)
     assert pose.road is not None
     assert pose.s is not None
     assert pose.lane is not None
@@ -61,30 +61,30 @@ def attach_to_lane(world: World, entity: int, where: BoolArray, pose: Pose | Non
     road, section, along = _direction(world, pose, where)
     route = world.route[entity]
     keys = np.stack([road, section, pose.lane, along, route])
-    for one, rows in _alike(keys, where):
+    for key, rows in _alike(keys, where):
         first = int(rows.argmax())
-        track = lane_track(world, one[0], one[2], float(pose.s[first]), bool(one[3]), one[4])
+        track = lane_track(world, key[0], key[2], float(pose.s[first]), bool(key[3]), key[4])
         if track is None:
             continue
         distance = np.zeros(world.scenarios)
         distance[rows] = track.distance_of(pose.s[rows])
         follow_track(world, entity, track, distance, rows)
-        world.offset[entity][rows] = pose.offset[rows] if one[3] else -pose.offset[rows]
-        x, y, ahead = track.at(distance[rows], world.offset[entity][rows], np.flatnonzero(rows))
+        world.offset[entity][rows] = pose.offset[rows] if key[3] else -pose.offset[rows]
+        x, y, heading = track.at(distance[rows], world.offset[entity][rows], np.flatnonzero(rows))
         if world.acting is not None:
-            beyond = rows.copy()
-            beyond[rows] = np.hypot(x - pose.x[rows], y - pose.y[rows]) > _BEYOND
+            is_off = rows.copy()
+            is_off[rows] = np.hypot(x - pose.x[rows], y - pose.y[rows]) > _BEYOND
             why = f"{world.names[entity]} lies beyond the end of the nearest road, and is put at that end"
-            world.remark(world.acting, "position", why, beyond)
-        turn = within_half_turn(pose.heading[rows] - ahead)
+            world.remark(world.acting, "position", why, is_off)
+        turn = within_half_turn(pose.heading[rows] - heading)
         # Lanes are sampled, so their headings are not exact: so small a difference is none.
         world.turn[entity][rows] = np.where(np.abs(turn) < _ALIGNED, 0.0, turn)
 
 
 def _alike(keys: IntArray, where: BoolArray) -> Iterator[tuple[tuple[int, ...], BoolArray]]:
     """Yield the distinct columns of keys in the scenarios of a mask, sorted, and where each occurs, (N,)."""
-    for one in sorted({*zip(*keys[:, where].tolist(), strict=True)}):
-        yield one, where & (keys == np.array(one)[:, None]).all(axis=0)
+    for key in sorted({*zip(*keys[:, where].tolist(), strict=True)}):
+        yield key, where & (keys == np.array(key)[:, None]).all(axis=0)
 
 
 def change_lane(world: World, entity: int, lane: IntArray, where: BoolArray) -> BoolArray:
@@ -94,10 +94,10 @@ def change_lane(world: World, entity: int, lane: IntArray, where: BoolArray) -> 
     assert pose.s is not None
     road, section, along = _direction(world, pose, where)
     route = _route_ahead(world, entity, where)
-    done = np.zeros_like(where)
+    exists = np.zeros_like(where)
     keys = np.stack([road, section, lane, along, route])
-    for one, rows in _alike(keys, where):
-        track = lane_track(world, one[0], one[2], float(pose.s[int(rows.argmax())]), bool(one[3]), one[4])
+    for key, rows in _alike(keys, where):
+        track = lane_track(world, key[0], key[2], float(pose.s[int(rows.argmax())]), bool(key[3]), key[4])
         if track is None:
             continue
         at = np.flatnonzero(rows)
@@ -109,9 +109,9 @@ def change_lane(world: World, entity: int, lane: IntArray, where: BoolArray) -> 
         world.offset[entity][at] = dy * np.cos(heading) - dx * np.sin(heading)
         world.turn[entity][at] = 0.0
         world.stranded[entity][at] = False
-        world.route[entity][at] = one[4]
-        done |= rows
-    return done
+        world.route[entity][at] = key[4]
+        exists |= rows
+    return exists
 
 
 def go_on(world: World, entity: int, number: int) -> None:
@@ -126,19 +126,19 @@ def go_on(world: World, entity: int, number: int) -> None:
     sample = path.sample_at(distance[at])
     s = path.s_at(distance[at])
     keys = np.stack([path.road[sample], path.lane[sample], path.along[sample], routes[at]])
-    for one in np.unique(keys, axis=1).T if at.size else ():
-        road, lane, along, route = int(one[0]), int(one[1]), bool(one[2]), int(one[3])
+    for key in np.unique(keys, axis=1).T if at.size else ():
+        road, lane, along, route = int(key[0]), int(key[1]), bool(key[2]), int(key[3])
         # Where two lanes meet the sample may belong to either: then it is a matter of the next step.
         seams = world.network.roads[road].seams
-        rows = (keys == one[:, None]).all(axis=0) & (np.abs(s[:, None] - seams) > _SEAM).all(axis=1) & (s > _SEAM)
+        rows = (keys == key[:, None]).all(axis=0) & (np.abs(s[:, None] - seams) > _SEAM).all(axis=1) & (s > _SEAM)
         for section in np.unique(world.network.roads[road].section_at(s[rows])):
-            here = rows & (world.network.roads[road].section_at(s) == section)
-            new = lane_track(world, road, lane, float(s[here][0]), along, route)
+            in_section = rows & (world.network.roads[road].section_at(s) == section)
+            new = lane_track(world, road, lane, float(s[in_section][0]), along, route)
             if new is not None:
                 # On a ring it is the path that it follows already, begun again.
                 new = LaneTrack(new.path) if new is track else new
-                _carry_over(world, entity, track, new, at[here], s[here])
-                world.route[entity][at[here]] = route
+                _carry_over(world, entity, track, new, at[in_section], s[in_section])
+                world.route[entity][at[in_section]] = route
 
 
 def _route_ahead(world: World, entity: int, where: BoolArray) -> IntArray:
@@ -149,19 +149,19 @@ def _route_ahead(world: World, entity: int, where: BoolArray) -> IntArray:
             continue
         passed = track.path.passed[track.path.sample_at(world.distance[entity][at])]
         for route, count in sorted({*zip(world.route[entity][at].tolist(), passed.tolist(), strict=True)}):
-            ahead = world.routes[route][count:]
-            if ahead not in world.routes:
-                world.routes.append(ahead)
-            result[at[(world.route[entity][at] == route) & (passed == count)]] = world.routes.index(ahead)
+            remaining = world.routes[route][count:]
+            if remaining not in world.routes:
+                world.routes.append(remaining)
+            result[at[(world.route[entity][at] == route) & (passed == count)]] = world.routes.index(remaining)
     return result
 
 
 def _carry_over(world: World, entity: int, old: LaneTrack, new: LaneTrack, at: IntArray, s: FloatArray) -> None:
     x, y, _ = old.at(world.distance[entity][at], np.zeros(len(at)), at)
-    place = new.distance_of(s)
-    there_x, there_y, heading = new.at(place, np.zeros(len(at)), at)
+    track_distance = new.distance_of(s)
+    track_x, track_y, heading = new.at(track_distance, np.zeros(len(at)), at)
     distance, rows = np.zeros(world.scenarios), np.zeros(world.scenarios, dtype=np.bool_)
-    distance[at] = place + (x - there_x) * np.cos(heading) + (y - there_y) * np.sin(heading)
+    distance[at] = track_distance + (x - track_x) * np.cos(heading) + (y - track_y) * np.sin(heading)
     rows[at] = True
     follow_track(world, entity, new, distance, rows)
 
@@ -210,7 +210,7 @@ def _direction(world: World, pose: Pose, where: BoolArray) -> tuple[IntArray, In
     along = np.zeros(world.scenarios, dtype=np.bool_)
     for road in sorted(set(pose.road[where].tolist())):
         rows = where & (pose.road == road)
-        one = world.network.roads[road]
-        section[rows] = one.section_at(pose.s[rows])
-        along[rows] = looks_ahead(pose.heading[rows] - one.reference(pose.s[rows])[2])
+        road_geometry = world.network.roads[road]
+        section[rows] = road_geometry.section_at(pose.s[rows])
+        along[rows] = looks_ahead(pose.heading[rows] - road_geometry.reference(pose.s[rows])[2])
     return pose.road, section, along

@@ -21,10 +21,10 @@ _ON_END: Final = 1e-3
 def watch_roads(world: World, where: BoolArray) -> None:
     """Update since when entities are off the road, in the scenarios of a mask."""
     # As in esmini, nobody is off the road before the first frame that takes time.
-    now = np.where(world.last_step > 0.0, world.time, np.inf)
+    current_time = np.where(world.last_step > 0.0, world.time, np.inf)
     for e, since in enumerate(world.off_road_since):
-        off = world.present[e] if world.network is None else world.present[e] & ~on_road(world, e)
-        since[where] = np.where(off, np.minimum(since, now), np.inf)[where]
+        is_off = world.present[e] if world.network is None else world.present[e] & ~on_road(world, e)
+        since[where] = np.where(is_off, np.minimum(since, current_time), np.inf)[where]
 
 
 def go_on_along_lanes(world: World) -> None:
@@ -52,7 +52,7 @@ def settle_on_track(world: World, entity: int, where: BoolArray) -> None:
 
 
 def move_at_once(world: World, entity: int, where: BoolArray, way: FloatArray) -> None:
-    """Move an entity by `distance` m (N,) along its track and to its offset, so that later actions of the frame see it."""
+    """Move an entity by `distance` m (N,) along its track and to its offset within the frame."""
     world.moved[entity] |= where
     for _, track, at in world.followed(entity, where & world.running):
         _advance(world, entity, track, at, way[at])
@@ -73,20 +73,20 @@ def pull_entity(
     world.moved[entity] = True
     for _, track, at in world.followed(entity, world.running):
         along = track.nearest(x[at], y[at], at, world.distance[entity][at])
-        on_x, on_y, ahead = track.at(along, np.zeros(len(at)), at)
+        on_x, on_y, track_heading = track.at(along, np.zeros(len(at)), at)
         world.distance[entity][at] = along
-        world.offset[entity][at] = (y[at] - on_y) * np.cos(ahead) - (x[at] - on_x) * np.sin(ahead)
-        world.turn[entity][at] = within_half_turn(heading[at] - ahead)
+        world.offset[entity][at] = (y[at] - on_y) * np.cos(track_heading) - (x[at] - on_x) * np.sin(track_heading)
+        world.turn[entity][at] = within_half_turn(heading[at] - track_heading)
 
 
 def _advance(world: World, e: int, track: Track, at: IntArray, way: FloatArray) -> None:
     distance = _along(track, world.distance[e][at], world.offset[e][at], way)
     if isinstance(track, LaneTrack):
         since = world.at_end_since[e][at]
-        back = (way < 0.0) | ((way == 0.0) & np.isfinite(since))
-        there = (distance >= track.length - _ON_END) | ((distance <= _ON_END) & back)
+        backwards = (way < 0.0) | ((way == 0.0) & np.isfinite(since))
+        at_end = (distance >= track.length - _ON_END) | ((distance <= _ON_END) & backwards)
         arrived = np.where(world.last_step > 0.0, world.time + world.last_step, np.inf)[at]
-        world.at_end_since[e][at] = np.where(there, np.minimum(since, arrived), np.inf)
+        world.at_end_since[e][at] = np.where(at_end, np.minimum(since, arrived), np.inf)
     world.distance[e][at] = distance
     _settle(world, e, track, at)
 

@@ -51,24 +51,24 @@ class SignalController:
 
     def switch(self, signals: dict[str, npt.NDArray[np.str_]], time: FloatArray, where: BoolArray) -> None:
         """Set the signals where a phase has begun, in the scenarios of a mask."""
-        now = np.where(where, self.phase(time), self._phase)
-        for k in np.unique(now[now != self._phase]):
-            begun = (now == k) & (now != self._phase)
+        phases = np.where(where, self.phase(time), self._phase)
+        for k in np.unique(phases[phases != self._phase]):
+            has_begun = (phases == k) & (phases != self._phase)
             for signal, state in self._states[k].items():
-                signals[signal] = np.where(begun, state, signals.get(signal, np.full(len(now), "")))
-        self._phase = now
+                signals[signal] = np.where(has_begun, state, signals.get(signal, np.full(len(phases), "")))
+        self._phase = phases
 
 
 def read_signal_controllers(root: etree._Element, scope: Scope) -> dict[str, SignalController]:
     """Read the traffic signal controllers below ``OpenSCENARIO``, by name."""
-    found: dict[str, SignalController] = {}
+    controllers: dict[str, SignalController] = {}
     for element in root.iterfind("RoadNetwork/TrafficSignals/TrafficSignalController"):
         name, where = scope.text(element, "name"), f"{scope.source}, line {element.sourceline}: <{element.tag}>"
         phases = list(element.iterfind("Phase"))
         durations = np.array([scope.number(phase, "duration") for phase in phases])
-        still = np.ones(scope.scenarios, dtype=np.bool_) if not phases else durations.sum(axis=0) <= 0
-        still |= (durations < 0).any(axis=0)
-        if still.any() and not any(scope.origins(phase.get("duration", "")) for phase in phases):
+        is_instant = np.ones(scope.scenarios, dtype=np.bool_) if not phases else durations.sum(axis=0) <= 0
+        is_instant |= (durations < 0).any(axis=0)
+        if is_instant.any() and not any(scope.origins(phase.get("duration", "")) for phase in phases):
             if nobody_asks(element, *SIGNAL_CONDITIONS):
                 why = f"'{name}' is left out, as it has no phase that takes time, and no condition asks for signals"
                 adapt(element, "<TrafficSignalController>", why, "a signal controller has phases that take time")
@@ -76,20 +76,20 @@ def read_signal_controllers(root: etree._Element, scope: Scope) -> dict[str, Sig
             raise InputError(f"{where}: the signal controller '{name}' needs phases that take some time.")
         for phase, duration in zip(phases, durations, strict=True):
             scope.refuse(phase, "duration", "is below 0", duration < 0)
-        if still.any():
-            scope.refuse(phases[0], "duration", "is 0, as are those of the other phases", still)
+        if is_instant.any():
+            scope.refuse(phases[0], "duration", "is 0, as are those of the other phases", is_instant)
         delay, other = scope.number(element, "delay", 0.0), scope.text(element, "reference", "")
         if other:
-            delay = delay + named_controller(found, other, where).delay
+            delay = delay + named_controller(controllers, other, where).delay
         states = [
             {
-                scope.text(one, "trafficSignalId"): scope.text(one, "state")
-                for one in phase.iterfind("TrafficSignalState")
+                scope.text(signal_state, "trafficSignalId"): scope.text(signal_state, "state")
+                for signal_state in phase.iterfind("TrafficSignalState")
             }
             for phase in phases
         ]
-        found[name] = SignalController([scope.text(phase, "name") for phase in phases], states, durations, delay)
-    return found
+        controllers[name] = SignalController([scope.text(phase, "name") for phase in phases], states, durations, delay)
+    return controllers
 
 
 def named_controller(controllers: dict[str, SignalController], name: str, where: str) -> SignalController:

@@ -199,14 +199,14 @@ class World:
         """Record that `subject` at `place` (file and line) is not run as written, but as `reason` says."""
         first = np.flatnonzero(where & self.running)
         sentence = f"{Label.ADAPTED}: {what} ({place}): {why}"
-        if first.size and not any(one.startswith(f"{sentence}; ") for one in self.remarks):
+        if first.size and not any(notice.startswith(f"{sentence}; ") for notice in self.remarks):
             self.remarks[f"{sentence}; first at {self.time[first[0]]:.6g} s"] = None
 
     def set_speed(self, entity: int, where: BoolArray, speed: FloatArray) -> None:
         """Set an entity's speed, or its driver's target speed, in the scenarios of the mask."""
         self.target_speed[entity][where] = speed[where]
-        own = where & ~self.driven[entity]
-        self.speed[entity][own] = speed[own]
+        undriven = where & ~self.driven[entity]
+        self.speed[entity][undriven] = speed[undriven]
         self.decided[entity] |= where
 
     def control(self, entity: int, where: BoolArray, driver: int | None = None, activated: bool | None = None) -> None:

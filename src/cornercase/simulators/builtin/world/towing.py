@@ -20,14 +20,14 @@ def read_tow(vehicle: int, trailer: int, entities: Sequence[Entity]) -> Tow:
     bodies = entities[vehicle].body, entities[trailer].body
     assert bodies[0] is not None
     assert bodies[1] is not None
-    (front, front_scope), (back, back_scope) = bodies[0], bodies[1]
-    hitch, coupler = front.find("TrailerHitch"), back.find("TrailerCoupler")
+    (front, front_scope), (rear, rear_scope) = bodies[0], bodies[1]
+    hitch, coupler = front.find("TrailerHitch"), rear.find("TrailerCoupler")
     if hitch is None or coupler is None:
         raise InputError(
             f"{front_scope.source}: '{entities[vehicle].name}' cannot pull '{entities[trailer].name}', as it has no"
             f" {'<TrailerHitch>' if hitch is None else '<TrailerCoupler>'}."
         )
-    return Tow(vehicle, trailer, front_scope.one_number(hitch, "dx"), back_scope.one_number(coupler, "dx"))
+    return Tow(vehicle, trailer, front_scope.one_number(hitch, "dx"), rear_scope.one_number(coupler, "dx"))
 
 
 def front_first(tows: Sequence[Tow]) -> tuple[Tow, ...]:
@@ -48,8 +48,8 @@ def align_trailers(world: World, entity: int, where: BoolArray) -> None:
     for tow in world.tows:
         if tow.vehicle == entity:
             pulled = where & (world.pulled_by[tow.trailer] == entity)
-            heading, back = world.heading[entity], tow.hitch - tow.coupler
-            x, y = world.x[entity] + back * np.cos(heading), world.y[entity] + back * np.sin(heading)
+            heading, offset = world.heading[entity], tow.hitch - tow.coupler
+            x, y = world.x[entity] + offset * np.cos(heading), world.y[entity] + offset * np.sin(heading)
             t = tow.trailer
             world.x[t][pulled], world.y[t][pulled], world.heading[t][pulled] = x[pulled], y[pulled], heading[pulled]
             world.from_x[t][pulled], world.from_y[t][pulled] = x[pulled], y[pulled]

@@ -36,8 +36,8 @@ def lane_of(world: World, entity: int) -> Pose:
     road, lane, s, offset = np.full(n, -1), np.zeros(n, dtype=np.int64), np.zeros(n), np.zeros(n)
     free = np.flatnonzero(~along)
     if free.size:
-        place = world.network.locate(world.x[entity][free], world.y[entity][free])
-        road[free], lane[free], s[free], offset[free] = place
+        location = world.network.locate(world.x[entity][free], world.y[entity][free])
+        road[free], lane[free], s[free], offset[free] = location
     pose = replace(pose, road=road, lane=lane, s=s, offset=offset)
     for _, track, rows in world.followed(entity, along):
         if isinstance(track, LaneTrack):
@@ -48,20 +48,24 @@ def lane_of(world: World, entity: int) -> Pose:
 def on_road(world: World, entity: int) -> BoolArray:
     """Check whether an entity's reference point is within the width of a road, shape (N,)."""
     assert world.network is not None
-    place = world.network.locate(world.x[entity], world.y[entity])
+    location = world.network.locate(world.x[entity], world.y[entity])
     width = np.zeros(world.scenarios)
-    for road, lane in sorted({*zip(place.road.tolist(), place.lane.tolist(), strict=True)}):
-        rows = (place.road == road) & (place.lane == lane)
-        one = world.network.roads[road]
-        section = one.section_at(place.s[rows])
+    for road, lane in sorted({*zip(location.road.tolist(), location.lane.tolist(), strict=True)}):
+        rows = (location.road == road) & (location.lane == lane)
+        road_geometry = world.network.roads[road]
+        section = road_geometry.section_at(location.s[rows])
         # A lane of no type is beside the road.
-        lanes = {int(k): one.sections[int(k)][1].get(lane) for k in np.unique(section)}
-        beside = {k for k, its in lanes.items() if its is not None and its.kind == "none" and lane != 0}
+        lanes = {int(k): road_geometry.sections[int(k)][1].get(lane) for k in np.unique(section)}
+        untyped_sections = {
+            k
+            for k, lane_geometry in lanes.items()
+            if lane_geometry is not None and lane_geometry.kind == "none" and lane != 0
+        }
         width[rows] = [
-            -1.0 if k in beside else float(one.width(int(k), lane, place.s[rows][i : i + 1])[0])
+            -1.0 if k in untyped_sections else float(road_geometry.width(int(k), lane, location.s[rows][i : i + 1])[0])
             for i, k in enumerate(section.tolist())
         ]
-    return np.asarray(np.abs(place.offset) <= 0.5 * width + 1e-6)
+    return np.asarray(np.abs(location.offset) <= 0.5 * width + 1e-6)
 
 
 def road_heading(world: World, pose: Pose) -> FloatArray:
@@ -98,9 +102,9 @@ def speed_along_road(world: World, entity: int, where: BoolArray) -> FloatArray:
 def _heading_of(network: RoadNetwork, road: IntArray, s: FloatArray) -> FloatArray:
     """Direction of the roads' s at positions on them, shape (R,)."""
     heading = np.zeros(len(s))
-    for one in np.unique(road):
-        rows = road == one
-        heading[rows] = network.roads[int(one)].reference(s[rows])[2]
+    for number in np.unique(road):
+        rows = road == number
+        heading[rows] = network.roads[int(number)].reference(s[rows])[2]
     return heading
 
 
@@ -111,11 +115,11 @@ def ahead_on_road(world: World, entity: int, target: Pose, otherwise: FloatArray
     """
     if world.network is None or target.road is None or target.s is None:
         return otherwise
-    own = lane_of(world, entity)
-    assert own.road is not None
-    assert own.s is not None
-    forward = np.where(looks_along(world, own), 1.0, -1.0)
-    return np.where(own.road == target.road, forward * (target.s - own.s), otherwise)
+    own_pose = lane_of(world, entity)
+    assert own_pose.road is not None
+    assert own_pose.s is not None
+    forward = np.where(looks_along(world, own_pose), 1.0, -1.0)
+    return np.where(own_pose.road == target.road, forward * (target.s - own_pose.s), otherwise)
 
 
 def lanes_between(world: World, one: Pose, two: Pose) -> IntArray:
@@ -123,10 +127,10 @@ def lanes_between(world: World, one: Pose, two: Pose) -> IntArray:
     assert one.lane is not None
     assert two.lane is not None
     # Lane numbers skip 0.
-    apart = two.lane - one.lane
+    difference = two.lane - one.lane
     crossing = np.sign(one.lane) != np.sign(two.lane)
-    apart = apart - np.where(crossing, np.sign(apart), 0)
-    return np.asarray(apart * np.where(looks_along(world, one), 1, -1))
+    difference = difference - np.where(crossing, np.sign(difference), 0)
+    return np.asarray(difference * np.where(looks_along(world, one), 1, -1))
 
 
 def runs_against(world: World, entity: int, pose: Pose) -> BoolArray:
@@ -139,11 +143,11 @@ def runs_against(world: World, entity: int, pose: Pose) -> BoolArray:
         path = track.path
         sample = path.sample_at(world.distance[entity][rows])
         for road in np.unique(pose.road[rows]):
-            there = np.flatnonzero(path.road == road)
-            mine = pose.road[rows] == road
-            if there.size:
-                near = there[np.clip(np.searchsorted(there, sample[mine]), 0, there.size - 1)]
-                result[rows[mine]] = path.along[near] != path.along[sample[mine]]
+            samples = np.flatnonzero(path.road == road)
+            on_road_rows = pose.road[rows] == road
+            if samples.size:
+                near = samples[np.clip(np.searchsorted(samples, sample[on_road_rows]), 0, samples.size - 1)]
+                result[rows[on_road_rows]] = path.along[near] != path.along[sample[on_road_rows]]
     return result
 
 
@@ -159,11 +163,11 @@ def has_lane_between(world: World, pose: Pose, first: int, last: int, opposite: 
     result = np.zeros(world.scenarios, dtype=np.bool_)
     for road in np.unique(pose.road):
         rows = np.flatnonzero(pose.road == road)
-        one = world.network.roads[int(road)]
-        for k in np.unique(section := one.section_at(pose.s[rows])):
+        road_geometry = world.network.roads[int(road)]
+        for k in np.unique(section := road_geometry.section_at(pose.s[rows])):
             at = rows[section == k]
             lane = pose.lane[at]
-            for number, other in one.sections[int(k)][1].items():
-                there = (number >= lane + first) & (number <= lane + last) & other.drivable
-                result[at] |= there & (opposite | (np.sign(number) == np.sign(lane)))
+            for number, other in road_geometry.sections[int(k)][1].items():
+                in_range = (number >= lane + first) & (number <= lane + last) & other.drivable
+                result[at] |= in_range & (opposite | (np.sign(number) == np.sign(lane)))
     return result
