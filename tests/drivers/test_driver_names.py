@@ -116,7 +116,7 @@ def test_a_driver_that_derives_from_the_base_class_needs_only_its_decision():
         ("own_drivers:constant", "has no class 'constant'"),
         ("own_drivers:Picky", "needs the option 'level'; give it as in 'own_drivers:Picky:level=value'"),
         ("own_drivers:Engine", "is not a driver"),
-        ("own_drivers:Forgetful", "cannot be made: TypeError"),
+        ("own_drivers:Forgetful", "cannot be created: TypeError"),
         ("own_drivers:Nameless", "is not a driver"),
     ],
 )
@@ -159,7 +159,7 @@ def test_options_in_a_name_are_the_parameters_of_the_driver():
         ("normal:reaction_tim=0.6", "no option 'reaction_tim'; did you mean 'reaction_time'"),
         ("normal:reaction_time=-1", "reaction_time is -1; it has to be a finite number of 0 or more"),
         ("normal:horizon=0", "horizon is 0; it has to be a finite number above zero"),
-        ("normal:field_of_view=200", "field_of_view is 200; it is in rad"),
+        ("normal:field_of_view=200", "field_of_view is 200; give an angle in rad"),
         ("normal:horizon=nan", "horizon is nan"),
         ("normal:horizon=long", "takes a number for 'horizon', not 'long'"),
         ("simple:sight_range=-5", "sight_range is -5"),

@@ -97,7 +97,7 @@ def test_distances_too_large_name_the_pair(client):
 
 def test_a_worker_of_another_version_is_told_of():
     settings = Settings(False, None, np.dtype("float64"), 1, "cpu")
-    with pytest.raises(InputError, match=r"a worker has cornercase .*, and this is 0\.0\.0"):
+    with pytest.raises(InputError, match=r"a worker has cornercase .*, but this process has 0\.0\.0"):
         tiles.compute_square("0.0.0", settings, {}, [np.zeros((1, 1))], None)
 
 

@@ -185,7 +185,7 @@ def test_a_full_disk_is_told_before_anything_is_computed(tmp_path, monkeypatch):
     series, path = random_walks(40), tmp_path / "matrix.npy"
     with monkeypatch.context() as full:
         full.setattr(shutil, "disk_usage", lambda _: SimpleNamespace(free=1000))
-        with pytest.raises(InputError, match=r"needs .* kB more on this disk, of which 1 kB are free"):
+        with pytest.raises(InputError, match=r"needs .* kB more disk space, but only 1 kB are free"):
             distance_matrix(series, out=path)
         assert os.listdir(tmp_path) == []
         # One that is there already needs no more.

@@ -191,7 +191,7 @@ def test_42_4_a_driver_that_gives_no_number_fails_its_own_scenario(tmp_path):
     assert isinstance(lost, Recording)
     first, lost, last = driven_by(tmp_path, lambda one: np.where(one.speed == 10.0, np.nan, one.time < 0.12))
     assert [first.speed[0, -1], last.speed[0, -1]] == pytest.approx([8.15, 12.15])
-    assert str(lost) == f"{OWN} gave nan at t = 0 s, which is no acceleration in m/s²"
+    assert str(lost) == f"{OWN} returned nan at t = 0 s, which is not an acceleration in m/s²"
 
 
 @pytest.mark.parametrize(
@@ -206,7 +206,7 @@ def test_42_4_a_driver_that_gives_no_number_fails_its_own_scenario(tmp_path):
 )
 def test_42_4_a_driver_that_gives_something_else_fails(tmp_path, given, said):
     for lost in driven_by(tmp_path, lambda situation: given):
-        assert f"{OWN} gave no acceleration for the scenario at t = 0 s, but" in str(lost)
+        assert f"{OWN} returned no acceleration for the scenario at t = 0 s, but" in str(lost)
         assert said in str(lost)
 
 
@@ -326,9 +326,9 @@ def test_42_9_no_driver_gets_more_than_its_vehicle_can_do_and_it_is_said_once(tm
         assert one.acceleration[0].max() == pytest.approx(4.0)
     said = [str(one.message) for one in told]
     assert said == [
-        f"{OWN} asks for more deceleration than the 6 m/s² of <Performance>, and gets that; first 30 m/s² at t = 0 s",
-        f"{OWN} asks for more acceleration than the 4 m/s² of <Performance>, and gets that; first 30 m/s² at t = 0.5 s",
-        f"{OWN} asks for more deceleration than the 10 m/s² of <Performance>, and gets that; first 30 m/s² at t = 0 s",
+        f"{OWN} exceeds the deceleration of 6 m/s² in <Performance>, and is limited to it; first 30 m/s² at t = 0 s",
+        f"{OWN} exceeds the acceleration of 4 m/s² in <Performance>, and is limited to it; first 30 m/s² at t = 0.5 s",
+        f"{OWN} exceeds the deceleration of 10 m/s² in <Performance>, and is limited to it; first 30 m/s² at t = 0 s",
     ]
     with warnings.catch_warnings():
         warnings.simplefilter("error", NoticeWarning)
@@ -347,7 +347,7 @@ def test_42_9_a_driver_within_its_vehicle_is_as_it_was(tmp_path):
 def test_42_9_a_built_in_driver_knows_what_its_vehicle_can_do(tmp_path):
     path, simulator = limited(tmp_path, "normal:max_deceleration=30,comfortable_deceleration=30", "7")
     hit = ConcreteScenario(path, {})
-    with pytest.warns(NoticeWarning, match="the driver of Ego asks for more deceleration than the 7 m/s²"):
+    with pytest.warns(NoticeWarning, match="the driver of Ego exceeds the deceleration of 7 m/s²"):
         (found,) = ran(simulator, [hit])
     # Compiled and in Python it decides the same.
     own = limited(tmp_path, Own(lambda one: np.zeros(1)), "7")[1]

@@ -44,11 +44,11 @@ class DrivenPath:
     def __post_init__(self) -> None:
         shape = self.distance.shape
         if len(shape) not in (1, 2) or shape[-1] < 2:
-            raise ValueError("a path has at least two samples")
+            raise ValueError("a path needs at least two samples")
         if any(getattr(self, name).shape != shape for name in ("x", "y", "heading", "curvature")):
-            raise ValueError("all arrays of a path have one shape")
+            raise ValueError("all arrays of a path must have the same shape")
         if self.distance[..., 0].any() or not (np.diff(self.distance) > 0.0).all():
-            raise ValueError("the distances of a path increase from 0")
+            raise ValueError("the distances of a path must increase from 0")
 
 
 @dataclass(frozen=True, eq=False)

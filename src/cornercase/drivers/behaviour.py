@@ -59,7 +59,7 @@ def _check(behaviour: Behaviour) -> None:
         require_parameter(name, value, name in _MAY_BE_ZERO)
     if behaviour.field_of_view > 2.0 * math.pi:
         raise InputError(
-            f"The driver's field_of_view is {behaviour.field_of_view:g}; it is in rad, and at most 6.2832, all around."
+            f"The driver's field_of_view is {behaviour.field_of_view:g}; give an angle in rad of at most 6.2832."
         )
 
 

@@ -88,7 +88,7 @@ def load_driver(name: str) -> Driver:
         except ModuleNotFoundError as error:
             raise InputError(
                 f"The driver '{name}' cannot be loaded since there is no module '{error.name}';"
-                " install it or start in its folder."
+                " install it or run the command in its folder."
             ) from error
         except BaseException as error:
             raise_if_request(error, requests)
@@ -106,7 +106,7 @@ def load_driver(name: str) -> Driver:
             raise
         except BaseException as error:
             raise_if_request(error, requests)
-            raise InputError(f"The driver '{name}' cannot be made: {in_one_line(error)}.") from error
+            raise InputError(f"The driver '{name}' cannot be created: {in_one_line(error)}.") from error
     if not is_driver(driver):
         raise InputError(
             f"The class '{class_path}' is not a driver: it neither derives from cornercase.drivers.Driver nor has"

@@ -174,7 +174,7 @@ def name_driver(driver: str | Driver | Mapping[str, object]) -> str:
         options = ",".join(f"{name}={value!r}" for name, value in changed.items())
         candidates.append((len(changed), f"{base}:{options}" if options else base))
     if not candidates:
-        raise InputError(f"The driver {driver_kind} has no mutants: its parameters are not known here.")
+        raise InputError(f"The driver {driver_kind} has no mutants, as its parameters are unknown.")
     name = min(candidates, key=lambda one: one[0])[1]
     _parameters(name)
     return name
@@ -188,7 +188,7 @@ def _parameters(driver: str) -> dict[str, float]:
     created = DRIVERS.create(driver) if is_registered(driver) else None
     if not isinstance(created, CompiledDriver):
         raise InputError(
-            f"The driver {driver} has no mutants: its parameters are not known here; those of cautious, normal,"
-            " aggressive and simple are."
+            f"The driver {driver} has no mutants, as its parameters are unknown; use cautious, normal, aggressive"
+            " or simple."
         )
     return {name: float(value) for name, value in created.settings.items() if isinstance(value, int | float)}

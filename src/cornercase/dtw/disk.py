@@ -63,9 +63,9 @@ def distance_matrix(
         if not resume:
             journal.unlink(missing_ok=True)
     elif not resume and path.exists():
-        raise InputError(f"{path}: exists; go on with it by resume=True, or give another path.")
+        raise InputError(f"{path}: already exists; continue it with resume=True, or give another path.")
     elif resume and path.exists() and not journal.exists():
-        raise InputError(f"{path}: {journal.name} is not beside it, so what it holds is unknown; give another path.")
+        raise InputError(f"{path}: {journal.name} is missing, so its content is unknown; give another path.")
     elif not path.exists():
         journal.unlink(missing_ok=True)
     existed = path.exists()
@@ -152,7 +152,7 @@ def _file_of(out: FloatMap, size: int, dtype: np.dtype[Any]) -> str:
     if out.shape != (size, size) or out.dtype != dtype:
         raise InputError(f"out is {out.dtype} of shape {out.shape}; give {dtype} of shape ({size}, {size}).")
     if out.filename is None or not isinstance(out.base, mmap.mmap) or not out.flags.c_contiguous:
-        raise InputError("out is not the map of a whole file in rows; give a numpy.memmap as it was made, or a path.")
+        raise InputError("out is not a map of a whole file in row-major order; give such a numpy.memmap, or a path.")
     if out.mode not in ("r+", "w+"):
         raise InputError(f"out is open in mode {out.mode!r}; open it with 'r+'.")
     return os.fspath(out.filename)
@@ -169,7 +169,7 @@ def _map_of(path: Path, size: int, dtype: np.dtype[Any], *, new: bool) -> FloatM
     except ValueError as error:
         raise InputError(f"{path}: is not a NumPy file; give another path.") from error
     if view.shape != (size, size) or view.dtype != dtype or not view.flags.c_contiguous:
-        raise InputError(f"{path}: holds {view.dtype} of shape {view.shape}, which is another matrix.")
+        raise InputError(f"{path}: holds {view.dtype} of shape {view.shape}, which does not match.")
     return view
 
 
@@ -179,8 +179,8 @@ def _reserve(path: Path) -> None:
     free = shutil.disk_usage(path).free
     if lacking > free:
         raise InputError(
-            f"{path}: needs {size_in_words(lacking)} more on this disk, of which {size_in_words(free)} are free; free"
-            " some space, or give a path on another one."
+            f"{path}: needs {size_in_words(lacking)} more disk space, but only {size_in_words(free)} are free;"
+            " free some space, or give a path on another disk."
         )
     if lacking > 0:
         fill_holes(path)

@@ -96,7 +96,7 @@ def distance_matrix(
     settings = _settings(local_cost, window, dtype, n_jobs, device, client)
     arrays = _checked(series)
     if resume and out is None:
-        raise InputError("resume is for a matrix on disk; give out.")
+        raise InputError("resume needs a matrix on disk; give out.")
     if len(arrays) < 2 and out is None:
         return np.zeros((len(arrays), len(arrays)), dtype=settings.dtype)
     arrays = _centred(arrays, settings.dtype, len(arrays))
@@ -108,7 +108,7 @@ def distance_matrix(
         if isinstance(out, np.ndarray) and not isinstance(out, np.memmap):
             raise InputError("out is an array in memory; give a path or a numpy.memmap.")
         if not arrays:
-            raise InputError("There are no series to fill out from.")
+            raise InputError("There are no series to fill out with.")
         return disk.distance_matrix(arrays, out, resume=resume, settings=settings, advance=advance, client=client)
 
 
@@ -243,7 +243,7 @@ def _settings(
     if client is not None:
         require_client(client)
         if device != "cpu":
-            raise InputError("`client`: its workers compute on their CPUs; leave out `device`, or `client`.")
+            raise InputError("`client` computes on the CPUs of its workers; omit `device` or `client`.")
     if local_cost not in ("euclidean", "squared"):
         raise InputError(f"local_cost is {local_cost!r}; choose 'euclidean' or 'squared'.")
     if device not in ("cpu", "cuda"):
@@ -301,7 +301,7 @@ def _checked(
         dims = array.shape[1] if dims is None else dims
         if array.shape[1] != dims:
             raise InputError(
-                f"{name} {index} has {array.shape[1]} dimensions where series 0 has {dims}; give all the same."
+                f"{name} {index} has {array.shape[1]} dimensions, but series 0 has {dims}; use the same number for all."
             )
         if dims > MAX_DIMENSIONS:
             raise InputError(f"{name} {index} has {dims} dimensions; at most {MAX_DIMENSIONS} are supported.")

@@ -106,7 +106,7 @@ def require_gpu() -> None:
     from numba import cuda
 
     if not cuda.is_available():
-        raise InputError("device 'cuda' needs an NVIDIA GPU and its driver, and finds none; choose device 'cpu'.")
+        raise InputError("device 'cuda' needs an NVIDIA GPU and its driver, but none was found; choose device 'cpu'.")
 
 
 def cells(rows: Sequence[Floats], columns: Sequence[Floats] | None) -> int:

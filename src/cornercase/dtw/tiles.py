@@ -110,7 +110,7 @@ class Tiles:
         words = " ".join(f"{type(error).__name__}: {error}".split())[:300]
         return InputError(
             f"`client` {name_cluster(self._client)}: its workers cannot compute distances ({words}); install the same"
-            " versions on each as here, and run the same again to go on."
+            " package versions there as here, and run the same call again to resume."
         )
 
 
@@ -132,7 +132,8 @@ def compute_square(
     """
     if version != __version__:
         raise InputError(
-            f"`client`: a worker has cornercase {__version__}, and this is {version}; install the same on each."
+            f"`client`: a worker has cornercase {__version__}, but this process has {version}; install the same"
+            " version everywhere."
         )
     from distributed import get_worker
 

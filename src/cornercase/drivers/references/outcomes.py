@@ -44,7 +44,7 @@ class ReferenceOutcome:
     def tell(self, driver: str) -> str:
         """Describe the outcome of the named reference driver as part of a sentence."""
         if self.collides is None:
-            return f"{driver} says nothing of it, as it knows only vehicles ahead that go in about its own direction"
+            return f"{driver} does not cover this scenario, only vehicles ahead that move in about its own direction"
         if not self.collides:
             return f"{driver} prevents it"
         when = "" if self.time is None else f", and collides at {self.time:.6g} s"

@@ -186,7 +186,7 @@ def _read_value(element: etree._Element, scope: Scope, world: World, entity: int
     if name in values:
         return ValueAction(element, scope, values, name)
     if nobody_asks(element, f"{noun.capitalize()}Condition"):
-        why = f"is skipped, as there is no {noun} '{name}', and no condition asks for one"
+        why = f"is skipped, as there is no {noun} '{name}', and no condition uses it"
         adapt(element, f"<{element.tag}>", why, f"{attribute} names a {noun} that is declared")
         return None
     where = f"{scope.source}, line {element.sourceline}: <{element.tag}>"
@@ -211,7 +211,7 @@ def _read_signal_controller(element: etree._Element, scope: Scope, world: World,
     controller = world.signal_controllers.get(name)
     if (controller is None or phase not in controller.names) and nobody_asks(element, *SIGNAL_CONDITIONS):
         lacking = f"signal controller '{name}'" if controller is None else f"phase '{phase}' of '{name}'"
-        why = f"is skipped, as there is no {lacking}, and no condition asks for signals"
+        why = f"is skipped, as there is no {lacking}, and no condition uses signals"
         adapt(element, f"<{element.tag}>", why, "it names a signal controller of the file, and a phase of it")
         return None
     controller = named_controller(world.signal_controllers, name, where)

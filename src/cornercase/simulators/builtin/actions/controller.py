@@ -114,7 +114,7 @@ class Driving:
                 acceleration = self._decided(situation)
                 for i in np.flatnonzero(rows & ~np.isfinite(acceleration)).tolist():
                     instant = format_instant(situation.time)
-                    why = f"{self._name} gave {acceleration[i]:g}{instant}, which is no acceleration in m/s²"
+                    why = f"{self._name} returned {acceleration[i]:g}{instant}, which is not an acceleration in m/s²"
                     world.fail(np.arange(world.scenarios) == i, PartError(why))
                 if not self.in_fleet:
                     acceleration = self._possible(acceleration, rows & np.isfinite(acceleration), situation.time)
@@ -138,7 +138,7 @@ class Driving:
             raise_if_request(error, requests)
             expectation = "for the scenario" if expected == 1 else f"for each of {expected} scenarios"
             instant = format_instant(situation.time)
-            why = f"{self._name} gave no acceleration {expectation}{instant}, but {_shown(returned)}"
+            why = f"{self._name} returned no acceleration {expectation}{instant}, but {_shown(returned)}"
             raise DriverError(PartError(why), splits=False) from error
 
     def _possible(self, acceleration: FloatArray, rows: BoolArray, time: float) -> FloatArray:
@@ -156,7 +156,7 @@ class Driving:
         entity = self._world.entities[self.entity]
         bound = entity.max_acceleration if limit == "acceleration" else entity.max_deceleration
         self.exceeded[limit] = (
-            f"{self._name} asks for more {limit} than the {bound:.6g} m/s² of <Performance>, and gets that; {asked}"
+            f"{self._name} exceeds the {limit} of {bound:.6g} m/s² in <Performance>, and is limited to it; {asked}"
         )
 
     def _situation(self, k: int, track: Track, dt: float, rows: BoolArray) -> Situation:

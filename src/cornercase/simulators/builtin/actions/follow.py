@@ -76,7 +76,7 @@ class FollowTrajectoryAction(Action):
         backwards = world.speed[e] < 0.0
         if track.time is not None:
             decreases = (np.diff(track.time) < -_TINY).any(axis=1)
-            world.fail(where & decreases, f"the times of a trajectory of {world.names[e]} go back")
+            world.fail(where & decreases, f"the times of a trajectory of {world.names[e]} must not decrease")
         if self._clock is not None:
             clock, speed = track.clock_at(self._skip)
             clock_offset = np.zeros_like(clock) if self._absolute else clock - self._clock.shift - world.time

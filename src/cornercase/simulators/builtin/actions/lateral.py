@@ -141,10 +141,10 @@ class LaneChangeAction(Action):
         """Take the entity's current lane as the target lane, in the scenarios of a mask."""
         e, own_lane = self._entity, lane_of(world, self._entity).lane
         assert own_lane is not None
-        why = f"{world.names[e]} is to change to a lane that is not there, and stays in its own"
+        why = f"{world.names[e]} is to change to a lane that does not exist, and stays in its own lane"
         world.remark(self._place, "<LaneChangeAction>", why, where)
         stays = change_lane(world, e, own_lane, where)
-        world.fail(where & ~stays, f"{world.names[e]} is to change lanes, and is in none ({self._place})")
+        world.fail(where & ~stays, f"{world.names[e]} cannot change lanes, as it is in none ({self._place})")
 
     def _lane(self, world: World) -> IntArray:
         if self._reference is None:

@@ -48,7 +48,7 @@ def read_trailer_action(element: etree._Element, scope: Scope, world: World, ent
         return None
     trailer = entity_index(connects, scope, world, "trailerRef")
     if trailer == entity:
-        raise InputError(f"{scope.source}, line {connects.sourceline}: '{world.names[entity]}' is to pull itself.")
+        raise InputError(f"{scope.source}, line {connects.sourceline}: '{world.names[entity]}' cannot pull itself.")
     if not any((tow.vehicle, tow.trailer) == (entity, trailer) for tow in world.tows):
         try:
             world.tows = front_first([*world.tows, read_tow(entity, trailer, world.entities)])

@@ -372,9 +372,9 @@ def _held(element: etree._Element, scope: Scope, world: World, elements: Element
     compare = orders[rule_name]
     if rule_name not in ("equalTo", "notEqualTo"):
         numeric = not np.isnan(_numbers([text, *np.unique(values[name])])).any()
-        why = "as the number that it is" if numeric else "by its letters, as in esmini"
+        why = "as a number" if numeric else "alphabetically, as in esmini"
         why = f"'{name}', which is declared as a text, is compared {why}"
-        adapt(element, f"rule of <{element.tag}>", why, "what is ordered is declared as a number")
+        adapt(element, f"rule of <{element.tag}>", why, "ordered values are declared as numbers")
         if numeric:
             rule, number = rule_of(element, scope), float(text)
             return ByValue(lambda world: np.asarray(rule(_numbers(values[name]), number)))

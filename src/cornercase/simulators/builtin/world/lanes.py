@@ -27,7 +27,7 @@ def place_entity(world: World, entity: int, pose: Pose, where: BoolArray) -> Non
     """Place an entity at a pose; from there it follows its lane, or its heading without a lane."""
     lost = ~np.isfinite(pose.x + pose.y + pose.heading)
     if pose.beyond is not None and pose.relative:
-        why = f"{world.names[entity]} is to be placed beyond the end of the road, and is placed at that end"
+        why = f"{world.names[entity]} would be beyond the end of the road, and is placed at that end"
         world.remark(pose.relative, "<Position>", why, where & ~lost & pose.beyond)
     elif pose.beyond is not None:
         lost = lost | pose.beyond
@@ -74,7 +74,7 @@ def attach_to_lane(world: World, entity: int, where: BoolArray, pose: Pose | Non
         if world.acting is not None:
             is_off = rows.copy()
             is_off[rows] = np.hypot(x - pose.x[rows], y - pose.y[rows]) > _BEYOND
-            why = f"{world.names[entity]} lies beyond the end of the nearest road, and is put at that end"
+            why = f"{world.names[entity]} is beyond the end of the nearest road, and is placed at that end"
             world.remark(world.acting, "position", why, is_off)
         turn = within_half_turn(pose.heading[rows] - heading)
         # Lanes are sampled, so their headings are not exact: so small a difference is none.

@@ -70,10 +70,10 @@ def read_signal_controllers(root: etree._Element, scope: Scope) -> dict[str, Sig
         is_instant |= (durations < 0).any(axis=0)
         if is_instant.any() and not any(scope.origins(phase.get("duration", "")) for phase in phases):
             if nobody_asks(element, *SIGNAL_CONDITIONS):
-                why = f"'{name}' is left out, as it has no phase that takes time, and no condition asks for signals"
+                why = f"'{name}' is skipped, as none of its phases takes time, and no condition uses signals"
                 adapt(element, "<TrafficSignalController>", why, "a signal controller has phases that take time")
                 continue
-            raise InputError(f"{where}: the signal controller '{name}' needs phases that take some time.")
+            raise InputError(f"{where}: the signal controller '{name}' needs phases with a duration above 0.")
         for phase, duration in zip(phases, durations, strict=True):
             scope.refuse(phase, "duration", "is below 0", duration < 0)
         if is_instant.any():
