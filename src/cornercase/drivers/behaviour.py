@@ -70,7 +70,7 @@ def _with_options(behaviour: Behaviour) -> Callable[..., BehaviourDriver]:
         return BehaviourDriver(behaviour._replace(**{name: float(value) for name, value in changed.items()}))
 
     factory: Any = build
-    # The registry reads there which options there are.
+    # The registry reads the options from the signature.
     factory.__signature__ = Signature(
         [
             Parameter(name, Parameter.KEYWORD_ONLY, default=value, annotation=float)

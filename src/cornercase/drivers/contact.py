@@ -13,7 +13,7 @@ import math
 from cornercase._common.compiling import kernel
 from cornercase.drivers.way import lay
 
-# m; boxes that are less apart are tested exactly.
+# m; closer boxes are tested exactly.
 _HAIR = 1e-6
 
 # Nothing is allocated, so that references need not be counted, which takes longer than what is computed.
@@ -101,7 +101,7 @@ def _on_leg(places, row, own_length, own_width, other, leg, horizon):
     reach = own_length + own_width + half_length + half_width + abs(speed) * last
     if abs(dx) > reach or abs(dy) > reach:
         return math.inf, -math.inf
-    # The axis on which it does not move first: it takes no division.
+    # First the axis without motion, which needs no division.
     sideways = dy * legs[leg, 2] - dx * legs[leg, 3]
     if abs(sideways) > own_length + own_width + half_width:
         return math.inf, -math.inf
@@ -256,7 +256,7 @@ def _swept(legs, leg, speed, since, over):
 def _clip(first, last, rate, middle, radius):
     """Clip a range to where a projection that grows by `rate` per metre is within `radius` of `center`."""
     if abs(rate) < 1e-9:
-        # It hardly moves on this axis: a hair more than it could.
+        # Hardly any motion on this axis: add a tolerance.
         return (first, last) if abs(middle) <= radius + _HAIR else (math.inf, -math.inf)
     first_crossing, second_crossing = (middle - radius) / rate, (middle + radius) / rate
     return max(first, min(first_crossing, second_crossing)), min(last, max(first_crossing, second_crossing))
@@ -268,7 +268,7 @@ def rows_apart(places, most, k, ego, margin, other, since, horizon):
     legs, half_length, half_width, speed = other
     width = ego[1] + margin
     radius, min_gap, leg = math.sqrt(ego[0] * ego[0] + width * width), math.inf, legs.shape[0]
-    # The last leg is the longest, and the likeliest to be near.
+    # The last leg is the longest, and the most likely to be near.
     while leg > 0:
         leg -= 1
         if leg > 0 and legs[leg, 4] >= horizon:

@@ -17,7 +17,7 @@ from cornercase.drivers.mutants import name_driver
 from cornercase.drivers.references.models import REFERENCES
 from cornercase.drivers.registry import DRIVERS
 
-# Where a driver that was made by its name keeps that name.
+# Attribute in which a driver created by name stores its name and options.
 _NOTED: Final = "_cornercase_name"
 _OF_A_DIGEST: Final = 8
 _checksums: Final[WeakKeyDictionary[type, str]] = WeakKeyDictionary()
@@ -65,7 +65,7 @@ def describe_driver(driver: str | Driver) -> str | dict[str, Any]:
 
 def _checksum(cls: type) -> str:
     """SHA-256 of the file that defines a class, as of when the class was first seen; empty without a file."""
-    # A module that is edited meanwhile is not loaded again.
+    # A module edited in the meantime is not reloaded.
     if cls not in _checksums:
         file = getattr(sys.modules.get(cls.__module__), "__file__", None)
         content = None
@@ -91,7 +91,7 @@ def driver_command(description: object) -> str | None:
         )
     with suppress(InputError):
         return name_driver(description)
-    # Nothing of another package is made because a study says so.
+    # Never create an object of another package because a study names it.
     delay = description.get("delay")
     if isinstance(name, str) and name in REFERENCES and len(description) == 2 and isinstance(delay, int | float):
         return f"{name}:delay={delay}"
@@ -126,7 +126,7 @@ def driver_text(description: object) -> str:
     if isinstance(options, Mapping):
         parts += [f"{key}={_value(value)}" for key, value in options.items()]
     else:
-        # Without options its settings are all that tells it from another one.
+        # Without options, only its settings distinguish it.
         settings = description.get("settings")
         values = settings if isinstance(settings, Mapping) else description
         parts += [f"{key}={_value(value)}" for key, value in values.items() if key not in ("driver", "sha256")]

@@ -30,10 +30,10 @@ from cornercase.drivers.traffic import (
 )
 
 _LEAST_LIMIT = 1e-3
-"""m/s² that a driver decides at least, whatever its vehicle can do."""
+"""Lowest limit in m/s², whatever the vehicle can do."""
 _VULNERABLE_KINDS = ("pedestrian", "bicycle")
 
-# By path that is the same in all scenarios, and what of a behaviour it depends on.
+# Points and measures by path shared by all scenarios, then by lateral acceleration and deceleration.
 _PLANNED: WeakKeyDictionary[DrivenPath, dict[tuple[float, float], tuple[FloatArray, FloatArray]]] = WeakKeyDictionary()
 
 
@@ -41,17 +41,17 @@ class CompiledDriver(Driver):
     """A driver with compiled decisions: a fleet of one, or a row of a larger fleet."""
 
     kind: ClassVar[int]
-    """What decides, as in `Fleet.kind`."""
+    """Kind of driver, as in `Fleet.kind`."""
 
     parameters: tuple[float, ...]
-    """Of it."""
+    """Parameters of that kind."""
 
     def start(self, scenarios: int, others: int) -> None:
         """Reset all state for a batch of N `scenarios` with A `others` in each."""
         self._fleet = _empty_fleet(1, scenarios, others)
         self._fleet.kind[0] = self.kind
         self._fleet.parameters[0, : len(self.parameters)] = self.parameters
-        # The path is kept with its route: while it exists, no other object can have its id.
+        # Keep a reference to the path, so that its id stays unique.
         self._routes: dict[int, tuple[DrivenPath, int]] = {}
 
     def join(self, fleet: Fleet, row: int) -> None:
@@ -114,7 +114,7 @@ def limit_driver(driver: CompiledDriver, acceleration: float, deceleration: floa
         rows = [fields.index(name) for name in names]
         if parameters[rows[0]] > bound:
             exceeded[limit] = float(parameters[rows[0]])
-        # Its formulas divide by them.
+        # The formulas divide by these values.
         parameters[rows] = np.minimum(parameters[rows], max(bound, _LEAST_LIMIT))
     return exceeded
 

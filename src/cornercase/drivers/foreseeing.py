@@ -12,16 +12,16 @@ from cornercase._common.compiling import kernel
 from cornercase.drivers.traffic import HEADING, SPEED, TURN, X, Y
 
 STANDING: Final = 0.2
-"""Below this speed in m/s an entity stands."""
+"""Speed in m/s below which an entity counts as standing."""
 
 TURNING: Final = 2.0
-"""Time in s for which an entity that turns is expected to go on turning."""
+"""Time in s for which a turning entity is predicted to keep turning."""
 
 TURN_LEGS: Final = 8
-"""Straight legs into which that is divided."""
+"""Number of straight legs for that time."""
 
 STRAIGHT: Final = 0.05
-"""Rate of turn in rad/s up to which an entity is taken to go straight."""
+"""Turn rate in rad/s up to which an entity is predicted to go straight."""
 
 # Nothing is allocated, so that references need not be counted, which takes longer than what is computed.
 # What is called from one place, or does little, spares the call.
@@ -43,7 +43,7 @@ def foresee(memory, o, cos, sin, center_x, horizon, legs):
         return 1
     for k in range(TURN_LEGS + 1):
         duration = TURNING / TURN_LEGS
-        # The first leg begins with the present heading of the box.
+        # The first leg has the current heading of the box.
         if k > 0:
             towards = heading + 0.5 * turn * duration
             if k == TURN_LEGS:

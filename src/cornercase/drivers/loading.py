@@ -80,7 +80,7 @@ def load_driver(name: str) -> Driver:
     class_path = f"{module_name}:{class_name}"
     if colon and not text:
         raise InputError(f"The driver '{name}' ends in a colon; give options as in '{class_path}:name=value'.")
-    # Else Python itself would take a `KeyboardInterrupt` of the driver for one that somebody typed.
+    # Otherwise Python would treat a `KeyboardInterrupt` raised by the driver as Ctrl-C.
     with noted_interrupts():
         requests = requests_heard()
         try:

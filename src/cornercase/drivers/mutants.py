@@ -16,7 +16,7 @@ from cornercase.drivers.fleet import CompiledDriver
 from cornercase.drivers.registry import DRIVERS, is_registered
 
 MOST_MUTANTS: Final = 1000
-"""So many at most are drawn of a driver."""
+"""Maximum number of mutants of a driver."""
 
 _GOLDEN: Final = (math.sqrt(5.0) - 1.0) / 2.0
 
@@ -61,7 +61,7 @@ MUTATIONS: Final = (
     Mutation("faster in curves", "lateral_acceleration", 1.2, 3.0),
     Mutation("accelerates more", "acceleration", 1.2, 3.0),
 )
-"""All mutations; those apply to a driver whose parameter is among its own."""
+"""All mutations; a driver gets those of its own parameters."""
 
 
 @dataclass(frozen=True)
@@ -128,7 +128,7 @@ def mutants_of(driver: str, count: int, seed: int = 0) -> tuple[Mutant, ...]:
     mutations = [mutations[i] for i in rng.permutation(len(mutations))]
     starts = rng.random(len(mutations))
     mutants: dict[str, Mutant] = {}
-    # A name has three digits, so that some severities are the same; there are enough others.
+    # Values are rounded to three digits, so some coincide; there are enough others.
     for round_number in range(2 * count):
         for mutation, start in zip(mutations, starts.tolist(), strict=True):
             severity = math.fmod(start + round_number * _GOLDEN, 1.0)
@@ -167,7 +167,7 @@ def name_driver(driver: str | Driver | Mapping[str, object]) -> str:
     candidates: list[tuple[int, str]] = []
     for base in bases:
         defaults = _parameters(base)
-        # A class of one's own that derives from a built-in driver may decide otherwise.
+        # A user's class derived from a built-in driver may decide differently.
         if set(settings) != {"driver", *defaults} or not (isinstance(driver, Mapping) or _is_own(driver)):
             continue
         changed = {name: value for name, value in settings.items() if name in defaults and value != defaults[name]}

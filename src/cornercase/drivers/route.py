@@ -10,14 +10,11 @@ from cornercase._common.typing import FloatArray, IntArray
 from cornercase.drivers.base import DrivenPath
 
 STEP: Final = 0.5
-"""m between the samples of a route, or the next less that divides its length.
-
-Boxes are tested at places this far apart; contacts are refined in between.
-"""
+"""Sample distance of a route in m, reduced to divide its length; contacts are refined between samples."""
 
 _FASTEST = 100.0
 
-# m from sample to sample by which a straight line may fail to be one.
+# Largest deviation in m per sample of a straight line.
 _STRAIGHT = 1e-10
 
 
@@ -91,7 +88,7 @@ def _plan_row(
     sample_distance = np.linspace(0.0, distance[-1], count)
     sample_heading = np.interp(sample_distance, distance, heading)
     step = float(sample_distance[1])
-    # The lowest limit around each sample, so that interpolation never exceeds the path's limit.
+    # Use the lowest limit around each sample, so that interpolation never exceeds the path's limit.
     window = np.stack(
         [np.searchsorted(distance, sample_distance - step), np.searchsorted(distance, sample_distance + step, "right")],
         axis=1,

@@ -27,12 +27,12 @@ from cornercase.drivers.traffic import (
 )
 
 EYE_AHEAD = 0.25
-"""Where the eye is, behind the windscreen: this part of the box's length ahead of the box's centre."""
+"""Position of the eye ahead of the box's centre, as a fraction of the box's length."""
 
-# Time constant in s of the rate of turn as perceived.
+# Time constant in s of the perceived turn rate.
 TURN_MEAN = 0.2
 
-# Comparisons closer than this, relative to what is compared, are made again by the exact way.
+# Closer comparisons, relatively, are repeated exactly.
 _CLOSE = 1e-9
 
 # Nothing is allocated, so that references need not be counted, which takes longer than what is computed.
@@ -60,7 +60,7 @@ def in_sight(
     in rad.
     """
     half = np.array([0.5, 0.5, 1.0])
-    # Compiled once, for arrays in one order.
+    # Contiguous arrays, so that the kernel is compiled only once.
     arrays = np.ascontiguousarray(pose), np.ascontiguousarray(others)
     seen: BoolArray = _look_each(field_of_view, sight_range, half * box, half[:, None] * boxes, *arrays)
     return seen
@@ -96,14 +96,14 @@ def look(field_of_view, sight_range, eye, boxes, others, now, seen):
         reach = sight_range + abs(boxes[CENTER_X, a]) + boxes[HALF_LENGTH, a] + boxes[HALF_WIDTH, a]
         away_x, away_y = others[X, a] - eye_x, others[Y, a] - eye_y
         if away_x * away_x + away_y * away_y <= reach * reach * (1.0 + _CLOSE):
-            # Most go on as they went.
+            # Most keep their heading.
             if others[HEADING, a] != now[a, 4]:
                 now[a, 4] = others[HEADING, a]
                 now[a, 2], now[a, 3] = math.cos(others[HEADING, a]), math.sin(others[HEADING, a])
             now[a, 0] = others[X, a] + boxes[CENTER_X, a] * now[a, 2]
             now[a, 1] = others[Y, a] + boxes[CENTER_X, a] * now[a, 3]
         else:
-            # Out of reach it is not seen, and hides nothing of what is within range.
+            # Out of range it is neither seen, nor does it hide anything within range.
             now[a, 0] = math.nan
     half_view = 0.5 * field_of_view
     edge = math.cos(half_view) if half_view < math.pi else -2.0
@@ -194,7 +194,7 @@ def perceive(behaviour, scene, seen):
             else:
                 since = max(time - memory[LAST_SEEN, a], time_step)
                 change = others[HEADING, a] - memory[HEADING, a] + math.pi
-                # The remainder of what is less than the divisor is itself, and takes long to be found.
+                # Skip the slow remainder if it changes nothing.
                 if not 0.0 <= change < 2.0 * math.pi:
                     change %= 2.0 * math.pi
                 change -= math.pi

@@ -14,12 +14,12 @@ from cornercase.drivers.route import STEP
 from cornercase.drivers.traffic import CENTER_X, HALF_LENGTH, HALF_WIDTH
 
 LOOKAHEAD: Final = 150.0
-"""m."""
+"""Longest lookahead in m."""
 
 MOST_PLACES: Final = int(2.0 * LOOKAHEAD / STEP) + 4
-"""Rows of a table of places; the samples of a route are at least half as far apart as they should be."""
+"""Rows of a table of samples; samples of a route are at least half of `ROUTE_STEP` apart."""
 
-# By which instants that are found in different ways may differ, in parts and in s.
+# Relative and absolute (s) difference of arrival times that are computed differently.
 _HAIR: Final = 1e-9
 
 # Nothing is allocated, so that references need not be counted, which takes longer than what is computed.
@@ -70,7 +70,7 @@ def look_ahead(behaviour, routes, route, scene, v, wanted, work):
     segment = int(at)
     share = at - segment
     start, end = begin + segment, begin + min(segment + 1, samples - 1)
-    # The driven entity is expected to keep its lateral offset from the path.
+    # The driven entity is assumed to keep its lateral offset from the path.
     path_x = points[start, 0] + share * (points[end, 0] - points[start, 0])
     path_y = points[start, 1] + share * (points[end, 1] - points[start, 1])
     offset = (driven.y - path_y) * points[start, 2] - (driven.x - path_x) * points[start, 3]
@@ -127,7 +127,7 @@ def arrive(behaviour, way, k):
             step, distance = next_distance - distance, next_distance
             limit = min(fastest, way.points[way.first + i, 4])
             speed_sum = root + root
-            # At the limit it stays, and so does its root, which takes long to be found.
+            # At the limit the speed is constant: skip the slow root.
             if limit != squared:
                 slowest = max(squared - 2.0 * behaviour.comfortable_deceleration * step, 0.0)
                 squared = max(min(squared + 2.0 * behaviour.acceleration * step, limit), slowest)

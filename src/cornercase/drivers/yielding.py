@@ -30,34 +30,34 @@ from cornercase.drivers.traffic import (
 from cornercase.drivers.way import arrive, distance_to, lay, look_ahead, soonest
 
 ALIGNED: Final = 0.7
-"""Cosine of the angle to the route up to which an entity moves along it (45°)."""
+"""Cosine of the largest angle (45°) at which an entity counts as moving along the route."""
 
 CUT_IN: Final = 2.0
-"""Time in s for which the motion of entities that move along the route is foreseen across it.
+"""Time in s for which lateral motion of entities that move along the route is predicted.
 
-One of the same direction that will cut in ahead within it is followed already. An oncoming one matters only
-if it is in the corridor or will be within it: seen from a bend, all oncoming traffic seems to come across.
+The driver already follows one of the same direction that will cut in within this time. An oncoming one only matters
+if it is in the corridor or will be within this time: seen from a bend, all oncoming traffic seems to cross.
 """
 
 LANE: Final = 2.0
-"""How far beside the corridor, in m, such an entity may be."""
+"""Largest lateral distance of such an entity from the corridor, in m."""
 
 ROADSIDE: Final = 1.5
-"""Up to this distance from the corridor, in m, a standing pedestrian or cyclist is passed with caution."""
+"""Distance from the corridor in m within which a standing pedestrian or cyclist is passed with caution."""
 
 LAST_METRE: Final = 0.5
-"""Distance to the conflict in m that remains when the driver brakes as hard as it can."""
+"""Remaining distance to the conflict in m in emergency braking."""
 
 COMMITTED: Final = 0.5
-"""Share of the safety time that is enough to go first when it is too late to stop comfortably."""
+"""Fraction of the safety time that suffices to go first when it is too late to stop comfortably."""
 
 NARROW: Final = 0.25
-"""Gap in s that is enough to go first when it is too late to stop at all."""
+"""Time gap in s that suffices to go first when it is too late to stop at all."""
 
 RELEASE: Final = 1.25
-"""Multiple of the safety time that ends giving way, so that the decision does not flutter."""
+"""Multiple of the safety time at which yielding ends (hysteresis)."""
 
-# Comparisons closer than this, relative to what is compared, are made again by the exact way.
+# Closer comparisons, relatively, are repeated exactly.
 _CLOSE = 1e-9
 
 # Nothing is allocated, so that references need not be counted, which takes longer than what is computed.
@@ -91,7 +91,7 @@ def decide(behaviour, routes, route, scene, work):
         count = foresee(memory, o, direction[0], direction[1], boxes[CENTER_X, o], behaviour.horizon, work.legs)
         other = (work.legs[:count], boxes[HALF_LENGTH, o], boxes[HALF_WIDTH, o], memory[SPEED, o])
         vulnerable, yielding = boxes[VULNERABLE, o] > 0.0, awareness[YIELDING, o]
-        # Of one that it does not know yet, only whether there is a conflict matters.
+        # For an entity it does not know yet, only the conflict matters.
         lowest = a if awareness[KNOWN, o] else -math.inf
         limit, conflict = _react(behaviour, scene.time_step, lookahead, other, vulnerable, yielding, lowest)
         if conflict:
@@ -115,7 +115,7 @@ def _keep_speed(behaviour, routes, route, scene, v, wanted):
     segment = min(int(at), samples - 2)
     k = routes.begin[route] + segment
     squared = points[k, 4] + (at - segment) * (points[k + 1, 4] - points[k, 4])
-    # Too fast for a curve, it brakes harder than is comfortable, but not as in an emergency.
+    # Too fast for a curve: brake harder than comfortable, but not as in an emergency.
     in_curve = max((math.sqrt(squared) - v) / time_step, -2.0 * behaviour.comfortable_deceleration)
     free = max((wanted - v) / time_step, -behaviour.comfortable_deceleration)
     return min(in_curve, free)
@@ -139,14 +139,14 @@ def _react(behaviour, time_step, way, other, vulnerable, yielding, least):
         if meeting(samples, 0, ego, 0.0, other, 0.0)[0] <= 0.0:
             in_front = dx * samples[0, 3] + dy * samples[0, 4] > 0.0
             return (-behaviour.max_deceleration if in_front else math.inf), False
-        # The margin is dropped where the other is already within it.
+        # Drop the margin if the other is already within it.
         margin = 0.0
 
     standing = abs(speed) < STANDING
     k = first_contact(samples, way.most, ego, margin, other, 0.0, way)
     if k > 0 and (standing or _along(samples, k, other, 0) >= ALIGNED):
         its_speed = 0.0 if standing else _speed_along(samples, k, other)
-        # The place before is nearer than where contact begins.
+        # The previous sample is before contact begins: try that cheaper bound first.
         limit = _follow(behaviour, way.speed, distance_to(way, k - 1), its_speed)
         if not limit >= least:
             limit = _follow(behaviour, way.speed, _refine(way, k, margin, other, 0.0), its_speed)
@@ -222,16 +222,16 @@ def _find_conflict(behaviour, way, margin, other, gap_first, gap_after, past_cho
     while k + 1 < way.rows:
         k += 1
         if k > until:
-            # What is over long before it comes to a place does not matter there, nor behind.
+            # Contacts that end long before the arrival here do not matter, here or later.
             since = max(earliest - gap_after - 1e-6, 0.0)
             k, until = next_rows(way, k, margin, other, since, horizon)
             if k >= way.rows:
                 break
         else:
             lay(way, k)
-        # Most places are passed long before, or long after, the other comes, which needs no exact time of arrival.
+        # Most samples are passed long before or after the other: a bound of the arrival time suffices.
         earliest = soonest(behaviour, way, k)
-        # Later places are reached later; a hair more, as instants are sums.
+        # Later samples are reached later; the tolerance absorbs rounding errors.
         if earliest >= horizon + gap_after + 1e-6:
             break
         contact = last_contact(samples, k, ego, margin, other, horizon, earliest, gap_after)

@@ -15,7 +15,7 @@ import numpy.typing as npt
 from cornercase._common.compiling import kernel
 from cornercase._common.typing import BoolArray
 
-# What rounding may add to a bound, relatively.
+# Relative rounding error of a bound.
 _ROUNDING = 1e-9
 _TINY = 1e-150
 

@@ -41,7 +41,7 @@ from cornercase.dtw.simd import (
     within,
 )
 
-# Cells of one tile: some milliseconds of work, so that threads end together and Ctrl-C is heard soon.
+# Cells of a tile: a few ms of work, so that threads finish together and Ctrl-C takes effect soon.
 TILE_CELLS = 20_000_000
 
 Floats = npt.NDArray[np.floating[Any]]
@@ -119,7 +119,7 @@ def distances(
         result = result[:, : len(j)]
         out[i[:, None], j] = result
         if symmetric:
-            # Where a block meets itself both halves are there, equal to the bit.
+            # A block against itself has both halves, equal to the bit.
             out[j[:, None], i] = result.T
         return int(singles.lengths[chosen.start : chosen.stop].sum() * block.lengths.sum())
 
@@ -201,9 +201,8 @@ def _cost(x, y, j, dims, squared, lanes):
     return root(total)
 
 
-# A row is kept behind one column of infinity. The columns `lower` to `upper` are those of the lane with the
-# widest band; what a narrower one must not see is masked. Their arguments are many because compiled code passes arrays
-# and constants one by one.
+# A row is stored after one column of infinity. Columns `lower` to `upper` are those of the lane with the widest band;
+# narrower bands are masked.
 @_inlined
 def _one_row(x, i, y, lower, upper, row, below, above, infinity, dims, squared, banded, lanes):
     x_a = point(x, i * dims, dims)

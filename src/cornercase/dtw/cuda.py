@@ -25,7 +25,7 @@ from cornercase._common.typing import IntArray
 THREADS = 128
 # Memory for the rows of all pairs of one launch.
 ROW_BYTES = 1 << 30
-# CUDA has no larger grid along its second axis.
+# Largest CUDA grid along the second axis.
 MOST_LINES = 65_535
 
 Floats = npt.NDArray[np.floating[Any]]
@@ -45,7 +45,7 @@ def distances(
     symmetric = columns is None
     partners = rows if columns is None else columns
     dims = rows[0].shape[1]
-    # Long ones first, so that the threads of a warp end together and the last launch is a short one.
+    # Longest first, so that the threads of a warp finish together and the last launch is short.
     row_order, row_lengths = _by_length(rows)
     column_order, column_lengths = _by_length(partners)
     longest, width = int(column_lengths[0]), len(partners)

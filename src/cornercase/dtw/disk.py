@@ -31,7 +31,7 @@ from cornercase.dtw.tiles import Tiles
 if TYPE_CHECKING:
     from distributed import Client
 
-# Series along one side of a square: some seconds of work, and 16 MB of the file with its mirror image.
+# Series per side of a square: a few seconds of work, and 16 MB of the file with its mirror image.
 SIDE = 1024
 
 _FORMAT: Any = np.lib.format
@@ -107,7 +107,7 @@ def _fill(
         for a, b, square in _squares(parts, missing, settings, advance, client):
             rows, columns = bands[a], bands[b]
             pairs.refuse_infinite(square, rows.start, columns.start)
-            # A map of its own for each square: what is unmapped no longer counts as this process's memory.
+            # Map each square separately: unmapped pages no longer count as this process's memory.
             memmap = np.memmap(str(view.filename), view.dtype, "r+", view.offset, view.shape)
             memmap[rows.start : rows.stop, columns.start : columns.stop] = square
             memmap[columns.start : columns.stop, rows.start : rows.stop] = square.T
@@ -120,7 +120,7 @@ def _fill(
 
 def _is_there(view: FloatMap, rows: range, columns: range, checksum: int) -> bool:
     """Check that a square and its mirror image match a checksum."""
-    # A map of its own, as where squares are written.
+    # Map each square separately, as for writing.
     memmap = np.memmap(str(view.filename), view.dtype, "r", view.offset, view.shape)
     square = memmap[rows.start : rows.stop, columns.start : columns.stop]
     mirror = memmap[columns.start : columns.stop, rows.start : rows.stop].T
@@ -160,7 +160,7 @@ def _file_of(out: FloatMap, size: int, dtype: np.dtype[Any]) -> str:
 
 def _map_of(path: Path, size: int, dtype: np.dtype[Any], *, new: bool) -> FloatMap:
     if not new:
-        # One that was cut is filled with what is computed again.
+        # Extend a truncated file; its missing squares are computed again.
         end = _header_size(path) + size * size * dtype.itemsize
         if path.stat().st_size < end:
             os.truncate(path, end)
@@ -203,7 +203,7 @@ def _begun(journal: Path, fingerprint: str) -> dict[tuple[int, int], int]:
         journal.write_text(fingerprint + "\n", encoding="utf-8", newline="\n")
         return {}
     content = journal.read_bytes()
-    # A line without its end was not all written when the machine went down.
+    # Drop an incomplete last line.
     complete = content[: content.rfind(b"\n") + 1]
     if len(complete) < len(content):
         journal.write_bytes(complete)
@@ -216,7 +216,7 @@ def _begun(journal: Path, fingerprint: str) -> dict[tuple[int, int], int]:
         )
     checksums = {}
     for line in squares:
-        # What cannot be read was damaged, and its square is computed again.
+        # A damaged line: its square is computed again.
         with suppress(ValueError):
             a, b, checksum = map(int, line.split())
             checksums[a, b] = checksum

@@ -250,7 +250,7 @@ def _settings(
         raise InputError(f"device is {device!r}; choose 'cpu' or 'cuda'.")
     if dtype not in ("float64", "float32", np.float64, np.float32, np.dtype("float64"), np.dtype("float32")):
         raise InputError(f"dtype is {dtype!r}; choose 'float64' or 'float32'.")
-    # Kernels take 64 bits, and no series is as long as this.
+    # Fits 64 bits, and exceeds any length.
     window = None if window is None else min(_positive("window", window), 2**40)
     threads = available_cpus() if n_jobs is None else _positive("n_jobs", n_jobs)
     if device == "cuda":
@@ -266,7 +266,7 @@ def _centred(
     if dtype != np.float32 or not arrays:
         return arrays
     points = np.concatenate(arrays)
-    # A sum of huge numbers must not overflow before the message below can name one of them.
+    # Must not overflow before the message below can name the series.
     mean = (points / len(points)).sum(axis=0)
     arrays = [array - mean for array in arrays]
     sizes = [np.abs(array).max() for array in arrays]
@@ -312,7 +312,7 @@ def _checked(
     return arrays
 
 
-# Steps of the algorithm that the bar counts as one.
+# Cells per step of the progress bar.
 _SHOWN: Final = 1_000_000
 
 

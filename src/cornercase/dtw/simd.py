@@ -151,8 +151,8 @@ multiply = _binary(lambda builder, a, b: builder.fmul(a, b))
 minimum = _binary(lambda builder, a, b: builder.select(builder.fcmp_ordered("<", a, b), a, b))
 
 
-# AVX-512 has a minimum of whole numbers of either width that runs beside the additions, where the minimum of
-# floating-point numbers competes with them. The bits of non-negative numbers have the order of the numbers.
+# In AVX-512 the integer minimum runs in parallel with additions, and the floating-point minimum competes with them. The
+# bits of non-negative floats sort like integers.
 _INTEGER_MINIMUM = bool(get_host_cpu_features().get("avx512f"))
 
 

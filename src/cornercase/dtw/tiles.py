@@ -22,14 +22,13 @@ from cornercase.dtw.pairs import Floats, Settings
 if TYPE_CHECKING:
     from distributed import Client, Future
 
-# So many squares are with each thread of the workers at a time: enough that none waits, and few to be kept.
+# Squares submitted per thread: enough that no thread waits, and few to store.
 _AHEAD: Final = 2
 
-# So often a square is given to the workers again after several of them were lost with it.
+# Retries of a square whose workers were lost.
 _MOST_LOST: Final = 5
 
-# Series along one side of a square in memory, at least and at most, and so many squares at least where that leaves a
-# choice.
+# Minimum and maximum number of series per side of a square in memory, and the preferred number of bands.
 _SIDES: Final = (64, 1024)
 _BANDS: Final = 12
 
@@ -97,7 +96,7 @@ class Tiles:
     def _band(self, number: int) -> Future[Any]:
         if number not in self._sent or self._sent[number].status not in ("pending", "finished", "lost"):
             with warnings.catch_warnings():
-                # That it is large is known; as the task of itself it can be made again where its worker is lost.
+                # The size is intended; as its own task a band is sent again if its worker is lost.
                 warnings.filterwarnings("ignore", message="Sending large graph")
                 self._sent[number] = self._client.submit(
                     _itself, self._bands[number], key=f"cornercase-band-{uuid.uuid4().hex}", pure=False

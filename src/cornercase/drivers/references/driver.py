@@ -12,7 +12,7 @@ from cornercase.drivers.base import Driver, Situation
 from cornercase.drivers.references.models import REFERENCES, Reaction
 from cornercase.drivers.references.surroundings import Surroundings
 
-# m/s² at which a speed is reached that the scenario asks for, as long as nothing is unsafe.
+# m/s² towards the scenario's target speed while nothing is unsafe.
 _GAINING, _LOSING = 2.0, 4.0
 
 
@@ -69,7 +69,7 @@ class ReferenceDriver(Driver):
         deceleration = np.where(is_unsafe, assessment.deceleration, 0.0).max(axis=1, initial=0.0)
         unsafe = is_unsafe.any(axis=1)
         reaction = self._reaction.acceleration(unsafe, deceleration, dt)
-        # Where the scenario asks for no speed, it is kept.
+        # Without a target speed, keep the current one.
         target = np.where(np.isfinite(s.target_speed), s.target_speed, s.speed)
         max_acceleration = np.where(self._reaction.reacted, 0.0, _GAINING)
         free = np.clip((target - s.speed) / dt, -_LOSING, max_acceleration)

@@ -13,21 +13,21 @@ TIME_STEP: Final = 0.1
 """s."""
 
 STEPS: Final = 350
-"""Time steps of a run at most."""
+"""Maximum number of time steps of a run."""
 
 LENGTH, WIDTH = 4.3, 1.9
-"""m of a car."""
+"""Length and width of a car in m."""
 
 STANDING_LENGTH: Final = 5.0
-"""m of the car that stands behind the one that cuts out."""
+"""Length in m of the standing car in a cut-out."""
 
 LANE: Final = 3.5
-"""m between the centres of two lanes."""
+"""Lane width in m."""
 
 WANDERING: Final = 0.375
-"""m that a car is off the middle of its lane before it counts as cutting in or out; Annex 4, Appendix 3."""
+"""Offset in m from the lane centre from which a car counts as cutting in or out; Annex 4, Appendix 3."""
 
-# m/s by which the lateral speed rises in a time step, with 1.5 m/s².
+# Increase of the lateral speed in m/s per time step, at 1.5 m/s².
 _RISE = 0.15
 
 
@@ -149,7 +149,7 @@ def drive_cut_out(name: str, speed: FloatArray, front_gap: FloatArray, lateral_s
     start = reference.following(speed)
     x, v, a, other_v, none = np.zeros(n), speed.copy(), np.zeros(n), speed.copy(), np.zeros(n)
     other_x, lateral_distance = start + LENGTH, np.zeros(n)
-    # The gap is laid out for a car of the usual length, in whose place a longer one stands.
+    # The gap is defined for a car of the usual length; the standing car is longer.
     standing_x, half = other_x + LENGTH + front_gap, (LENGTH + STANDING_LENGTH) / 2
     always, in_lane = np.ones(n, dtype=np.bool_), np.full(n, -WIDTH)
     reaction, crash, hit, is_recorded = Reaction(reference, n), ~always, ~always, ~always

@@ -12,10 +12,10 @@ REACTION_TIME: Final = 0.75
 """s."""
 
 COMFORTABLE, HARD, OF_THE_OTHER = 4.0, 6.0, 7.0
-"""Decelerations in m/s²: of the driver, comfortable and hard, and of the one ahead."""
+"""Decelerations in m/s²: comfortable and hard ones of the driver, and of the vehicle ahead."""
 
 SAFETY_MARGIN: Final = 2.0
-"""m, both from the one ahead at rest and of the comfortable distance."""
+"""m; both the gap at rest and the margin of the comfortable distance."""
 
 _LATERAL_RESERVE = 0.1
 

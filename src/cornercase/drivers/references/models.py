@@ -31,24 +31,24 @@ FULL_BRAKING: Final = 0.774 * GRAVITY
 """m/s²; UN Regulation No. 157, Annex 4, Appendix 3."""
 
 JERK: Final = 12.65
-"""m/s³ at which the deceleration rises: to full braking within 0.6 s."""
+"""m/s³; reaches full braking within 0.6 s."""
 
 URGENT: Final = 2.0
-"""Time to collision in s from which on the careful and competent human brakes for who cuts in."""
+"""Time to collision in s at or below which the careful and competent human brakes for a cut-in."""
 
 HUMAN_HEADWAY: Final = 2.0
-"""s at which the careful and competent human follows."""
+"""Time headway in s of the careful and competent human."""
 
 RSS_TIME, RSS_ACCELERATION, RSS_BRAKING = 0.75, 3.0, 6.0
 """Response time in s, acceleration during it and braking after it in m/s², of Responsibility-Sensitive Safety."""
 
-# Of Responsibility-Sensitive Safety across the path: margin in m, acceleration and braking in m/s².
+# Lateral Responsibility-Sensitive Safety: margin in m, acceleration and braking in m/s².
 _RSS_MARGIN, _RSS_ASIDE = 0.3, 1.0
-# Of the regulation's 5.2.5.2: lateral gap in m from which on a cut-in counts, braking in m/s², times in s.
+# Regulation 5.2.5.2: lateral gap in m at which a cut-in starts, braking in m/s², times in s.
 _CUTTING_IN, _BRAKING_157, _DELAY_157, _RESERVE_157 = 0.5, 6.0, 0.35, 0.1
-# The careful and competent human takes its foot off the accelerator while it decides to brake.
+# Deceleration in m/s² of the careful and competent human with its foot off the accelerator, before it brakes.
 _ENGINE_BRAKING = 0.4
-# Rounding of time steps must not make the delay one step longer.
+# Rounding errors must not extend the delay by one step.
 _HAIR = 1e-9
 
 
@@ -163,7 +163,7 @@ def _human_judges(view: View) -> Alarm:
 
 
 def _rss_judges(view: View) -> Alarm:
-    # Until its middle has passed the other's, the driver is the one behind.
+    # The driver is behind until its centre has passed the other's.
     is_behind = view.gap + 0.5 * view.lengths > 0.0
     is_near = view.gap < np.maximum(rss_distance(view.speed, np.maximum(view.other_speed, 0.0)), 0.0)
     is_laterally_near = view.lateral_gap < rss_lateral_distance(np.maximum(view.inward, 0.0))

@@ -14,14 +14,14 @@ from cornercase.drivers.references.models import REFERENCES, URGENT, time_to_col
 from cornercase.drivers.references.surroundings import Surroundings
 from cornercase.recordings import Collision, Recording
 
-# The models of the regulation know traffic of motorways, which goes in about one direction: angle between directions in
-# rad, and for how long before they meet, in s.
+# The regulation's models cover motorway traffic in about one direction: largest angle between directions in rad, and
+# the time before contact for which it has to hold, in s.
 _ALONG: Final = np.pi / 4
 _BEFORE: Final = 3.0
-# Who is slower in m/s goes in no direction.
+# Below this speed in m/s, the direction is ignored.
 _MOVING: Final = 0.5
 _NO_MOTORWAY: Final = frozenset({"pedestrian", "wheelchair", "animal", "bicycle", "tram", "train"})
-# m that a driven path goes on straight.
+# Straight extension of a driven path in m.
 _BEYOND: Final = 500.0
 _CLOCK: Final = 1e-9
 

@@ -13,10 +13,10 @@ from cornercase.drivers.references.encounters import WANDERING
 from cornercase.drivers.references.models import URGENT, View, time_to_collision
 
 _SPACING = 0.5
-# Where a path runs otherwise in each scenario, places are looked for in so many scenarios at once.
+# Number of scenarios processed at once if the path differs between them.
 _AT_ONCE = 256
-# What rounding adds up to must not make an alarm of somebody who follows at just the safe distance, in m; who closes in
-# by less, in m/s, does not close in.
+# Tolerance in m, so that rounding does not make a vehicle at exactly the safe distance unsafe; and speed in m/s below
+# which the gap counts as constant.
 _HAIR, _SLOWLY = 1e-3, 0.1
 
 

@@ -35,7 +35,7 @@ from cornercase.simulators.builtin.world.signals import (
 )
 from cornercase.simulators.builtin.world.state import LATERAL, LONGITUDINAL, World
 
-# Actions that change nothing that a criticality metric measures.
+# Actions without influence on criticality metrics.
 WITHOUT_EFFECT: Final = (
     "EnvironmentAction", "AppearanceAction", "UserDefinedAction",
     "OverrideControllerValueAction", "SetMonitorAction",
@@ -87,7 +87,7 @@ class TeleportAction(Action):
         self._position = read_position(child(element, "Position", scope), scope, world)
 
     def start(self, world: World, where: BoolArray) -> None:
-        # Relative positions follow the route of the entity that is placed.
+        # Relative positions follow the route of the placed entity.
         world.actor = self._entity
         pose = self._position(world)
         world.actor = None
@@ -143,7 +143,7 @@ class PresenceAction(Action):
         else:
             added = where & ~world.present[self._entity]
             place_entity(world, self._entity, self._position(world), added)
-            # Unlike after a jump, it moves in the same step.
+            # Unlike a teleported entity, it moves in the same step.
             world.moved[self._entity][added] = False
 
 
@@ -175,7 +175,7 @@ class ValueAction(Action):
     def start(self, world: World, where: BoolArray) -> None:
         values = self._values[self._name]
         new = self._value if self._set else self._operation(values, self._value)
-        # A new array, since the old one has no room for longer texts.
+        # A new array, as longer texts need a wider dtype.
         self._values[self._name] = np.where(where, new, values)
 
 

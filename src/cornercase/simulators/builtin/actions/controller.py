@@ -22,11 +22,10 @@ from cornercase.simulators.builtin.tracks.lane import LaneTrack
 from cornercase.simulators.builtin.tracks.track import Track, Trajectory
 from cornercase.simulators.builtin.world.state import World
 
-# A driver is given trajectories as samples, in m: their spacing, how far they go straight on beyond the end, and how
-# much of a closed trajectory is given.
+# Trajectories for drivers, in m: sample spacing, straight extension beyond the end, and longest length.
 _SPACING, _BEYOND, _LONGEST = 0.5, 200.0, 2000.0
 
-# m/s² beyond a limit that come of rounding.
+# Excess in m/s² that may come from rounding.
 _ROUNDING = 1e-9
 
 _DRIVEN: WeakKeyDictionary[LanePath, DrivenPath] = WeakKeyDictionary()
@@ -71,7 +70,7 @@ class Driving:
         try:
             self._start()
         except DriverError as failure:
-            # The fleet needs one that is started.
+            # The fleet needs a started driver.
             self._failure = failure
             built_in = next(base for base in type(driver).__mro__ if is_built_in(base) and issubclass(base, Driver))
             built_in.start(driver, self._world.scenarios, len(self._others))
@@ -130,7 +129,7 @@ class Driving:
             raise DriverError(failure_of(self._name, error, requests, situation.time), splits=True) from error
         try:
             acceleration: FloatArray = np.asarray(returned).astype(np.float64, casting="same_kind")
-            # One number would be that of the first scenario for all others, too.
+            # A single number would be broadcast to all scenarios.
             if acceleration.shape != (expected,):
                 raise ValueError
             return acceleration
@@ -163,7 +162,7 @@ class Driving:
         world, e, others = self._world, self.entity, self._others
         box, boxes = world.entities[e], [world.entities[a] for a in others]
         is_visible = (world.present & world.visible)[others].T
-        # A driver may keep what it is told, or write into it.
+        # A driver may store or modify its input: pass copies.
         return Situation(
             time=float(world.time[rows].max()),
             time_step=dt,
@@ -195,7 +194,7 @@ class Driving:
             if k not in self._paths:
                 self._paths[k] = _along_lane(track.path)
         elif isinstance(track, Trajectory) and self._begun.get(k) != track.version:
-            # A trajectory that is begun again may run elsewhere.
+            # A restarted trajectory may have another shape.
             self._paths[k], self._begun[k] = _sampled(track), track.version
         return self._paths[k]
 
@@ -254,7 +253,7 @@ class ControllerAction(Action):
             world.control(self._entity, where, self._driver, self._activated)
 
     def _assigned(self, assign: etree._Element, scope: Scope, world: World) -> int:
-        # Of other programs' controllers is said that they have no effect, so that they do not count as read.
+        # Other programs' controllers are reported as having no effect, so they must not count as read.
         holder = next(iter(unrecorded(assign, "ObjectController")), assign)
         controller = next(iter(unrecorded(holder, "Controller")), None)
         reference = holder.find("CatalogReference")

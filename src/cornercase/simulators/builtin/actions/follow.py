@@ -18,9 +18,9 @@ from cornercase.simulators.builtin.world.lanes import attach_to_lane, follow_tra
 from cornercase.simulators.builtin.world.motion import settle_on_track
 from cornercase.simulators.builtin.world.state import LATERAL, LONGITUDINAL, World
 
-# Places and instants that differ by less, in m and s, are the same.
+# Tolerance of distances and times in m and s.
 _TINY: Final = 1e-6
-# Lanes are sampled: what lies further beside one than this, in m, does so in the road file.
+# A larger lateral gap to a sampled lane, in m, exists in the road file too.
 _SEAM: Final = 0.01
 
 
@@ -41,17 +41,17 @@ class FollowTrajectoryAction(Action):
         self._smooth = mode is None or scope.text(mode, "followingMode", "follow") == "follow"
         self._absolute = False
         self._clock: Clock | None = None
-        # Times that do not pass are none.
+        # Constant times are ignored.
         if timing is not None and takes_time(element if holder is None else holder, scope):
             self._absolute = scope.text(timing, "domainAbsoluteRelative", "relative") == "absolute"
             self._clock = Clock(scope.number(timing, "scale", 1.0), scope.number(timing, "offset", 0.0))
             self.domains = (LATERAL, LONGITUDINAL)
             self.keeps_time = True
         self._skip = scope.number(element, "initialDistanceOffset", 0.0)
-        # What the trajectory's clock shows when the simulation time is 0.
+        # Time of the trajectory's clock at simulation time 0.
         self._ahead = np.zeros(scope.scenarios)
         self._track: Trajectory | None = None
-        # -1 where the entity is turned against the line, so that driving forwards leads back along it.
+        # -1 if the entity points against the line, so that driving forwards leads back along it.
         self._sign = np.ones(scope.scenarios)
         self._was_oriented = np.zeros(scope.scenarios)
 
@@ -61,7 +61,7 @@ class FollowTrajectoryAction(Action):
     def start(self, world: World, where: BoolArray) -> None:
         e, scenarios = self._entity, np.arange(world.scenarios)
         track = self._shape(world, self._smooth, self._clock, e)
-        # All scenarios share one track, whenever each starts it, since each step loops over an entity's tracks.
+        # All scenarios share one track, as each step loops over an entity's tracks.
         if self._track is None:
             self._track = track
         else:
@@ -83,7 +83,7 @@ class FollowTrajectoryAction(Action):
             self._ahead[where] = clock_offset[where]
             backwards = oriented & _against(heading, line)
             world.speed[e][where] = np.where(backwards, -speed, speed)[where]
-        # Without a heading of its own, an entity that drives backwards is turned round.
+        # Without a prescribed heading, an entity that drives backwards is turned around.
         heading = np.where(oriented, heading, line + np.where(backwards, np.pi, 0.0))
         is_reversed = _against(heading, line) & ~(oriented & world.entities[e].slides)
         self._sign[where] = np.where(is_reversed, -1.0, 1.0)[where]
@@ -107,7 +107,7 @@ class FollowTrajectoryAction(Action):
         is_over = rows & (time > last - _TINY)
         distance = track.distance_at(time)
         if dt > 0:
-            # An entity turned against the line drives backwards.
+            # An entity that points against the line drives backwards.
             against = _against(world.heading[e], track.direction(before, np.arange(world.scenarios)))
             signed_speed = (
                 np.where(distance < before, -1.0, 1.0) * np.where(against, -1.0, 1.0) * np.abs(distance - before) / dt
@@ -127,7 +127,7 @@ class FollowTrajectoryAction(Action):
         reached = rows & (distance > track.lengths - _TINY) & (step > 0)
         at_start = rows & (distance < _TINY) & (step < 0)
         if (reached | at_start).any():
-            # Back at the start, the rest of the step is lost, as in esmini.
+            # At the start, the rest of the step is dropped, as in esmini.
             remaining = np.where(reached, np.maximum(np.abs(step) - np.abs(distance - before), 0.0), 0.0)
             self._leave(world, track, remaining, reached | at_start)
         return np.asarray(reached | at_start)
@@ -138,7 +138,7 @@ class FollowTrajectoryAction(Action):
         oriented = track.oriented(along, scenarios)
         loses_heading = rows & ~oriented & (self._was_oriented > 0.0)
         if loses_heading.any():
-            # From here on the line alone gives the heading: the entity keeps to the side that it is turned to.
+            # From here on the line determines the heading: keep the current direction.
             heading = track.at(along, np.zeros(world.scenarios), scenarios)[2]
             against = _against(heading, track.direction(along, scenarios))
             self._sign[loses_heading] = np.where(against, -1.0, 1.0)[loses_heading]
@@ -156,7 +156,7 @@ class FollowTrajectoryAction(Action):
         world.y[e][rows] += beyond[rows] * np.sin(heading)
         attach_to_lane(world, e, where)
         for _, lane, at in world.followed(e, where):
-            # Where roads do not quite meet, the lane may be a little beside; the way onto it is no motion.
+            # If roads have a small gap, the shift onto the lane does not count as motion.
             x, y, _ = lane.at(world.distance[e][at], world.offset[e][at], at)
             dx, dy = x - world.x[e][at], y - world.y[e][at]
             has_gap = np.hypot(dx, dy) > _SEAM

@@ -29,17 +29,17 @@ from cornercase.simulators.builtin.world.motion import move_at_once, settle_on_t
 from cornercase.simulators.builtin.world.state import LATERAL, World
 from cornercase.simulators.builtin.world.whereabouts import lane_of, looks_along
 
-# rad; who moves only sideways is turned by a little less than a quarter, and still looks the way that it came: on a
-# bend, too, where headings of lanes are known to a part of this.
+# rad; purely lateral motion turns the entity by slightly less than 90°, so that it still points along its lane, also in
+# bends, where lane headings are accurate to a fraction of the difference.
 _SIDEWAYS: Final = 0.5 * np.pi - 1e-3
 
-# m/s²; esmini's figure for a lane offset without one.
+# m/s²; esmini's default for lane offsets.
 _GENTLE: Final = 0.5
 
-# Tolerances in m or s within which an offset, and a distance, is reached.
+# Tolerances in m or s of offsets and distances.
 _THERE: Final = 1e-6
 _REACHED: Final = 0.01
-# Offsets from a lane's middle are known to some 1e-5 m, and so is how long a change takes, in s or m.
+# Lane offsets, and the duration of a change in s or m, are accurate to about 1e-5.
 _SHORT: Final = 1e-4
 
 
@@ -79,7 +79,7 @@ class LaneChangeAction(Action):
         lane = self._lane(world)
         exists = change_lane(world, e, lane, where)
         if not exists[where].all():
-            # As in esmini, it ends in its own lane; there it jumps aside first.
+            # Ends in its own lane, as in esmini (which jumps sideways first).
             self._stay(world, where & ~exists)
         pose = lane_of(world, e)
         forward = np.where(looks_along(world, pose), 1.0, -1.0)
@@ -87,9 +87,9 @@ class LaneChangeAction(Action):
         self._to[where] = (forward * self._target_offset)[where]
         self._extent[where] = self._transition.extent(self._from, self._to)[where]
         self._done[where] = 0.0
-        # With a route it counts as on its new lane from the start.
+        # With a route it counts as being on the new lane from the start.
         world.changes_lanes[e][where] = (world.route[e] == 0)[where]
-        # It begins along its lane, whatever an earlier action has turned it by.
+        # It starts parallel to its lane, whatever its previous heading.
         world.turn[e][where] = 0.0
         settle_on_track(world, e, where)
 
@@ -104,7 +104,7 @@ class LaneChangeAction(Action):
             longitudinal = step_length / np.sqrt(1.0 + rate**2)
             progress = self._done + longitudinal
             share = self._transition.at(progress / extent)
-            # As in esmini, the heading is that of driving forwards even where the entity drives backwards.
+            # As in esmini, the heading is that of driving forwards even if the entity drives backwards.
             turn = np.arctan(rate)
         else:
             lateral = np.minimum(dt * np.abs(rate), step_length)
@@ -122,12 +122,11 @@ class LaneChangeAction(Action):
         world.offset[e][moves] = offset[moves]
         world.turn[e][moves] = np.where(arrived, 0.0, turn)[moves]
         world.changes_lanes[e][moves & arrived] = False
-        # It moves even where it was just put somewhere; a speed that another action sets in this frame counts from
-        # the next, for one that stands too.
+        # It moves even if it was just placed; a speed set by another action in this frame applies from the next frame.
         world.pace[e][where] = world.speed[e][where]
         step_length = np.sign(world.speed[e]) * np.where(abrupt, step_length, longitudinal)
         move_at_once(world, e, where, np.where(moves, step_length, 0.0))
-        # At the end of the road it is over, wherever between the lanes that is.
+        # It ends at the end of the road, even between lanes.
         stuck = moves & ~arrived & np.isfinite(world.at_end_since[e])
         self.leave(world, stuck)
         return np.asarray(moves & arrived | stuck)
@@ -193,7 +192,7 @@ class LaneOffsetAction(Action):
             pose = lane_of(world, e)
             target = np.where(looks_along(world, pose), self._value, -self._value)
         else:
-            # Its left is the left of the entity that it refers to.
+            # Left is relative to the reference entity.
             pose = lane_of(world, e)
             along = looks_along(world, replace(pose, heading=world.heading[e] - world.turn[e]))
             same_direction = looks_along(world, lane_of(world, self._reference)) == along
@@ -216,7 +215,7 @@ class LaneOffsetAction(Action):
         turn = np.arctan(slope / np.where(np.abs(speed) > 1e-6, speed, 1e-6))
         world.turn[e][where] = np.where(arrived, 0.0, turn)[where]
         self._elapsed[where] += dt
-        # The other actions of the frame see it there.
+        # Later actions of the frame see the new position.
         settle_on_track(world, e, where)
         return np.asarray(where & arrived)
 
@@ -251,7 +250,7 @@ class LateralDistanceAction(Action):
 
     def step(self, world: World, dt: float, where: BoolArray) -> BoolArray:
         e = self._entity
-        # In its first frame the action only measures.
+        # No motion in the first frame.
         moves = where & ~self._first & (dt > 0)
         self._first[where] = False
         error = self._wanted - (world.offset[e] - offset_from(world, e, self._other))
@@ -271,7 +270,7 @@ class LateralDistanceAction(Action):
         fastest = np.maximum(np.minimum(self._fastest, np.abs(world.speed[self._entity])) - 1e-6, 0.0)
         springy = np.isfinite(self._most)
         stiffness = 0.4 * np.where(springy, self._most, 0.0)
-        # As in esmini, what the other one moves across its own heading, which on a lane change is nearly nothing.
+        # As in esmini, the other's speed across its own heading, which is almost 0 in a lane change.
         heading = world.heading[self._other]
         other_lateral_speed = world.gone[1][self._other] * np.cos(heading) - world.gone[0][self._other] * np.sin(
             heading

@@ -20,7 +20,7 @@ from cornercase.simulators.builtin.world.motion import put_ahead
 from cornercase.simulators.builtin.world.state import LONGITUDINAL, World
 from cornercase.simulators.builtin.world.whereabouts import ahead_on_road, lane_of
 
-# Speeds and times that differ by less, in m/s and s, are the same.
+# Tolerance of speeds and times in m/s and s.
 _TINY: Final = 1e-6
 
 # Larger than all limits.
@@ -50,7 +50,7 @@ class SpeedAction(Action):
         else:
             raise InputError(f"{scope.source}, line {element.sourceline}: <SpeedActionTarget> holds no target.")
         n = scope.scenarios
-        # The transition goes from one speed to another while its parameter grows from 0 to its span, in s.
+        # The speed changes while the parameter grows from 0 to the span, in s.
         self._from, self._to, self._parameter, self._span = (np.zeros(n) for _ in range(4))
         self._stretch = np.ones(n)
         self._reached, self._rate = np.zeros(n), self._transition.value
@@ -82,7 +82,7 @@ class SpeedAction(Action):
                 self._span[where] = self._transition.time_by_rate(self._to - self._from)[where]
         current, driven = world.speed[e], world.driven[e]
         highest, lowest = current + entity.max_acceleration * dt, current - entity.max_deceleration * dt
-        # A change that the vehicle is too slow for takes longer: the parameter falls back behind the time.
+        # If the change exceeds the vehicle's limits, it takes longer: the parameter lags behind the time.
         settled = (self._span > 0.0) & (self._parameter > self._span - _TINY)
         parameter = np.clip(self._parameter + dt / self._stretch, 0.0, self._span)
         planned = self._transition.between(self._from, self._to, parameter, self._span)
@@ -119,7 +119,7 @@ class LongitudinalDistanceAction(Action):
     """
 
     domains = (LONGITUDINAL,)
-    # The order is that of the names in `frames.synchronising`.
+    # The kernels use the same order.
     remembered = ("_acceleration", "_behind", "_wanted", "_up", "_down", "_fastest", "_jerk_up", "_jerk_down")
 
     def __init__(self, element: etree._Element, scope: Scope, world: World, entity: int) -> None:
@@ -142,7 +142,7 @@ class LongitudinalDistanceAction(Action):
         self._jerk_up = _limit(limits, "maxAccelerationRate", np.inf, _UNLIMITED, scope)
         self._jerk_down = _limit(limits, "maxDecelerationRate", np.inf, _UNLIMITED, scope)
         self._behind = np.full(n, 1.0 if side != "leadingReferencedEntity" else 0.0)
-        # Where the entity is first, ahead or behind, it stays.
+        # With "any", the entity stays on the side where it starts.
         self._undecided = np.full(n, side == "any")
         self._acceleration = np.zeros(n)
 
@@ -163,7 +163,7 @@ class LongitudinalDistanceAction(Action):
         speed, other = world.speed[e], world.speed[o]
         target = np.abs(np.abs(other) * self._wanted if self._timed else self._wanted)
         distance = self._measure(world)
-        # To who drives on roads that do not connect there is no distance: the entity keeps its speed.
+        # Without a connecting road there is no distance: keep the speed.
         where = where & np.isfinite(distance)
         error = np.where(np.isfinite(distance), distance, 0.0) - np.where(self._behind > 0.0, target, -target)
         if self._rigid:

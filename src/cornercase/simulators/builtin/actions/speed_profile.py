@@ -15,10 +15,10 @@ from cornercase.simulators.builtin.paths.positions import entity_index
 from cornercase.simulators.builtin.world.motion import acceleration_ahead
 from cornercase.simulators.builtin.world.state import LONGITUDINAL, World
 
-# Speeds, times and accelerations that differ by less, in m/s, s and m/s², are the same.
+# Tolerance of speeds, times and accelerations in m/s, s and m/s².
 _TINY: Final = 1e-6
 
-# A profile that has not come to its end so long after it, in s, keeps the speed that it has come to; esmini's figure.
+# Time in s after the end of a profile from which an unfinished one keeps its speed; as in esmini.
 _PATIENCE: Final = 10.0
 
 
@@ -99,7 +99,7 @@ class SpeedProfileAction(Action):
                 speed, passed = _at(profile, world.time + dt)
                 rows &= world.time + dt < profile[-1].time + _PATIENCE
                 target[rows] = speed[rows]
-                # With the speed of the last target, and all targets before it passed, it is over.
+                # It ends at the speed of the last target after passing all others.
                 at_target = np.abs(speed - profile[-1].speed) < _TINY
                 is_over[rows] = (at_target & (passed >= len(self._speeds) - 1))[rows]
         world.set_speed(e, where, target)
@@ -112,7 +112,7 @@ class SpeedProfileAction(Action):
         zeros = np.zeros(world.scenarios)
         if (np.abs(self._spans[0]) < _TINY).all():
             first, _ = targets.pop(0)
-            # A smooth profile begins at the present speed.
+            # A smooth profile starts at the current speed.
             current = current if smooth else base + first
         lines = []
         for speed, span in targets:
@@ -132,7 +132,7 @@ def _at(profile: list[Phase], time: FloatArray) -> tuple[FloatArray, IntArray]:
     speed = profile[0].speed
     passed, reached = np.zeros(speed.shape, dtype=np.int64), np.ones(speed.shape, dtype=np.bool_)
     for number, phase in enumerate(profile):
-        # A phase that would begin earlier than the one before it begins with that.
+        # A phase never begins before the previous one.
         reached &= time > phase.time - _TINY
         since = time - phase.time
         speed = np.where(reached, phase.speed + phase.rate * since + 0.5 * phase.jerk * since**2, speed)
@@ -163,7 +163,7 @@ def _smoothed(lines: list[Phase], rate: FloatArray, limits: Limits) -> tuple[lis
     """
     first, zeros = lines[0], np.zeros_like(rate)
     jerk = _jerk(first.rate - rate, limits)
-    # A profile that begins level does so at once.
+    # A profile that starts at constant speed has no initial arc.
     span = np.where(np.abs(first.rate) > _TINY, (first.rate - rate) / jerk, 0.0)
     arc = Phase(first.time, first.speed, rate, jerk)
     current = Phase(first.time + span, first.speed + rate * span + 0.5 * jerk * span**2, first.rate, zeros)
@@ -209,7 +209,7 @@ def _one_target(line: Phase, end: Phase, rate: FloatArray, limits: Limits) -> tu
         # Of the two solutions, the peak nearer to 0 leaves time between the two phases of jerk.
         square_root = np.sqrt(np.maximum(root, 0.0))
         peak = np.where(a == 0.0, -c / b, np.where(b > 0.0, -2.0 * c / (b + square_root), 0.5 * (square_root - b) / a))
-        # If there is no such time, the acceleration falls as soon as it has risen.
+        # Without such a phase, the acceleration falls as soon as it has risen.
         sharp = np.sign(j0) * np.sqrt(np.maximum((change + 0.5 * rate**2 / j0) / (0.5 / j0 - 0.5 / j1), 0.0))
     peak = np.where(root >= 0.0, peak, sharp)
     peak = np.clip(peak, -limits.down, limits.up)

@@ -48,7 +48,7 @@ class SynchronizeAction(Action):
     """
 
     domains = (LONGITUDINAL,)
-    # The order is that of the names in `frames.synchronising`.
+    # The kernels use the same order.
     remembered = (
         "_mode", "_convex", "_last", "_last_master",
         "_x", "_y", "_road", "_s", "_track", "_place", "_tolerance",
@@ -134,7 +134,7 @@ class SynchronizeAction(Action):
         self._last[where], self._last_master[where] = distance[where], master_distance[where]
         distance = np.maximum(distance - self._tolerance, _TINY)
         master_distance = np.maximum(master_distance - self._tolerance_master, _TINY)
-        # Of the master's speed, the part along its road and towards its target counts.
+        # Component of the master's speed along its road towards its target.
         direction = _sign(world.speed[m]) * np.sign(signed * np.cos(world.turn[m]))
         speed_master = direction * speed_along_road(world, m, where)
         approaches = (speed_master > _TINY) & (dt > 0)
@@ -147,9 +147,9 @@ class SynchronizeAction(Action):
         else:
             target = self._arrive_with(world, dt, distance, time, final, approaches, where & ~is_done)
             target = np.where(is_done, final, target)
-        # An entity with a driver is asked for a speed that it can reach.
+        # A driver's target speed must be reachable.
         speed = np.clip(target, 0.0, world.entities[e].max_speed)
-        # Who arrives without a final speed keeps its own, unless its master has just stopped coming.
+        # Without a final speed, an arriving entity keeps its speed, unless its master has just stopped approaching.
         change = where & ~(is_done & (approaches | waited)) if self._of_final == NO_FINAL_SPEED else where
         own_speed = np.where(np.isfinite(target), target, world.speed[e])
         world.set_speed(e, change, np.where(world.driven[e], speed, own_speed))
@@ -208,7 +208,7 @@ class SynchronizeAction(Action):
         result[stands & (mode != WAITING)] = 0.0
         mode[stands] = WAITING
         left &= ~stands
-        # An entity that waited begins anew; with a steady state the last phase comes next, as in esmini.
+        # An entity that waited starts again; with a steady state the last phase comes next, as in esmini.
         released = left & (mode == WAITING)
         mode[released] = np.where((v0 > 0) | (steady_way <= 0), NEW, LAST)[released]
         settle(released & (mode == LAST), 0.0)

@@ -66,5 +66,5 @@ def _leave(world: World, vehicle: int, where: BoolArray) -> None:
         if tow.vehicle == vehicle and released.any():
             world.pulled_by[tow.trailer][released] = -1
             attach_to_lane(world, tow.trailer, released)
-            # As in esmini, one that is on no road stays where it is.
+            # As in esmini, a trailer off the road stops.
             world.speed[tow.trailer][released & (world.track[tow.trailer] == FREE)] = 0.0

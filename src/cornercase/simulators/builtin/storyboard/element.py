@@ -36,7 +36,7 @@ class Watch:
             states = (*_STATES, *_TRANSITIONS)
             raise InputError(f"{where}: '{state}' is not a state of a storyboard element; {suggestion(state, states)}")
         self._state, self._transition = _STATES.get(state), _TRANSITIONS.get(state)
-        # The element's state, and that which the condition knows of.
+        # Current state, and state at the last evaluation.
         self._latest, self._known = (np.full(scenarios, INIT, dtype=np.int8) for _ in range(2))
         self._changed, self._seen = (np.zeros(scenarios, dtype=np.bool_) for _ in range(2))
 

@@ -87,7 +87,7 @@ def _reach_position(element: etree._Element, scope: Scope, world: World) -> Enti
     position, tolerance = read_position(holder, scope, world), scope.number(element, "tolerance")
     oriented = holder.find("*/Orientation") is not None
 
-    # Where it stays put, it is looked up once.
+    # A fixed position is looked up once.
     fixed_pose = position(world) if stays_put(holder) else None
 
     def reached(world: World, e: int) -> BoolArray:
@@ -145,7 +145,7 @@ def _acceleration(element: etree._Element, scope: Scope, world: World) -> Entity
     def holds(world: World, e: int) -> BoolArray:
         if direction:
             return np.asarray(rule(_along(world, world.pull, e, e, direction), value))
-        # Against the heading it is negative.
+        # Negative against the heading.
         size = np.hypot(world.pull[0][e], world.pull[1][e])
         return np.asarray(rule(np.where(_along(world, world.pull, e, e, "longitudinal") < 0.0, -size, size), value))
 
@@ -277,7 +277,7 @@ def _time_to_collision(element: etree._Element, scope: Scope, world: World) -> E
 
 def _collides(world: World, e: int, other: int, gap: Gap, rule: Callable[[Any, Any], Any], value: Any) -> BoolArray:
     distance = gap.to_entity(world, e, other)
-    # How fast the gap closes is measured along the way that the other goes.
+    # The closing speed is measured along the other's direction of motion.
     x, y = world.gone[0][other], world.gone[1][other]
     pace = np.hypot(x, y)
     stands = (np.abs(x) < TOLERANCE) & (np.abs(y) < TOLERANCE)
@@ -314,7 +314,7 @@ def _relative_clearance(element: etree._Element, scope: Scope, world: World) -> 
                 distance = np.where(
                     distance > 0, np.maximum(distance - overlap_ahead, 0.0), np.minimum(distance + overlap_behind, 0.0)
                 )
-            # On a road that runs the other way, the lanes of the own side have the other sign.
+            # On a road with opposite direction, lanes have the opposite sign.
             is_opposite = runs_against(world, e, pose)
             lane = np.where(is_opposite, -own_pose.lane, own_pose.lane)
             lane_difference = lanes_between(world, replace(own_pose, lane=lane), pose) * np.where(is_opposite, -1, 1)

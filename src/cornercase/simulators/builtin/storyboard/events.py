@@ -140,7 +140,7 @@ class Event(Element):
             busy = np.zeros_like(fired)
             for event in others:
                 busy |= event.state == RUNNING
-            # An event that is skipped has not run, and waits on.
+            # A skipped event has not run, and keeps waiting.
             self.move(fired & busy, STANDBY, SKIP)
             fired = fired & ~busy
         elif self._priority in ("overwrite", "override"):

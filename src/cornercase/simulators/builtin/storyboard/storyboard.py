@@ -27,7 +27,7 @@ from cornercase.simulators.builtin.world.state import World
 
 E = TypeVar("E", bound="Element")
 
-# What acts as a scenario begins, in the order in which it does.
+# Elements of <Init>, in their order of execution.
 _INIT: Final = ("GlobalAction", "UserDefinedAction", "Private")
 _PLACING: Final = ("TeleportAction", "AddEntityAction")
 _RELATIVE: Final = ("RelativeLanePosition", "RelativeRoadPosition", "RelativeObjectPosition", "RelativeWorldPosition")
@@ -44,7 +44,7 @@ class Storyboard:
         self._elements: dict[tuple[str, str], list[tuple[Element, tuple[str, ...]]]] = {}
         self._parents: list[str] = []
         self._watches: list[tuple[str, str, Watch, str]] = []
-        # By entity, or None for actions of no entity.
+        # By entity; None for global actions.
         self._actions: dict[int | None, list[RunningAction]] = {}
         self.actions: list[RunningAction] = []
         self._triggered: list[Element] = []
@@ -84,7 +84,7 @@ class Storyboard:
         """Find the element of a kind and name; names may include those of parents, as in ``Act::Group``."""
         path = tuple(name.split("::"))
         for element, parents in self._elements.get((kind, path[-1]), ()):
-            # A name need not give all parents.
+            # A name need not include all parents.
             names = iter(parents)
             if all(segment in names for segment in path[:-1]):
                 return element
@@ -99,7 +99,7 @@ class Storyboard:
         if dt == 0.0:
             for action in self._init:
                 action.start(world.running.copy())
-            # Nothing has moved yet, but conditions on velocities and collisions hold from the start.
+            # Nothing has moved yet, but conditions on velocities and collisions already apply.
             world.gone[0][:], world.gone[1][:] = velocity_ahead(world)
             find_contacts(world)
             for story in self.stories:
@@ -109,7 +109,7 @@ class Storyboard:
         self._stopped |= stopped
         if dt > 0.0:
             world.running &= ~ends
-        # A storyboard that stops in the first frame, which is recorded, does nothing in it.
+        # A storyboard that stops in the first frame does nothing in it; the frame is recorded.
         self._going = ~stopped
         for story in self.stories:
             story.evaluate(world, world.running & self._going)
@@ -127,7 +127,7 @@ class Storyboard:
         for action in self.actions:
             if action.action is not None and action.action.keeps_time:
                 result |= action.state == RUNNING
-        # It may fire in the last frame, at which the storyboard does not look.
+        # It may fire in the last frame, in which triggers are not evaluated.
         return result & ~self._stopped & ~self._stop.fires(self._world, all_scenarios)
 
     def look_up(self, where: BoolArray) -> None:
@@ -209,7 +209,7 @@ class Storyboard:
 
     def _read_event(self, event: etree._Element, scope: Scope, actors: list[int], select: bool) -> Event:
         trigger = self._start_trigger(event, scope)
-        # Entities that trigger the event may act in it, besides the actors that are named.
+        # Triggering entities may act too, besides the named actors.
         choices: dict[int, Callable[[], BoolArray] | None] = {}
         if select and trigger is not None:
             choices = {e: partial(trigger.triggered_by, e) for e in trigger.entities}
@@ -241,7 +241,7 @@ class Storyboard:
         rivals, action_element = self._actions.setdefault(entity, []), inner_action(element)
         with placed(action_element, scope.source):
             action = read_action(element, scope, self._world, entity)
-        # Of the scenario file whoever runs the scenario knows the name.
+        # The name of the scenario file itself is omitted.
         scenario_file = str(self._scenario.path)
         location = (
             f"line {action_element.sourceline}"
@@ -279,7 +279,7 @@ def _in_order_of_reference(actions: list[etree._Element], scope: Scope) -> list[
             for action in remaining
             if (action.adds or action.entity not in adding) and not action.references & placing
         ]
-        # Entities that refer to each other stay in the file's order.
+        # Keep the file's order for entities that refer to each other.
         ready = ready or remaining[:1]
         ordered += [action.element for action in ready]
         remaining = [action for action in remaining if action not in ready]

@@ -34,7 +34,7 @@ Test = Callable[[World, BoolArray], BoolArray]
 
 _CONSTANT: Final = Leaf(leaves.CONSTANT)
 
-# Conditions that only a user's program or the time of day could make true.
+# Conditions that only a user's program or the time of day can make true.
 NEVER_TRUE: Final = ("UserDefinedValueCondition", "TimeOfDayCondition")
 
 
@@ -118,7 +118,7 @@ class Past:
 
     def __init__(self, delay: FloatArray, sudden: bool) -> None:
         self._delay, self._sudden = delay, sudden
-        # Frames that are not yet past the delay everywhere: times, values, and where the value was a new one.
+        # Frames whose delay has not passed in all scenarios: times, values, and where the value changed.
         self._frames: list[tuple[FloatArray, BoolArray, BoolArray]] = []
         self._newest, self._now = (np.full(len(delay), -1, dtype=np.int8) for _ in range(2))
 
@@ -132,7 +132,7 @@ class Past:
         if self._sudden:
             world.stirred |= new
         for past_time, past_value, changed in self._frames:
-            # The first two frames are at the same time; of them the later counts.
+            # The first two frames have the same time; the later one counts.
             same_time = new & changed & (time <= past_time)
             past_value[same_time] = value[same_time]
             new &= ~same_time
@@ -208,7 +208,7 @@ class Trigger:
         for group in self._groups:
             holds = where.copy()
             for condition in group:
-                # Without a delay, a condition is evaluated only where all before it hold; elsewhere its edge stays.
+                # Without a delay, a condition is only evaluated (and its edge updated) where all previous ones hold.
                 holds &= condition.evaluate(world, where & (holds | condition.delayed))
             fired |= holds
         world.stirred |= fired
@@ -394,7 +394,7 @@ def _numbers(texts: Iterable[str]) -> FloatArray:
 
 
 def _never(element: etree._Element, scope: Scope, world: World, elements: Elements) -> Test:
-    # Nothing in this simulator could make these conditions true.
+    # Nothing in this simulator can make these conditions true.
     result = np.zeros(scope.scenarios, dtype=np.bool_)
     return ByValue(lambda world: result)
 

@@ -12,7 +12,7 @@ from cornercase.simulators.builtin.world.contacts import entity_corners, overlap
 from cornercase.simulators.builtin.world.state import World
 from cornercase.simulators.builtin.world.whereabouts import lane_of, looks_along
 
-# Each pass makes the error in s smaller by the curvature times the distance beside the reference line.
+# Each iteration reduces the error in s by the factor curvature times lateral distance.
 _PASSES: Final = 6
 
 
@@ -32,7 +32,7 @@ def free_space_on_road(world: World, entity: int, other: int, lateral: bool, oth
     differences = second[:, None, :] - first[:, :, None]
     if not lateral:
         differences *= _direction(world, own_pose)[:, None, None]
-    # They are abreast where some corner of the one lies between corners of the other.
+    # Side by side: a corner of one box is between corners of the other.
     behind = differences < 0.0
     abreast = (behind.any(axis=2) & ~behind.all(axis=2)).any(axis=1)
     flat = differences.reshape(world.scenarios, -1)

@@ -13,7 +13,7 @@ from cornercase.simulators.builtin.world.contacts import entity_corners
 from cornercase.simulators.builtin.world.state import World
 from cornercase.simulators.builtin.world.whereabouts import lane_of, looks_along
 
-# Beyond this distance from a track, in m, a target is not on it.
+# Largest distance in m of a target from its track.
 _ASTRAY: Final = 20.0
 
 

@@ -29,7 +29,7 @@ def as_held(element: etree._Element, scope: Scope, values: npt.NDArray[np.str_])
 def nobody_asks(element: etree._Element, *conditions: str) -> bool:
     """Check that no condition with one of the tags is in an element's file; False if catalogs could contain some."""
     root = element.getroottree().getroot()
-    # Looking through the file does not count as reading it.
+    # This search must not mark elements as read.
     found_conditions = below(root, *conditions)
     groups = below(root, "ManeuverGroup")
     references = (

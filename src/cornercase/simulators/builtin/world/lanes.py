@@ -15,11 +15,11 @@ from cornercase.simulators.builtin.world.state import World
 from cornercase.simulators.builtin.world.towing import align_trailers
 from cornercase.simulators.builtin.world.whereabouts import lane_of, on_lane
 
-# Headings that differ by less, in rad, are the same.
+# Tolerance of headings in rad.
 _ALIGNED: Final = 1e-3
-# What lies so far beyond the end of a road, in m, is put at another place.
+# Distance in m beyond the end of a road from which a placement is reported as moved.
 _BEYOND: Final = 1.0
-# So near the place where two lanes meet, in m, a sample of a path may belong to either.
+# Distance in m from a lane's end within which a path sample may belong to either lane.
 _SEAM: Final = 0.5
 
 
@@ -35,13 +35,13 @@ def place_entity(world: World, entity: int, pose: Pose, where: BoolArray) -> Non
     where = where & world.running
     for state, value in ((world.x, pose.x), (world.y, pose.y), (world.heading, pose.heading)):
         state[entity][where] = value[where]
-    # The distance of a jump does not count as travelled.
+    # A teleport does not add to the travelled distance.
     world.from_x[entity][where], world.from_y[entity][where] = pose.x[where], pose.y[where]
     world.present[entity] |= where
     world.jumped[entity] |= where
     world.moved[entity] |= where & world.begun
     align_trailers(world, entity, where)
-    # An entity that follows a trajectory keeps following it.
+    # An entity on a trajectory stays on it.
     attach_to_lane(world, entity, where & ((world.track[entity] == FREE) | on_lane(world, entity)), pose)
 
 
@@ -77,7 +77,7 @@ def attach_to_lane(world: World, entity: int, where: BoolArray, pose: Pose | Non
             why = f"{world.names[entity]} is beyond the end of the nearest road, and is placed at that end"
             world.remark(world.acting, "position", why, is_off)
         turn = within_half_turn(pose.heading[rows] - heading)
-        # Lanes are sampled, so their headings are not exact: so small a difference is none.
+        # Headings of sampled lanes are not exact: ignore small differences.
         world.turn[entity][rows] = np.where(np.abs(turn) < _ALIGNED, 0.0, turn)
 
 
@@ -128,14 +128,14 @@ def go_on(world: World, entity: int, number: int) -> None:
     keys = np.stack([path.road[sample], path.lane[sample], path.along[sample], routes[at]])
     for key in np.unique(keys, axis=1).T if at.size else ():
         road, lane, along, route = int(key[0]), int(key[1]), bool(key[2]), int(key[3])
-        # Where two lanes meet the sample may belong to either: then it is a matter of the next step.
+        # Near a lane's end the sample may belong to either lane: wait for the next step.
         seams = world.network.roads[road].seams
         rows = (keys == key[:, None]).all(axis=0) & (np.abs(s[:, None] - seams) > _SEAM).all(axis=1) & (s > _SEAM)
         for section in np.unique(world.network.roads[road].section_at(s[rows])):
             in_section = rows & (world.network.roads[road].section_at(s) == section)
             new = lane_track(world, road, lane, float(s[in_section][0]), along, route)
             if new is not None:
-                # On a ring it is the path that it follows already, begun again.
+                # On a ring it is the current path, started again.
                 new = LaneTrack(new.path) if new is track else new
                 _carry_over(world, entity, track, new, at[in_section], s[in_section])
                 world.route[entity][at[in_section]] = route

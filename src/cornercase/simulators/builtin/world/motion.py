@@ -14,13 +14,13 @@ from cornercase.simulators.builtin.world.lanes import go_on
 from cornercase.simulators.builtin.world.state import World
 from cornercase.simulators.builtin.world.whereabouts import on_road
 
-# An entity this close to the end of a road, in m, is at the end.
+# Distance in m to the end of a road that counts as the end.
 _ON_END: Final = 1e-3
 
 
 def watch_roads(world: World, where: BoolArray) -> None:
     """Update since when entities are off the road, in the scenarios of a mask."""
-    # As in esmini, nobody is off the road before the first frame that takes time.
+    # As in esmini, no entity is off the road before the first time step.
     current_time = np.where(world.last_step > 0.0, world.time, np.inf)
     for e, since in enumerate(world.off_road_since):
         is_off = world.present[e] if world.network is None else world.present[e] & ~on_road(world, e)

@@ -16,9 +16,9 @@ from cornercase.scenario import Scope
 from cornercase.simulators.builtin.world.held import nobody_asks
 
 SIGNAL_CONDITIONS: Final = ("TrafficSignalCondition", "TrafficSignalControllerCondition")
-"""Conditions that ask for what traffic signals show."""
+"""Conditions on traffic signals."""
 
-# A phase begins this little early, in s, since times are multiples of the time step but for rounding.
+# Tolerance in s for times that are multiples of the time step.
 _TINY: Final = 1e-6
 
 

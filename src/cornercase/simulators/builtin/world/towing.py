@@ -11,7 +11,7 @@ from cornercase._common.errors import InputError
 from cornercase._common.typing import BoolArray
 from cornercase.simulators.builtin.world.state import Entity, Tow, World
 
-# More trailers than that behind one vehicle are a catalog entry that pulls itself.
+# More trailers mean that a catalog entry pulls itself.
 MOST_TRAILERS: Final = 20
 
 

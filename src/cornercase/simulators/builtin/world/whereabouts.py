@@ -29,7 +29,7 @@ def lane_of(world: World, entity: int) -> Pose:
     pose = Pose(world.x[entity].copy(), world.y[entity].copy(), world.heading[entity].copy())
     if world.network is None:
         return pose
-    # As in esmini, only who changes lanes comes to another lane, however far an offset leads aside.
+    # As in esmini, only a lane change leads to another lane, not a large offset.
     near = ~world.changes_lanes[entity] | (np.abs(world.offset[entity]) < BESIDE)
     along = on_lane(world, entity) & near & world.present[entity]
     n = world.scenarios
@@ -54,7 +54,7 @@ def on_road(world: World, entity: int) -> BoolArray:
         rows = (location.road == road) & (location.lane == lane)
         road_geometry = world.network.roads[road]
         section = road_geometry.section_at(location.s[rows])
-        # A lane of no type is beside the road.
+        # A lane of type "none" is not part of the road.
         lanes = {int(k): road_geometry.sections[int(k)][1].get(lane) for k in np.unique(section)}
         untyped_sections = {
             k
@@ -126,7 +126,7 @@ def lanes_between(world: World, one: Pose, two: Pose) -> IntArray:
     """Number of lanes from `pose` to `other`, positive to the left in driving direction, (N,)."""
     assert one.lane is not None
     assert two.lane is not None
-    # Lane numbers skip 0.
+    # Lane 0 is the centre line, not a lane.
     difference = two.lane - one.lane
     crossing = np.sign(one.lane) != np.sign(two.lane)
     difference = difference - np.where(crossing, np.sign(difference), 0)
