@@ -10,20 +10,14 @@ from __future__ import annotations
 
 import math
 
-from cornercase._common.compiling import kernel
+from cornercase.drivers.traffic import inline_kernel, plain_kernel
 from cornercase.drivers.way import lay
 
 # m; closer boxes are tested exactly.
 _HAIR = 1e-6
 
-# Nothing is allocated, so that references need not be counted, which takes longer than what is computed.
-_kernel = kernel(error_model="numpy", _nrt=False)
 
-# What is called from one place, or does little, spares the call.
-_part = kernel(error_model="numpy", _nrt=False, forceinline=True)
-
-
-@_kernel
+@plain_kernel
 def meeting(places, row, ego, margin, other, horizon):
     """First and last contact in s, and the leg of the first, if the driven entity were at a path sample.
 
@@ -49,7 +43,7 @@ def meeting(places, row, ego, margin, other, horizon):
     return enters, leaves, at
 
 
-@_part
+@inline_kernel
 def last_contact(places, row, ego, margin, other, horizon, instant, after):
     """Leg and interval of the last contact at a path sample, if its end + `time_offset` is later than `min_end`.
 
@@ -71,7 +65,7 @@ def last_contact(places, row, ego, margin, other, horizon, instant, after):
     return -1, math.inf, -math.inf
 
 
-@_part
+@inline_kernel
 def begins_before(places, row, ego, margin, other, horizon, found, instant, before):
     """Check that the first contact at a path sample, plus `time_offset`, begins earlier than `max_start`.
 
@@ -87,12 +81,12 @@ def begins_before(places, row, ego, margin, other, horizon, found, instant, befo
     return legs[found[0], 4] + found[1] + before < instant
 
 
-@_part
+@inline_kernel
 def _duration(legs, leg, horizon):
     return max(min(legs[leg, 5], horizon) - legs[leg, 4], 0.0)
 
 
-@_kernel
+@plain_kernel
 def _on_leg(places, row, own_length, own_width, other, leg, horizon):
     """First and last contact in s from the start of a leg; first > last if there is none."""
     legs, half_length, half_width, speed = other
@@ -120,7 +114,7 @@ def _on_leg(places, row, own_length, own_width, other, leg, horizon):
     return _during(first, last, lateral, radius, speed * sin)
 
 
-@_part
+@inline_kernel
 def _during(first, last, apart, radius, rate):
     """Clip a time interval to when a point at offset `offset`, moving at `rate`, is within `radius`."""
     first_crossing, second_crossing = (-radius - apart) / rate, (radius - apart) / rate
@@ -130,7 +124,7 @@ def _during(first, last, apart, radius, rate):
     return (first if is_still else begin), (end_if_still if is_still else end)
 
 
-@_part
+@inline_kernel
 def _touching(places, row, own_length, own_width, other):
     """Check whether the boxes overlap with the other at the start of its first leg."""
     legs, half_length, half_width, _ = other
@@ -151,7 +145,7 @@ def _touching(places, row, own_length, own_width, other):
     )
 
 
-@_kernel
+@plain_kernel
 def first_contact(places, most, ego, margin, other, horizon, way=None):
     """Row of the first path sample ahead with contact; -1 if there is none.
 
@@ -177,7 +171,7 @@ def first_contact(places, most, ego, margin, other, horizon, way=None):
     return -1
 
 
-@_part
+@inline_kernel
 def next_rows(way, k, margin, other, since, horizon):
     """First and last row of the next consecutive samples with possible contact; computes the first.
 
@@ -197,7 +191,7 @@ def next_rows(way, k, margin, other, since, horizon):
     return first, until
 
 
-@_part
+@inline_kernel
 def _stretch(places, k, ego, margin, other, since, horizon, length):
     """First range in m from sample `row` of a straight line in which the ego may touch the other's swept box.
 
@@ -245,14 +239,14 @@ def _stretch(places, k, ego, margin, other, since, horizon, length):
     return begin, end
 
 
-@_part
+@inline_kernel
 def _swept(legs, leg, speed, since, over):
     """Distance that the other has covered on a leg at time `start`, and half of what it covers afterwards, in m."""
     from_then = max(legs[leg, 4], since)
     return speed * (from_then - legs[leg, 4]), 0.5 * speed * max(over - from_then, 0.0)
 
 
-@_part
+@inline_kernel
 def _clip(first, last, rate, middle, radius):
     """Clip a range to where a projection that grows by `rate` per metre is within `radius` of `center`."""
     if abs(rate) < 1e-9:
@@ -262,7 +256,7 @@ def _clip(first, last, rate, middle, radius):
     return max(first, min(first_crossing, second_crossing)), min(last, max(first_crossing, second_crossing))
 
 
-@_part
+@inline_kernel
 def rows_apart(places, most, k, ego, margin, other, since, horizon):
     """Number of samples from `first_row` on that are too far from the other for contact."""
     legs, half_length, half_width, speed = other

@@ -13,17 +13,13 @@ from cornercase._common.compiling import kernel
 from cornercase.drivers.foreseeing import TURN_LEGS
 from cornercase.drivers.keeping import keep_distance
 from cornercase.drivers.parameters import Behaviour, Keeping
-from cornercase.drivers.traffic import BEHAVIOUR, SIMPLE, Driven, Scene, Workspace
+from cornercase.drivers.traffic import BEHAVIOUR, SIMPLE, Driven, Scene, Workspace, inline_kernel, plain_kernel
 from cornercase.drivers.visibility import eye_of, look, perceive
 from cornercase.drivers.way import MOST_PLACES
 from cornercase.drivers.yielding import decide
 
-# Nothing is allocated, so that references need not be counted, which takes longer than what is computed.
-_kernel = kernel(error_model="numpy", _nrt=False)
-_part = kernel(error_model="numpy", _nrt=False, forceinline=True)
 
-
-@_part
+@inline_kernel
 def accelerate(fleet, d, n, route, time, time_step, driven, others, work):
     """Acceleration in m/s² that a driver chooses in one scenario; updates what the driver remembers.
 
@@ -49,7 +45,7 @@ def accelerate(fleet, d, n, route, time, time_step, driven, others, work):
     return max(a, -driven.speed / time_step)
 
 
-@_kernel
+@plain_kernel
 def route_row(fleet, d, track, n):
     """Row of the route of a driver along a track in one scenario; -1 if `set_route` has to plan it first."""
     if fleet.kind[d] != BEHAVIOUR:

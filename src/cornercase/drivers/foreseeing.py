@@ -8,8 +8,7 @@ from __future__ import annotations
 import math
 from typing import Final
 
-from cornercase._common.compiling import kernel
-from cornercase.drivers.traffic import HEADING, SPEED, TURN, X, Y
+from cornercase.drivers.traffic import HEADING, SPEED, TURN, X, Y, inline_kernel
 
 STANDING: Final = 0.2
 """Speed in m/s below which an entity counts as standing."""
@@ -23,12 +22,8 @@ TURN_LEGS: Final = 8
 STRAIGHT: Final = 0.05
 """Turn rate in rad/s up to which an entity is predicted to go straight."""
 
-# Nothing is allocated, so that references need not be counted, which takes longer than what is computed.
-# What is called from one place, or does little, spares the call.
-_part = kernel(error_model="numpy", _nrt=False, forceinline=True)
 
-
-@_part
+@inline_kernel
 def foresee(memory, o, cos, sin, center_x, horizon, legs):
     """Fill `legs` with the predicted motion of another entity up to `horizon` (s); return their number.
 

@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import math
 
-from cornercase._common.compiling import kernel
 from cornercase.drivers.traffic import (
     AHEAD_FOR,
     CENTER_X,
@@ -17,13 +16,11 @@ from cornercase.drivers.traffic import (
     SPEED,
     X,
     Y,
+    plain_kernel,
 )
 
-# Nothing is allocated, so that references need not be counted, which takes longer than what is computed.
-_kernel = kernel(error_model="numpy", _nrt=False)
 
-
-@_kernel
+@plain_kernel
 def keep_distance(keeping, scene):
     """Acceleration in m/s² of a driver that brakes for what is straight ahead; updates its memory."""
     v, target_speed, memory, time_step = scene.driven.speed, scene.driven.target_speed, scene.memory, scene.time_step
@@ -52,7 +49,7 @@ def keep_distance(keeping, scene):
     return min(max(result, -keeping.max_deceleration), max_acceleration)
 
 
-@_kernel
+@plain_kernel
 def _ahead(scene, a, sight_range):
     """Gap in m to another entity in the lane ahead (infinite otherwise), and the closing speed."""
     own_box, boxes, others, driven, cos, sin = scene.own, scene.boxes, scene.others, scene.driven, scene.cos, scene.sin

@@ -7,7 +7,13 @@ from __future__ import annotations
 
 from typing import Final, NamedTuple
 
+from cornercase._common.compiling import kernel
 from cornercase._common.typing import BoolArray, FloatArray, IntArray
+
+# These kernels allocate nothing: without reference counting, which would take longer than what they compute.
+plain_kernel = kernel(error_model="numpy", _nrt=False)
+# For kernels that are called from one place, or are short.
+inline_kernel = kernel(error_model="numpy", _nrt=False, forceinline=True)
 
 FOREIGN: Final = -1
 """Kind of a driver whose decisions are not compiled."""

@@ -24,6 +24,8 @@ from cornercase.drivers.traffic import (
     TURN,
     X,
     Y,
+    inline_kernel,
+    plain_kernel,
 )
 
 EYE_AHEAD = 0.25
@@ -34,12 +36,6 @@ TURN_MEAN = 0.2
 
 # Closer comparisons, relatively, are repeated exactly.
 _CLOSE = 1e-9
-
-# Nothing is allocated, so that references need not be counted, which takes longer than what is computed.
-_kernel = kernel(error_model="numpy", _nrt=False)
-
-# What is called from one place, or does little, spares the call.
-_part = kernel(error_model="numpy", _nrt=False, forceinline=True)
 
 
 def in_sight(
@@ -76,14 +72,14 @@ def _look_each(field_of_view, sight_range, own, boxes, pose, others):
     return seen
 
 
-@_part
+@inline_kernel
 def eye_of(own, x, y, cos, sin):
     """Position and direction (x, y, cosine, sine) of a driver's eye; `own` is its box as in `Fleet`."""
     offset = own[CENTER_X] + EYE_AHEAD * (2.0 * own[HALF_LENGTH])
     return x + offset * cos, y + offset * sin, cos, sin
 
 
-@_part
+@inline_kernel
 def look(field_of_view, sight_range, eye, boxes, others, now, seen):
     """Fill `seen` (A,) with the others that a driver sees in one scenario, and `placed_boxes` (A, 5) with their boxes.
 
@@ -130,7 +126,7 @@ def look(field_of_view, sight_range, eye, boxes, others, now, seen):
                 break
 
 
-@_part
+@inline_kernel
 def _in_view(along, across, to_x, to_y, sight_range, half_view, edge):
     """Check range and field of view; computes root and angle only in borderline cases."""
     squared = to_x * to_x + to_y * to_y
@@ -145,7 +141,7 @@ def _in_view(along, across, to_x, to_y, sight_range, half_view, edge):
     return abs(math.atan2(across, along)) <= half_view
 
 
-@_kernel
+@plain_kernel
 def _meets(eye_x, eye_y, to_x, to_y, now, b, half_length, half_width):
     """Check whether the line from the eye hits a box (slab method); a box around the eye itself hides nothing."""
     if math.isnan(now[b, 0]):
@@ -174,7 +170,7 @@ def _meets(eye_x, eye_y, to_x, to_y, now, b, half_length, half_width):
     return enters < leaves and not inside
 
 
-@_part
+@inline_kernel
 def perceive(behaviour, scene, seen):
     """Update what a driver remembers and is aware of in one scenario, from the others in sight.
 

@@ -8,10 +8,9 @@ from __future__ import annotations
 import math
 from typing import Final, NamedTuple
 
-from cornercase._common.compiling import kernel
 from cornercase._common.typing import FloatArray
 from cornercase.drivers.route import STEP
-from cornercase.drivers.traffic import CENTER_X, HALF_LENGTH, HALF_WIDTH
+from cornercase.drivers.traffic import CENTER_X, HALF_LENGTH, HALF_WIDTH, inline_kernel, plain_kernel
 
 LOOKAHEAD: Final = 150.0
 """Longest lookahead in m."""
@@ -21,12 +20,6 @@ MOST_PLACES: Final = int(2.0 * LOOKAHEAD / STEP) + 4
 
 # Relative and absolute (s) difference of arrival times that are computed differently.
 _HAIR: Final = 1e-9
-
-# Nothing is allocated, so that references need not be counted, which takes longer than what is computed.
-_kernel = kernel(error_model="numpy", _nrt=False)
-
-# What is called from one place, or does little, spares the call.
-_part = kernel(error_model="numpy", _nrt=False, forceinline=True)
 
 
 class Way(NamedTuple):
@@ -57,7 +50,7 @@ class Way(NamedTuple):
     wanted: float
 
 
-@_part
+@inline_kernel
 def look_ahead(behaviour, routes, route, scene, v, wanted, work):
     """Build the path ahead as far as it matters, for the current speed and `target_speed` speed in m/s."""
     driven, cos, sin, center_x = scene.driven, scene.cos, scene.sin, scene.own[CENTER_X]
@@ -91,7 +84,7 @@ def look_ahead(behaviour, routes, route, scene, v, wanted, work):
     )  # fmt: skip
 
 
-@_part
+@inline_kernel
 def lay(way, k):
     """Compute the sample of a row, except for its arrival time."""
     if k == 0:
@@ -104,13 +97,13 @@ def lay(way, k):
     samples[k, 3], samples[k, 4] = cos, sin
 
 
-@_part
+@inline_kernel
 def distance_to(way, k):
     """Distance in m from the driven entity to a sample."""
     return (way.before + k) * way.step - way.distance if k > 0 else 0.0
 
 
-@_kernel
+@plain_kernel
 def arrive(behaviour, way, k):
     """Planned arrival time at a sample in s from now; computed up to `row` on demand."""
     known_row = int(way.arrivals[0])
@@ -139,7 +132,7 @@ def arrive(behaviour, way, k):
     return way.places[k, 5]
 
 
-@_part
+@inline_kernel
 def soonest(behaviour, way, k):
     """Lower bound of the arrival time at a sample in s, ignoring curves; never more than `arrival_time`."""
     v, target_speed, a, distance = way.speed, way.wanted, behaviour.acceleration, distance_to(way, k)

@@ -12,7 +12,6 @@ from __future__ import annotations
 import math
 from typing import Final
 
-from cornercase._common.compiling import kernel
 from cornercase.drivers.contact import begins_before, first_contact, last_contact, meeting, next_rows
 from cornercase.drivers.foreseeing import STANDING, foresee
 from cornercase.drivers.traffic import (
@@ -26,6 +25,8 @@ from cornercase.drivers.traffic import (
     SPEED,
     VULNERABLE,
     YIELDING,
+    inline_kernel,
+    plain_kernel,
 )
 from cornercase.drivers.way import arrive, distance_to, lay, look_ahead, soonest
 
@@ -60,14 +61,8 @@ RELEASE: Final = 1.25
 # Closer comparisons, relatively, are repeated exactly.
 _CLOSE = 1e-9
 
-# Nothing is allocated, so that references need not be counted, which takes longer than what is computed.
-_kernel = kernel(error_model="numpy", _nrt=False)
 
-# What is called from one place, or does little, spares the call.
-_part = kernel(error_model="numpy", _nrt=False, forceinline=True)
-
-
-@_part
+@inline_kernel
 def decide(behaviour, routes, route, scene, work):
     """Acceleration in m/s² in one scenario, before it is limited to what the vehicle can do.
 
@@ -106,7 +101,7 @@ def decide(behaviour, routes, route, scene, work):
     return a
 
 
-@_part
+@inline_kernel
 def _keep_speed(behaviour, routes, route, scene, v, wanted):
     """Acceleration towards the wanted speed, limited by the curves ahead."""
     samples, points, time_step = routes.samples[route], routes.points, scene.time_step
@@ -121,7 +116,7 @@ def _keep_speed(behaviour, routes, route, scene, v, wanted):
     return min(in_curve, free)
 
 
-@_part
+@inline_kernel
 def _react(behaviour, time_step, way, other, vulnerable, yielding, least):
     """Acceleration that one other entity allows, and whether there is a conflict.
 
@@ -158,7 +153,7 @@ def _react(behaviour, time_step, way, other, vulnerable, yielding, least):
     return _give_way(behaviour, time_step, way, margin, other, k > 0, yielding)
 
 
-@_part
+@inline_kernel
 def _further(dx, dy, far):
     """Check whether a vector is longer than a distance; computes the root only in borderline cases."""
     squared, square = dx * dx + dy * dy, far * far
@@ -167,7 +162,7 @@ def _further(dx, dy, far):
     return squared > square * (1.0 - _CLOSE) and math.hypot(dx, dy) > far
 
 
-@_kernel
+@plain_kernel
 def _give_way(behaviour, time_step, way, margin, other, in_corridor, yielding):
     """Acceleration that yields to a crossing entity, and whether that is needed."""
     samples, ego, v = way.places, way.ego, way.speed
@@ -212,7 +207,7 @@ def _give_way(behaviour, time_step, way, margin, other, in_corridor, yielding):
     return -max(comfortable, hard_deceleration), True
 
 
-@_kernel
+@plain_kernel
 def _find_conflict(behaviour, way, margin, other, gap_first, gap_after, past_choice):
     """Row where the conflict zone begins, and row of the first sample that both reach within the gaps; -1 if none.
 
@@ -252,7 +247,7 @@ def _find_conflict(behaviour, way, margin, other, gap_first, gap_after, past_cho
     return -1, -1
 
 
-@_part
+@inline_kernel
 def _begin(way, k, margin, other, horizon):
     """First row of the conflict zone that contains row `row`."""
     while k > 1:
@@ -263,7 +258,7 @@ def _begin(way, k, margin, other, horizon):
     return k
 
 
-@_kernel
+@plain_kernel
 def _pass_with_caution(behaviour, time_step, way, other):
     slow, samples, ego, v = behaviour.standing_caution * way.wanted, way.places, way.ego, way.speed
     if meeting(samples, 0, ego, ROADSIDE, other, 0.0)[0] <= 0.0:
@@ -277,7 +272,7 @@ def _pass_with_caution(behaviour, time_step, way, other):
     return max((allowed - v) / time_step, -behaviour.comfortable_deceleration)
 
 
-@_part
+@inline_kernel
 def _follow(behaviour, v, gap, leader_speed):
     """Interaction term of the Intelligent Driver Model (Treiber, Hennecke, Helbing 2000, eq. 3 and 4)."""
     deceleration = math.sqrt(behaviour.acceleration * behaviour.comfortable_deceleration)
@@ -286,7 +281,7 @@ def _follow(behaviour, v, gap, leader_speed):
     return behaviour.acceleration * (1.0 - (wanted_gap / max(gap, 0.01)) ** 2)
 
 
-@_part
+@inline_kernel
 def _needed(v, room):
     """Deceleration that stops within `distance` m."""
     if v <= 0.0:
@@ -294,20 +289,20 @@ def _needed(v, room):
     return v * v / (2.0 * room) if room > 0.0 else math.inf
 
 
-@_part
+@inline_kernel
 def _along(places, row, other, leg):
     """Cosine between the route and the other's direction of motion on a leg."""
     cosine = places[row, 3] * other[0][leg, 2] + places[row, 4] * other[0][leg, 3]
     return cosine if other[3] >= 0.0 else -cosine
 
 
-@_part
+@inline_kernel
 def _speed_along(places, row, other):
     """Current speed of the other along the route."""
     return abs(other[3]) * _along(places, row, other, 0)
 
 
-@_kernel
+@plain_kernel
 def _refine(way, k, margin, other, horizon):
     """Distance in m at which contact begins, by bisection between row `row` (contact) and the previous row."""
     samples, ego, between = way.places, way.ego, way.between
