@@ -211,7 +211,7 @@ def _give_way(behaviour, time_step, way, margin, other, in_corridor, yielding):
 def _find_conflict(behaviour, way, margin, other, gap_first, gap_after, past_choice):
     """Row where the conflict zone begins, and row of the first sample that both reach within the gaps; -1 if none.
 
-    With `past_choice` (too late to decide), the driver expects entities behind it in the same direction to brake.
+    With `is_too_late` (too late to decide), the driver expects entities behind it in the same direction to brake.
     """
     k, until, samples, ego, horizon, earliest = 0, -1, way.places, way.ego, behaviour.horizon, 0.0
     while k + 1 < way.rows:

@@ -56,8 +56,9 @@ def passes_clear(
 ) -> BoolArray:
     """Lateral safety check: the other is beside, and does not come in before the driver has passed it by 0.1 s.
 
-    Gaps between the boxes in m, negative if they overlap; `inward` and `closing` speeds in m/s; `lengths` of both
-    boxes. UN Regulation No. 157, 01 series of amendments, Annex 3, Appendix 3: performance model 2.
+    Gaps between the boxes in m, negative if they overlap; `approach_speed` and `closing_speed` speeds in m/s;
+    `total_length` of both boxes. UN Regulation No. 157, 01 series of amendments, Annex 3, Appendix 3: performance model
+    2.
     """
     is_beside = lateral_gap > 0.0
     with np.errstate(divide="ignore", invalid="ignore"):

@@ -56,9 +56,10 @@ class View(NamedTuple):
     """Motion of others relative to the path of a driver; arrays of equal shape.
 
     `gap` and `lateral_gap`: m between the boxes along and across the path; `gap` is negative if the other is beside or
-    behind, `lateral_gap` if they overlap. `inward`: speed of the other towards the path in m/s. `speed`, `other_speed`:
-    m/s along the path. `acceleration`: of the driver in m/s². `lengths`: both box lengths together in m. `ahead`: the
-    other has been in the corridor since it was first seen, or entered it early enough not to be a cut-in.
+    behind, `lateral_gap` if they overlap. `approach_speed`: speed of the other towards the path in m/s. `speed`,
+    `other_speed`: m/s along the path. `acceleration`: of the driver in m/s². `total_length`: both box lengths together
+    in m. `was_ahead`: the other has been in the corridor since it was first seen, or entered it early enough not to be
+    a cut-in.
     """
 
     gap: FloatArray

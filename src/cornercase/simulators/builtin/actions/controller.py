@@ -189,7 +189,7 @@ class Driving:
         )
 
     def path(self, k: int, track: Track) -> DrivenPath:
-        """Path for the driver of track number `k` of its entity."""
+        """Path for the driver of one of its entity's tracks."""
         if isinstance(track, LaneTrack):
             if k not in self._paths:
                 self._paths[k] = _along_lane(track.path)
@@ -279,7 +279,7 @@ class VisibilityAction(Action):
 
 
 def registered_driver(name: str, where: str) -> Driver:
-    """Create the registered driver that a file names; `where` starts the error message."""
+    """Create the registered driver that a file names; `location` starts the error message."""
     try:
         return driver_of_file(name)
     except InputError as error:

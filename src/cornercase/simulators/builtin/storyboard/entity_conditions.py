@@ -103,7 +103,7 @@ def _reach_position(element: etree._Element, scope: Scope, world: World) -> Enti
 
 
 def _along(world: World, vector: tuple[FloatArray, FloatArray], e: int, axes: int, direction: str) -> FloatArray:
-    """Component of a vector of entity `e` along or across the heading of `axes`, or 0 upwards, (N,)."""
+    """Component of a vector of an entity along or across the heading of `axes`, or 0 upwards, (N,)."""
     x, y, cos, sin = vector[0][e], vector[1][e], np.cos(world.heading[axes]), np.sin(world.heading[axes])
     if direction == "longitudinal":
         return np.asarray(x * cos + y * sin)

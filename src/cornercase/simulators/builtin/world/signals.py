@@ -93,14 +93,14 @@ def read_signal_controllers(root: etree._Element, scope: Scope) -> dict[str, Sig
 
 
 def named_controller(controllers: dict[str, SignalController], name: str, where: str) -> SignalController:
-    """Return the controller with a name; raise `InputError`, starting with `where`, if there is none."""
+    """Return the controller with a name; raise `InputError`, starting with `location`, if there is none."""
     if name not in controllers:
         raise InputError(f"{where}: there is no signal controller '{name}'; {suggestion(name, controllers)}")
     return controllers[name]
 
 
 def named_phase(controller: SignalController, name: str, where: str) -> int:
-    """Index of the phase with a name; raises `InputError`, starting with `where`, if there is none."""
+    """Index of the phase with a name; raises `InputError`, starting with `location`, if there is none."""
     if name not in controller.names:
         raise InputError(f"{where}: the signal controller has no phase '{name}'; {suggestion(name, controller.names)}")
     return controller.names.index(name)

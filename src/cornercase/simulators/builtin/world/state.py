@@ -196,7 +196,7 @@ class World:
         self.running &= ~where
 
     def remark(self, place: str, what: str, why: str, where: BoolArray) -> None:
-        """Record that `subject` at `place` (file and line) is not run as written, but as `reason` says."""
+        """Record that `subject` at `location` (file and line) is not run as written, but as `reason` says."""
         first = np.flatnonzero(where & self.running)
         sentence = f"{Label.ADAPTED}: {what} ({place}): {why}"
         if first.size and not any(notice.startswith(f"{sentence}; ") for notice in self.remarks):
