@@ -255,8 +255,7 @@ def _settings(
     threads = available_cpus() if n_jobs is None else _positive("n_jobs", n_jobs)
     if device == "cuda":
         pairs.require_gpu()
-        return Settings(local_cost == "squared", window, np.dtype(dtype), threads, "cuda")
-    return Settings(local_cost == "squared", window, np.dtype(dtype), threads, "cpu")
+    return Settings(local_cost == "squared", window, np.dtype(dtype), threads, "cuda" if device == "cuda" else "cpu")
 
 
 def _centred(

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 from typing import Any, Final
 
@@ -13,6 +13,7 @@ from cornercase._common.errors import InputError, suggestion
 from cornercase._common.geometry import within_half_turn
 from cornercase._common.typing import BoolArray, FloatArray
 from cornercase.scenario import Scope
+from cornercase.simulators.builtin.actions.longitudinal import child
 from cornercase.simulators.builtin.frames import gaps, leaves
 from cornercase.simulators.builtin.frames.gaps import TOLERANCE
 from cornercase.simulators.builtin.frames.leaves import ALIGNED, Leaf
@@ -57,14 +58,16 @@ _RULES: Final[dict[str, Callable[[Any, Any], Any]]] = {
 }
 
 
-def rule_of(element: etree._Element, scope: Scope) -> Callable[[Any, Any], Any]:
+def rule_of(
+    element: etree._Element, scope: Scope, rules: Mapping[str, Callable[[Any, Any], Any]] = _RULES
+) -> Callable[[Any, Any], Any]:
     """Comparison function for an element's ``rule``."""
     rule = scope.text(element, "rule")
-    if rule not in _RULES:
+    if rule not in rules:
         raise InputError(
-            f"{scope.source}, line {element.sourceline}: rule '{rule}' of <{element.tag}>: {suggestion(rule, _RULES)}"
+            f"{scope.source}, line {element.sourceline}: rule '{rule}' of <{element.tag}>: {suggestion(rule, rules)}"
         )
-    return _RULES[rule]
+    return rules[rule]
 
 
 def number_of_rule(rule: Callable[[Any, Any], Any]) -> int:
@@ -81,9 +84,7 @@ def _traveled(element: etree._Element, scope: Scope, world: World) -> EntityTest
 
 
 def _reach_position(element: etree._Element, scope: Scope, world: World) -> EntityTest:
-    holder = element.find("Position")
-    if holder is None:
-        raise InputError(f"{scope.source}, line {element.sourceline}: <ReachPositionCondition> has no <Position>.")
+    holder = child(element, "Position", scope)
     position, tolerance = read_position(holder, scope, world), scope.number(element, "tolerance")
     oriented = holder.find("*/Orientation") is not None
 
@@ -206,9 +207,7 @@ def _relative_distance(element: etree._Element, scope: Scope, world: World) -> E
 
 
 def _distance(element: etree._Element, scope: Scope, world: World) -> EntityTest:
-    holder = element.find("Position")
-    if holder is None:
-        raise InputError(f"{scope.source}, line {element.sourceline}: <DistanceCondition> has no <Position>.")
+    holder = child(element, "Position", scope)
     position, gap = read_position(holder, scope, world), read_gap(element, scope)
     rule, value = rule_of(element, scope), scope.number(element, "value")
     fixed_pose = position(world) if stays_put(holder) else None

@@ -14,6 +14,7 @@ from cornercase._common.places import placed
 from cornercase._common.recorded_xml import adapt
 from cornercase._common.typing import BoolArray, FloatArray
 from cornercase.scenario import Scope, is_never_true
+from cornercase.simulators.builtin.actions.longitudinal import child
 from cornercase.simulators.builtin.frames import leaves
 from cornercase.simulators.builtin.frames.gaps import TOLERANCE
 from cornercase.simulators.builtin.frames.leaves import Asked, Leaf
@@ -36,6 +37,16 @@ _CONSTANT: Final = Leaf(leaves.CONSTANT)
 
 # Conditions that only a user's program or the time of day can make true.
 NEVER_TRUE: Final = ("UserDefinedValueCondition", "TimeOfDayCondition")
+
+
+_TEXT_RULES: Final[dict[str, Callable[[Any, Any], Any]]] = {
+    "equalTo": np.equal,
+    "notEqualTo": np.not_equal,
+    "lessThan": np.less,
+    "lessOrEqual": np.less_equal,
+    "greaterThan": np.greater,
+    "greaterOrEqual": np.greater_equal,
+}
 
 
 class Elements(Protocol):
@@ -310,9 +321,7 @@ class ByValue:
 
 
 def _of_triggering_entities(element: etree._Element, scope: Scope, world: World, test: EntityTest) -> Test:
-    holder = element.find("TriggeringEntities")
-    if holder is None:
-        raise InputError(f"{scope.source}, line {element.sourceline}: <ByEntityCondition> has no <TriggeringEntities>.")
+    holder = child(element, "TriggeringEntities", scope)
     require_all = scope.text(holder, "triggeringEntitiesRule", "any") == "all"
     entities = entities_in(holder, scope, world)
     if not entities:
@@ -355,22 +364,8 @@ def _held(element: etree._Element, scope: Scope, world: World, elements: Element
     if values[name].dtype.kind == "f":
         rule, value = rule_of(element, scope), scope.number(element, "value")
         return ByValue(lambda world: np.asarray(rule(values[name], value)))
-    text, rule_name = as_held(element, scope, values[name]), scope.text(element, "rule")
-    orders: dict[str, Callable[[Any, Any], Any]] = {
-        "equalTo": np.equal,
-        "notEqualTo": np.not_equal,
-        "lessThan": np.less,
-        "lessOrEqual": np.less_equal,
-        "greaterThan": np.greater,
-        "greaterOrEqual": np.greater_equal,
-    }
-    if rule_name not in orders:
-        raise InputError(
-            f"{scope.source}, line {element.sourceline}: rule '{rule_name}' of <{element.tag}>:"
-            f" {suggestion(rule_name, orders)}"
-        )
-    compare = orders[rule_name]
-    if rule_name not in ("equalTo", "notEqualTo"):
+    text, compare = as_held(element, scope, values[name]), rule_of(element, scope, _TEXT_RULES)
+    if compare not in (np.equal, np.not_equal):
         numeric = not np.isnan(_numbers([text, *np.unique(values[name])])).any()
         why = "as a number" if numeric else "alphabetically, as in esmini"
         why = f"'{name}', which is declared as a text, is compared {why}"
