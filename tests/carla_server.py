@@ -1,8 +1,7 @@
 """Speaks CARLA's protocol, so that CARLA's own client takes it for a server: the protocol only, no physics to speak of.
 
-Remote calls come by MessagePack on one port, snapshots and sensor events go out by a stream on the next. Vehicles
-follow their controls as points with a heading; two of them collide when their circles touch. Run it in a process of its
-own:
+Remote calls come by MessagePack on one port, snapshots and sensor events go out by a stream on the next. Vehicles follow
+their controls as points with a heading; two of them collide when their circles touch. Run it in a process of its own:
 
     python carla_server.py PORT ROAD.xodr [what goes wrong]
 """

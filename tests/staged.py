@@ -1,8 +1,8 @@
 """Scenarios whose kinds are known, and some that are all of one kind, by plain kinematics.
 
-``SETS[name](count, rng)`` gives recordings of an ego and another at a junction, and the kind of each. The ego drives
-north along x = 0, the other east along y = 0. Within a kind, starts, speeds, times and decelerations vary smoothly, as
-far as one would still call it one kind. ``ASPECTS_OF[name]`` are aspects in which the kinds differ.
+``SETS[name](count, rng)`` gives recordings of an ego and another at a junction, and the kind of each. The ego drives north
+along x = 0, the other east along y = 0. Within a kind, starts, speeds, times and decelerations vary smoothly, as far as
+one would still call it one kind. ``ASPECTS_OF[name]`` are aspects in which the kinds differ.
 """
 
 from __future__ import annotations

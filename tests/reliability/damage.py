@@ -1,8 +1,7 @@
 """Studies that are damaged at random, and what each command makes of them.
 
-Whether a damage says anything is told apart by reading the damaged file and the whole one with SQLite alone: where both
-hold the same rows, and SQLite's own check finds nothing, the damage is to bytes that mean nothing, as those of free
-pages.
+Whether a damage says anything is told apart by reading the damaged file and the whole one with SQLite alone: where both hold the
+same rows, and SQLite's own check finds nothing, the damage is to bytes that mean nothing, as those of free pages.
 """
 
 from __future__ import annotations

@@ -1,9 +1,8 @@
 """Explorations that are killed at random instants, and given the same command until they have ended.
 
 Each exploration is compared with one that was left alone, table by table but for what depends on the clock; one without
-rounds and with several workers, whose result depends on who is first, by its replay. After each kill nothing may be
-left: no process and no temporary file after five seconds, and no scenario that was stored before may be missing or
-changed.
+rounds and with several workers, whose result depends on who is first, by its replay. After each kill nothing may be left:
+no process and no temporary file after five seconds, and no scenario that was stored before may be missing or changed.
 
     python tests/reliability/kills.py [--kills 1000] [--seed 0] [--json FILE]
 

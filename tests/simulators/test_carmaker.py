@@ -49,9 +49,8 @@ class Port:
     """A CarMaker that listens on its command port, and goes through its states as one does.
 
     After ``StartSim`` it prepares, adapts its driver, runs and postprocesses, each for some questions for its status;
-    then it is idle, and its result lies in a new file; without a course it never begins. ``odd`` says what it answers
-    instead, by the word a command begins with; ``waits`` whether ``WaitForStatus`` waits, comes back at once, or is an
-    error.
+    then it is idle, and its result lies in a new file; without a course it never begins. ``odd`` says what it answers instead, by the word a command
+    begins with; ``waits`` whether ``WaitForStatus`` waits, comes back at once, or is an error.
     """
 
     def __init__(self, pieces=1, odd=None, waits="waits", course=(-1, -5, 0, 0, -3), write=None, state=(-2,)):

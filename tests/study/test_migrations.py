@@ -1,8 +1,8 @@
 """Studies that earlier versions of cornercase wrote.
 
-``study_version_1.db`` was written by the last version with schema 1: 10 scenarios of the T-intersection, run twice
-each, analysed and reduced. ``study_version_1_first_release.db`` is the same without what the first releases did not
-know. ``study_version_2.db`` was written by the last version with schema 2, in the same way.
+``study_version_1.db`` was written by the last version with schema 1: 10 scenarios of the T-intersection, run twice each,
+analysed and reduced. ``study_version_1_first_release.db`` is the same without what the first releases did not know.
+``study_version_2.db`` was written by the last version with schema 2, in the same way.
 """
 
 from __future__ import annotations
