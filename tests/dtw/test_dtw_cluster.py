@@ -24,7 +24,7 @@ def client():
 def walks(count, dims=2, seed=0):
     rng = np.random.default_rng(seed)
     series = [np.cumsum(rng.normal(size=(rng.integers(1, 30), dims)), axis=0) for _ in range(count)]
-    # Copies, common rests, and lengths that repeat, which may be computed in other ways.
+    # Copies, common constant parts and repeated lengths, which have shortcuts.
     return [*series[:-3], series[0], *series[-3:-1]]
 
 

@@ -1,4 +1,4 @@
-"""Compiled actions between two entities, against the storyboard's own that they are twins of."""
+"""Compiled actions between two entities, compared with their NumPy versions."""
 
 from __future__ import annotations
 
@@ -84,7 +84,7 @@ def check(path, values, monkeypatch, action):
         together = recordings(path, values)
         few = sum(steps)
         itself = recordings(path, values, monkeypatch)
-    # In most frames nobody asks the storyboard.
+    # In most frames the storyboard is not evaluated.
     assert 0 < few < 0.2 * (sum(steps) - few)
     for one, other in zip(together, itself, strict=True):
         for name in ("x", "y", "heading", "speed", "acceleration"):

@@ -68,7 +68,7 @@ DISCONNECT = "<PrivateAction><TrailerAction><DisconnectTrailerAction/></TrailerA
 
 
 def taking_up(folder, *events, hitch=HITCH):
-    """A car that comes to pull what stands 5 m behind it."""
+    """A car that is connected to a trailer 5 m behind it."""
     entities = with_parts(car("Ego"), hitch) + with_parts(car("T"), COUPLER) + with_parts(car("U"), COUPLER)
     init = (
         private("Ego", teleport("60"), speed_action("0")) + private("T", teleport("55")) + private("U", teleport("20"))
