@@ -288,5 +288,5 @@ def test_no_place_is_reached_before_the_soonest_instant(curves, speed, wanted, d
     arrivals = [arrive(NORMAL, way, k) for k in range(1, len(curves))]
     assert all(one <= two for one, two in zip(earliest, arrivals, strict=True))
     if min(curves) == 400.0 and speed > 0.1:
-        steady = way._replace(arrivals=np.array([0.0, speed * speed, speed]), wanted=speed)
+        steady = way._replace(arrivals=np.array([0.0, speed * speed, speed]), target_speed=speed)
         assert soonest(NORMAL, steady, 1) == pytest.approx(arrive(NORMAL, steady, 1))

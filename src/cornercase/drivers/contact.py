@@ -177,12 +177,12 @@ def next_rows(way, k, margin, other, since, horizon):
 
     Contacts that end before `min_time` (s) are ignored. The first row may be past the end of the path.
     """
-    straight = int(way.points[way.first + k, 5])
+    straight = int(way.points[way.first_point + k, 5])
     lay(way, k)
     if straight < 2:
-        first = until = k + rows_apart(way.places, way.most, k, way.ego, margin, other, since, horizon)
+        first = until = k + rows_apart(way.samples, way.max_spacing, k, way.ego, margin, other, since, horizon)
     else:
-        begin, end = _stretch(way.places, k, way.ego, margin, other, since, horizon, straight * way.step)
+        begin, end = _stretch(way.samples, k, way.ego, margin, other, since, horizon, straight * way.step)
         first = until = k + straight + 1
         if begin < math.inf:
             first, until = k + int(begin / way.step), k + min(int(end / way.step) + 1, straight)

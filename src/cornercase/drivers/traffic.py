@@ -110,16 +110,16 @@ class Workspace(NamedTuple):
     """Buffers of a decision; their previous content does not affect decisions.
 
     `boxes` (A, 5): centre in m, cosine and sine of the heading of the others' true boxes, and the heading, by which
-    cosine and sine are cached. `seen` (A,). `places` (K, 6): future samples of the driven entity: distance in m, centre
-    of the box in m, cosine and sine of its heading, arrival time in s. `legs` (L, 6): predicted straight legs of
+    cosine and sine are cached. `seen` (A,). `samples` (K, 6): future samples of the driven entity: distance in m,
+    centre of the box in m, cosine and sine of its heading, arrival time in s. `legs` (L, 6): predicted straight legs of
     another entity: centre of the box in m, cosine and sine of its heading, start and end in s. `arrivals` (3,): row up
-    to which arrival times are known, squared speed there in m²/s², speed in m/s. `between` (1, 6): a sample between two
-    others.
+    to which arrival times are known, squared speed there in m²/s², speed in m/s. `interpolated` (1, 6): a sample
+    between two others.
     """
 
     boxes: FloatArray
     seen: BoolArray
-    places: FloatArray
+    samples: FloatArray
     legs: FloatArray
     arrivals: FloatArray
-    between: FloatArray
+    interpolated: FloatArray

@@ -25,36 +25,36 @@ _HAIR: Final = 1e-9
 class Way(NamedTuple):
     """The path ahead of a driven entity.
 
-    Row 0 of `places` is the entity itself, the others are the route's samples ahead; each is valid after
-    `compute_sample`. `arrivals` and `between` are as in `Workspace`, `points` as in `Routes`. `rows`: number of
-    samples. `most`: largest distance in m between centres at consecutive samples. `first`: the point before row 1,
-    `before`: its index along the route. `step`: point distance in m. `distance`: position along the route in m.
-    `offset`: m to the left of the route. `center_x`: centre of the box in m. `ego`: half length and half width in m.
-    `speed`, `wanted`: current and wanted, m/s.
+    Row 0 of `samples` is the entity itself, the others are the route's samples ahead; each is valid after
+    `compute_sample`. `arrivals` and `interpolated` are as in `Workspace`, `points` as in `Routes`. `rows`: number of
+    samples. `max_spacing`: largest distance in m between centres at consecutive samples. `first_point`: the point
+    before row 1, `first_index`: its index along the route. `step`: point distance in m. `distance`: position along the
+    route in m. `offset`: m to the left of the route. `center_x`: centre of the box in m. `ego`: half length and half
+    width in m. `speed`, `target_speed`: current and wanted, m/s.
     """
 
-    places: FloatArray
+    samples: FloatArray
     arrivals: FloatArray
-    between: FloatArray
+    interpolated: FloatArray
     rows: int
-    most: float
+    max_spacing: float
     points: FloatArray
-    first: int
-    before: int
+    first_point: int
+    first_index: int
     step: float
     distance: float
     offset: float
     center_x: float
     ego: tuple[float, float]
     speed: float
-    wanted: float
+    target_speed: float
 
 
 @inline_kernel
 def look_ahead(behaviour, routes, route, scene, v, wanted, work):
     """Build the path ahead as far as it matters, for the current speed and `target_speed` speed in m/s."""
     driven, cos, sin, center_x = scene.driven, scene.cos, scene.sin, scene.own[CENTER_X]
-    samples_ahead, points, distance = work.places, routes.points, driven.distance
+    samples_ahead, points, distance = work.samples, routes.points, driven.distance
     begin, samples, step = routes.begin[route], routes.samples[route], routes.measures[route, 0]
     samples_ahead[0, 0] = 0.0
     samples_ahead[0, 1], samples_ahead[0, 2] = driven.x + center_x * cos, driven.y + center_x * sin
@@ -79,8 +79,8 @@ def look_ahead(behaviour, routes, route, scene, v, wanted, work):
     arrivals = work.arrivals
     arrivals[0], arrivals[1], arrivals[2] = 0.0, v * v, math.sqrt(v * v)
     return Way(
-        samples_ahead, arrivals, work.between, 1 + last - before, max_spacing, points, begin + before, before, step,
-        distance, offset, center_x, (scene.own[HALF_LENGTH], scene.own[HALF_WIDTH]), v, wanted,
+        samples_ahead, arrivals, work.interpolated, 1 + last - before, max_spacing, points, begin + before, before,
+        step, distance, offset, center_x, (scene.own[HALF_LENGTH], scene.own[HALF_WIDTH]), v, wanted,
     )  # fmt: skip
 
 
@@ -89,7 +89,7 @@ def lay(way, k):
     """Compute the sample of a row, except for its arrival time."""
     if k == 0:
         return
-    samples, points, at = way.places, way.points, way.first + k
+    samples, points, at = way.samples, way.points, way.first_point + k
     cos, sin = points[at, 2], points[at, 3]
     samples[k, 0] = distance_to(way, k)
     samples[k, 1] = points[at, 0] + way.center_x * cos - way.offset * sin
@@ -100,7 +100,7 @@ def lay(way, k):
 @inline_kernel
 def distance_to(way, k):
     """Distance in m from the driven entity to a sample."""
-    return (way.before + k) * way.step - way.distance if k > 0 else 0.0
+    return (way.first_index + k) * way.step - way.distance if k > 0 else 0.0
 
 
 @plain_kernel
@@ -111,14 +111,14 @@ def arrive(behaviour, way, k):
         squared, root, when, distance = (
             way.arrivals[1],
             way.arrivals[2],
-            way.places[known_row, 5],
+            way.samples[known_row, 5],
             distance_to(way, known_row),
         )
-        fastest = way.wanted * way.wanted
+        fastest = way.target_speed * way.target_speed
         for i in range(known_row + 1, k + 1):
             next_distance = distance_to(way, i)
             step, distance = next_distance - distance, next_distance
-            limit = min(fastest, way.points[way.first + i, 4])
+            limit = min(fastest, way.points[way.first_point + i, 4])
             speed_sum = root + root
             # At the limit the speed is constant: skip the slow root.
             if limit != squared:
@@ -127,17 +127,17 @@ def arrive(behaviour, way, k):
                 next_root = math.sqrt(squared)
                 speed_sum, root = root + next_root, next_root
             when += 2.0 * step / speed_sum if speed_sum > 0.0 else math.inf
-            way.places[i, 5] = when
+            way.samples[i, 5] = when
         way.arrivals[0], way.arrivals[1], way.arrivals[2] = k, squared, root
-    return way.places[k, 5]
+    return way.samples[k, 5]
 
 
 @inline_kernel
 def soonest(behaviour, way, k):
     """Lower bound of the arrival time at a sample in s, ignoring curves; never more than `arrival_time`."""
-    v, target_speed, a, distance = way.speed, way.wanted, behaviour.acceleration, distance_to(way, k)
+    v, target_speed, a, distance = way.speed, way.target_speed, behaviour.acceleration, distance_to(way, k)
     if k <= way.arrivals[0]:
-        return way.places[k, 5]
+        return way.samples[k, 5]
     if v >= target_speed:
         return (1.0 - _HAIR) * distance / v if v > 0.0 else 0.0
     root = math.sqrt(v * v + 2.0 * a * distance)

@@ -124,7 +124,7 @@ def _react(behaviour, time_step, way, other, vulnerable, yielding, least):
     equivalent.
     """
     legs, half_length, half_width, speed = other
-    samples, ego = way.places, way.ego
+    samples, ego = way.samples, way.ego
     dx, dy = legs[0, 0] - samples[0, 1], legs[0, 1] - samples[0, 2]
     reach = distance_to(way, way.rows - 1) + abs(speed) * behaviour.horizon
     if _further(dx, dy, reach + ego[0] + ego[1] + half_length + half_width + LANE):
@@ -138,7 +138,7 @@ def _react(behaviour, time_step, way, other, vulnerable, yielding, least):
         margin = 0.0
 
     standing = abs(speed) < STANDING
-    k = first_contact(samples, way.most, ego, margin, other, 0.0, way)
+    k = first_contact(samples, way.max_spacing, ego, margin, other, 0.0, way)
     if k > 0 and (standing or _along(samples, k, other, 0) >= ALIGNED):
         its_speed = 0.0 if standing else _speed_along(samples, k, other)
         # The previous sample is before contact begins: try that cheaper bound first.
@@ -165,7 +165,7 @@ def _further(dx, dy, far):
 @plain_kernel
 def _give_way(behaviour, time_step, way, margin, other, in_corridor, yielding):
     """Acceleration that yields to a crossing entity, and whether that is needed."""
-    samples, ego, v = way.places, way.ego, way.speed
+    samples, ego, v = way.samples, way.ego, way.speed
     enters, _, leg = meeting(samples, 0, ego, margin, other, behaviour.horizon)
     in_its_way = enters < math.inf
     inside = in_its_way and _along(samples, 0, other, leg) > -ALIGNED
@@ -180,7 +180,7 @@ def _give_way(behaviour, time_step, way, margin, other, in_corridor, yielding):
     if along >= ALIGNED and since <= CUT_IN:
         wide_margin = behaviour.lateral_margin + LANE
         if meeting(samples, 0, ego, wide_margin, other, 0.0)[0] > 0.0:
-            k = first_contact(samples, way.most, ego, wide_margin, other, 0.0, way)
+            k = first_contact(samples, way.max_spacing, ego, wide_margin, other, 0.0, way)
             if k > 0:
                 gap = _refine(way, k, wide_margin, other, 0.0)
                 return _follow(behaviour, way.speed, gap, _speed_along(samples, k, other)), False
@@ -213,7 +213,7 @@ def _find_conflict(behaviour, way, margin, other, gap_first, gap_after, past_cho
 
     With `is_too_late` (too late to decide), the driver expects entities behind it in the same direction to brake.
     """
-    k, until, samples, ego, horizon, earliest = 0, -1, way.places, way.ego, behaviour.horizon, 0.0
+    k, until, samples, ego, horizon, earliest = 0, -1, way.samples, way.ego, behaviour.horizon, 0.0
     while k + 1 < way.rows:
         k += 1
         if k > until:
@@ -252,7 +252,7 @@ def _begin(way, k, margin, other, horizon):
     """First row of the conflict zone that contains row `row`."""
     while k > 1:
         lay(way, k - 1)
-        if meeting(way.places, k - 1, way.ego, margin, other, horizon)[0] == math.inf:
+        if meeting(way.samples, k - 1, way.ego, margin, other, horizon)[0] == math.inf:
             break
         k -= 1
     return k
@@ -260,11 +260,11 @@ def _begin(way, k, margin, other, horizon):
 
 @plain_kernel
 def _pass_with_caution(behaviour, time_step, way, other):
-    slow, samples, ego, v = behaviour.standing_caution * way.wanted, way.places, way.ego, way.speed
+    slow, samples, ego, v = behaviour.standing_caution * way.target_speed, way.samples, way.ego, way.speed
     if meeting(samples, 0, ego, ROADSIDE, other, 0.0)[0] <= 0.0:
         distance = 0.0
     else:
-        k = first_contact(samples, way.most, ego, ROADSIDE, other, 0.0, way)
+        k = first_contact(samples, way.max_spacing, ego, ROADSIDE, other, 0.0, way)
         if k < 0:
             return math.inf
         distance = max(samples[k, 0] - v * time_step, 0.0)
@@ -305,7 +305,7 @@ def _speed_along(places, row, other):
 @plain_kernel
 def _refine(way, k, margin, other, horizon):
     """Distance in m at which contact begins, by bisection between row `row` (contact) and the previous row."""
-    samples, ego, between = way.places, way.ego, way.between
+    samples, ego, between = way.samples, way.ego, way.interpolated
     lay(way, k - 1)
     low, high = 0.0, 1.0
     for _ in range(6):
