@@ -221,7 +221,7 @@ def test_42_8_a_script_is_not_begun_anew_by_a_driver_of_its_own(folder, guard, k
 def test_42_s5_a_driver_that_cannot_be_made_is_named(folder, driver, raised):
     done = searched(folder, driver)
     assert done.returncode == 2
-    assert done.stderr.startswith(f"cornercase: The driver 'faulty:{driver}' cannot be made: {raised}")
+    assert done.stderr.startswith(f"cornercase: The driver 'faulty:{driver}' cannot be created: {raised}")
 
 
 class Touchy(Clearance):
@@ -388,7 +388,7 @@ def test_42_9_a_notice_comes_from_workers_once(folder, workers):
     done = cornercase(*SEARCH, "--driver", f"Ego={module}:Hard", "--workers", workers, "-o", "s.db", cwd=folder)
     assert done.returncode == 0
     said = (
-        f"The driver of Ego ({module}:Hard) asks for more deceleration than the 9 m/s² of <Performance>, and gets that;"
+        f"The driver of Ego ({module}:Hard) exceeds the deceleration of 9 m/s² in <Performance>, and is limited to it;"
     )
     assert done.stderr.count(said) == 1
 

@@ -1,4 +1,4 @@
-"""Drivers by name, and drivers of one's own."""
+"""Drivers by name, and user-defined drivers."""
 
 from __future__ import annotations
 
@@ -116,7 +116,7 @@ def test_a_driver_that_derives_from_the_base_class_needs_only_its_decision():
         ("own_drivers:constant", "has no class 'constant'"),
         ("own_drivers:Picky", "needs the option 'level'; give it as in 'own_drivers:Picky:level=value'"),
         ("own_drivers:Engine", "is not a driver"),
-        ("own_drivers:Forgetful", "cannot be made: TypeError"),
+        ("own_drivers:Forgetful", "cannot be created: TypeError"),
         ("own_drivers:Nameless", "is not a driver"),
     ],
 )
@@ -148,7 +148,7 @@ def test_options_in_a_name_are_the_parameters_of_the_driver():
     assert named.settings == BehaviourDriver(NORMAL._replace(reaction_time=0.6, horizon=4.0)).settings
     assert DRIVERS.create("simple:reaction_time=1").settings["reaction_time"] == 1.0
     assert DRIVERS.create("rss:delay=1").settings == ReferenceDriver("rss", delay=1.0).settings
-    # Studies and files hold the name, and a batch with it runs compiled.
+    # Studies and files store the name, and a batch with it runs compiled.
     assert told_driver("normal:reaction_time=0.6") == "normal:reaction_time=0.6"
     assert decides_compiled("normal:reaction_time=0.6")
 
@@ -159,7 +159,7 @@ def test_options_in_a_name_are_the_parameters_of_the_driver():
         ("normal:reaction_tim=0.6", "no option 'reaction_tim'; did you mean 'reaction_time'"),
         ("normal:reaction_time=-1", "reaction_time is -1; it has to be a finite number of 0 or more"),
         ("normal:horizon=0", "horizon is 0; it has to be a finite number above zero"),
-        ("normal:field_of_view=200", "field_of_view is 200; it is in rad"),
+        ("normal:field_of_view=200", "field_of_view is 200; give an angle in rad"),
         ("normal:horizon=nan", "horizon is nan"),
         ("normal:horizon=long", "takes a number for 'horizon', not 'long'"),
         ("simple:sight_range=-5", "sight_range is -5"),
@@ -173,7 +173,7 @@ def test_what_no_driver_can_have_is_refused(name, words):
 
 
 def test_a_written_file_drives_as_its_driver_with_options(tmp_path):
-    """A file that names the driver gives the recording of the run that it was written from."""
+    """A file that names the driver reproduces the recording of the run it was written from."""
     file = EXAMPLES / "t_intersection" / "t_intersection.xosc"
     slow = "normal:reaction_time=1.4"
     written = tmp_path / "written.xosc"

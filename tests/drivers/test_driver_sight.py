@@ -1,4 +1,4 @@
-"""What drivers see, and what they remember of it."""
+"""What drivers see and remember."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ def test_sight_agrees_with_points_along_the_lines(places, kinds):
         return
     seen = who_is_seen(looking(x, y, heading, kinds), sight_range=100.0)
     for k in range(3):
-        # Lines that graze a box may fall on either side: grow and shrink all boxes by a hair.
+        # Lines that graze a box may fall on either side: grow and shrink all boxes slightly.
         if seen[k] != line_is_free(eye, others, k, 0.0):
             assert grazes(eye, boxes, k)
 
@@ -76,7 +76,7 @@ def test_remembers_for_a_while_who_got_out_of_sight():
     driver.start(1, 2)
     known = []
     for step in range(80):
-        # The truck comes between at 1 s.
+        # The truck blocks the view at 1 s.
         blocked = 10.0 if step >= 20 else 200.0
         situation = looking([20.0, blocked], [0.0, 0.0], [0.0, 0.0], ["misc", "truck"])
         driver.acceleration(replace(situation, time=step * DT))

@@ -75,7 +75,7 @@ def test_speed_limit_is_the_smallest_that_every_place_ahead_demands(curvatures, 
     for k in range(0, 101, 10):
         demands = [lateral / max(abs(curvature[j]), lateral / 1e4) + 2 * braking * (s[j] - s[k]) for j in range(101)]
         assert route.squared_speed[0, k] <= min(demands[k:]) * (1 + 1e-9)
-        # Nowhere lower than what the places around, one step back, demand.
+        # Nowhere lower than required by the neighbouring samples.
         assert route.squared_speed[0, k] >= min(demands[max(k - 1, 0) :]) - 2 * braking * 0.5 - 1e-9
 
 
@@ -126,7 +126,7 @@ def test_who_is_met_within_gaps_is_met_at_these_times(other, turn, legs, speed, 
     them = (rows, 2.0, 0.8, speed)
     first, last, _ = meeting(place, 0, (2.3, 0.9), 0.35, them, 6.0)
     who = (place, 0, (2.3, 0.9), 0.35, them, 6.0)
-    # What an earlier instant rules out, the later one does, too.
+    # A later instant excludes whatever an earlier one does.
     found = last_contact(*who, min(sooner, arrives), gaps[1])
     if found[0] >= 0:
         assert rows[found[0], 4] + found[2] == last
@@ -188,7 +188,7 @@ def test_brakes_in_an_emergency_for_a_leader_that_stops_dead():
 
 def test_follows_in_a_curve_by_the_distance_along_it():
     path = right_turn()
-    # Stands on the arm behind the curve: 9 m from the end of the arc, which is 60 + 11.78 m from the start.
+    # Standing on the arm after the curve: 9 m from the end of the arc, which is 60 + 11.78 m from the start.
     car = Other("car", 7.5 + 9.0, 67.5)
     run = Run(BehaviourDriver(NORMAL), path, [car], speed=10.0, duration=40.0)
     assert run.speed[-1, 0] < 0.05
@@ -250,7 +250,7 @@ def test_waits_for_the_last_of_two_and_does_not_flutter():
 
 def test_gives_way_where_paths_merge_and_then_follows():
     path = right_turn(before=40.0)
-    # Comes from the left along the arm that the ego turns into.
+    # From the left, along the arm that the ego turns into.
     reaches = np.linspace(4.0, 9.0, 11)
     car = Other("car", -9.0 * reaches + 7.5, np.full(11, 47.5), speed=9.0)
     for behaviour in PRESETS.values():
@@ -287,7 +287,7 @@ def test_follows_who_cuts_in_ahead():
 
 
 def hidden_crossing(start):
-    """Pedestrian who comes out from behind a truck that stands at the roadside."""
+    """Pedestrian who appears from behind a truck at the roadside."""
     truck = Other("truck", 43.0, -3.2)
     return [truck, Other("pedestrian", 54.0, -4.0, heading=math.pi / 2, speed=1.5, start=start)]
 

@@ -1,4 +1,4 @@
-"""Drivers gathered in a fleet, whose decisions are compiled for one scenario at a time."""
+"""Drivers in a fleet, with compiled decisions for one scenario at a time."""
 
 from __future__ import annotations
 
@@ -66,7 +66,7 @@ def wandering(seed, steps=60):
 
 
 def situation(state, e, time, path, distance):
-    """What the driver of entity `e` is told."""
+    """Input of the driver of entity `e`."""
     others = [a for a in range(len(KINDS)) if a != e]
     x, y, heading, speed = np.nan_to_num(state[:, :, e])
     seen_x, seen_y, seen_heading, seen_speed = state[:, :, others]
@@ -105,7 +105,7 @@ def test_gathered_drivers_decide_as_each_alone_does_and_remember_the_same(seed):
         distance = distance + 0.3
         for d, e in enumerate((0, 3, 1)):
             told = situation(state, e, step * DT, path, distance)
-            # The gathered driver's own method and compiled code take turns.
+            # Alternate between the driver's own method and compiled code.
             found = fleet_drivers[d].acceleration(told) if step % 3 == 2 else each(fleet, d, told)
             assert found.tobytes() == alone[d].acceleration(told).tobytes()
             braked += np.count_nonzero(found < -0.5)
@@ -135,7 +135,7 @@ def sampled(lengths, radius):
 
 
 def planned(fleet, d, track, n):
-    """Points of a route as they stand in a fleet."""
+    """Points of a route as stored in a fleet."""
     routes, row = fleet.routes, route_row(fleet, d, track, n)
     begin = routes.begin[row]
     return routes.points[begin : begin + routes.samples[row]], routes.measures[row]
@@ -187,7 +187,7 @@ def test_a_path_that_changes_in_some_scenarios_is_planned_anew_there():
 
 
 def keeps(driver, ahead_for, s):
-    """The same as `SimpleDriver` in arrays over all scenarios and others, and how long each has been ahead."""
+    """`SimpleDriver` in arrays over all scenarios and others, and how long each has been ahead."""
     p = driver.settings
     most, braking = p["acceleration"], p["comfortable_deceleration"]
     wanted = np.where(np.isfinite(s.target_speed), s.target_speed, s.speed)
@@ -283,10 +283,10 @@ def test_no_place_is_reached_before_the_soonest_instant(curves, speed, wanted, d
         np.zeros((MOST_PLACES, 6)), np.array([0.0, speed * speed, math.sqrt(speed * speed)]), np.zeros((1, 6)),
         len(curves), 0.5, points, 0, 0, 0.5, distance, 0.0, 1.4, (2.3, 0.9), speed, wanted,
     )  # fmt: skip
-    # Each as long as no later place is known.
+    # Each one while no later sample is known.
     earliest = [soonest(NORMAL, way, k) for k in range(1, len(curves))]
     arrivals = [arrive(NORMAL, way, k) for k in range(1, len(curves))]
     assert all(one <= two for one, two in zip(earliest, arrivals, strict=True))
     if min(curves) == 400.0 and speed > 0.1:
-        steady = way._replace(arrivals=np.array([0.0, speed * speed, speed]), wanted=speed)
+        steady = way._replace(arrivals=np.array([0.0, speed * speed, speed]), target_speed=speed)
         assert soonest(NORMAL, steady, 1) == pytest.approx(arrive(NORMAL, steady, 1))

@@ -10,7 +10,7 @@ import pytest
 from cornercase._common.errors import InputError
 from cornercase.drivers import AGGRESSIVE, DRIVERS, NORMAL, BehaviourDriver, mutants_of, name_driver
 
-# Parameters of which more makes a driver worse; of all others that are changed it is less.
+# Parameters that make a driver worse when increased; all others do so when reduced.
 MORE = {"reaction_time", "comfortable_deceleration", "target_share", "lateral_acceleration", "acceleration"}
 
 
@@ -54,7 +54,7 @@ def test_drivers_that_are_made_have_names():
     slow = BehaviourDriver(NORMAL._replace(reaction_time=0.75))
     assert name_driver(slow) == "normal:reaction_time=0.75"
     assert name_driver(BehaviourDriver(AGGRESSIVE)) == "aggressive"
-    # As a study holds it.
+    # As stored in a study.
     assert DRIVERS.create(name_driver(slow.settings)).settings == slow.settings
 
 

@@ -1,4 +1,4 @@
-"""Drivers of one's own with options, and what a study says of them."""
+"""User-defined drivers with options, and how a study describes them."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ class Aeb(Driver):
 
 
 class Braking(Aeb):
-    """Brakes as hard as it is told, or as its base class does."""
+    """Brakes at a given rate, or as its base class does."""
 
     def __init__(self, hard: float = 1.0, **options):
         super().__init__(**options)
@@ -79,7 +79,7 @@ def test_42_5_options_of_an_own_driver_stand_behind_a_second_colon(folder):
     ("driver", "says"),
     [
         ("my_aeb:Aeb:reacton=0.3", "The driver 'my_aeb:Aeb' has no option 'reacton'; did you mean 'reaction'?"),
-        # What no constructor declares is not swallowed.
+        # Options that no constructor declares are refused.
         ("my_aeb:Aeb:others=0.3", "has no option 'others'; known are: eager, reaction, word."),
         ("my_aeb:Braking:reactoin=1", "has no option 'reactoin'; did you mean 'reaction'?"),
         ("my_aeb:Aeb:reaction=soon", "takes a number for 'reaction', not 'soon'"),
@@ -136,7 +136,7 @@ def test_42_5_a_study_goes_on_only_with_the_same_file_of_its_driver(folder):
     )
     assert "name another study with -o, or restore the file." in refused.stderr
     assert (folder / "s.db").read_bytes() == before
-    # Two versions can be compared, and are told apart.
+    # Two versions can be compared and distinguished.
     assert explored(folder, DRIVER, "new.db").returncode == 0
     compared = cornercase("compare", "s.db", "new.db", cwd=folder)
     (line,) = [one for one in compared.stdout.splitlines() if one.strip().startswith("driver Ego: ")]
@@ -155,7 +155,7 @@ def test_42_5_commands_that_need_the_driver_again_say_how_to_give_it(folder):
     for command in (("test", "set", "-o", "t.db"), ("estimate", "s.db", "--scenario", X, "-o", "e.db")):
         refused = cornercase("-q", *command, cwd=folder)
         assert refused.returncode == 2
-        # Opening a study of somebody else runs nothing.
+        # Opening a foreign study runs no code.
         assert "is no reason to run code" in refused.stderr
         assert f"Ego={DRIVER}." in refused.stderr
     tested = cornercase("-q", "test", "set", "--driver", f"Ego={DRIVER}", "-o", "t.db", cwd=folder)
@@ -196,7 +196,7 @@ def test_42_5_drivers_that_python_makes_are_named_too(folder, monkeypatch):
     assert driver_command(stored["name"]) == "my_aeb:Aeb:reaction=0.3"
     assert driver_command(stored["preset"]) == driver_text(stored["preset"]) == "normal:reaction_time=1.0"
     assert driver_command({"driver": "rss", "delay": 1.5}) == "rss:delay=1.5"
-    # Nobody knows how an object was made; its class, its settings and its file are known.
+    # It is unknown how an object was created; its class, settings and file are known.
     assert driver_command(stored["object"]) is None
     assert driver_text(stored["object"]).startswith("my_aeb:Set, gain=2.0, sha256 ")
     page = write_report(folder / "object.db", folder / "r.html").read_text()

@@ -109,7 +109,7 @@ def test_prevents_the_same_in_a_scenario_file(file, name):
     recordings = [run for run in runs if isinstance(run, Recording)]
     assert len(recordings) == len(rows)
     crashes = np.array([any("Ego" in one.entities for one in run.collisions) for run in recordings])
-    # Where the careful and competent human has time at the intrusion, the set-up of the rows ends there.
+    # If the careful and competent human has enough time at the intrusion, the rows end there.
     assert (crashes & (rows.crash == 0)).sum() <= (8 if name == "cc-human" else 4)
     assert (~crashes & (rows.crash > 0)).sum() <= 4
 
@@ -149,7 +149,7 @@ def test_brakes_for_who_stands_in_a_bend(name):
 
 @pytest.mark.parametrize("name", REFERENCES)
 def test_takes_a_path_that_runs_otherwise_in_each_scenario(name):
-    """One straight on, one slightly turned; who stands on it is as far away in both."""
+    """One straight path and one slightly rotated; an entity on it is equally far in both."""
     s, turned = np.arange(0.0, 300.0, 0.5), np.array([0.0, 0.1])
     x, y = s * np.cos(turned)[:, None], s * np.sin(turned)[:, None]
     path = DrivenPath(np.tile(s, (2, 1)), x, y, np.tile(turned[:, None], len(s)), np.zeros((2, len(s))))

@@ -1,4 +1,4 @@
-"""What a second run, with a reference at the wheel, says of a scenario."""
+"""Preventability from a second run with a reference driver."""
 
 from __future__ import annotations
 
@@ -61,10 +61,10 @@ def test_a_reference_of_the_regulation_says_nothing_of_what_it_is_no_model_of():
         assert judged("cc-human", missed, original) == ReferenceOutcome(None)
         assert judged("fsm:delay=1", original, original) == ReferenceOutcome(None)
         assert judged("cautious", missed, original) == ReferenceOutcome(False)
-    # What the reference itself runs into has to be of its kind too.
+    # The entity that the reference collides with has to be covered too.
     assert judged("rss", crossing, along) == ReferenceOutcome(None)
     assert "says nothing" in judged("rss", crossing, along).tell("rss")
-    # Who stands goes in no direction.
+    # The direction of a standing entity is ignored.
     standing = met(BRAKES, (44.0, 0.0, np.pi / 2, 0.0), 2.0)
     assert judged("cc-human", standing) == ReferenceOutcome(True, 2.0)
 
@@ -77,7 +77,7 @@ def test_for_the_careful_human_a_cut_in_with_time_to_spare_is_no_danger(gap, col
     assert aside[4] > 2.0 > aside[5]
     run = ahead(gap, 10.0, aside=aside, collides=gap / 10.0)
     assert judged("cc-human", run).collides is collides
-    # The others have no such end of an encounter.
+    # Other references have no such end of an encounter.
     assert judged("fsm", run).collides
-    # Nor is there one with who was ahead all the time.
+    # Nor does it exist for an entity that was ahead all the time.
     assert judged("cc-human", ahead(gap, 10.0, collides=gap / 10.0)).collides

@@ -42,7 +42,7 @@ def sets_of_series(draw, dims):
     dims = draw(dims)
     lengths = draw(st.lists(st.integers(1, 11), min_size=2, max_size=18))
     rng = np.random.default_rng(draw(st.integers(0, 2**32 - 1)))
-    # Whole numbers make ties, the others do not.
+    # Integers create ties, other numbers do not.
     if draw(st.booleans()):
         return [rng.integers(-2, 3, size=(length, dims)).astype(float) for length in lengths]
     return [rng.normal(size=(length, dims)) * 10 for length in lengths]
@@ -59,7 +59,7 @@ def check(series, found, local_cost, window, **tolerance):
     np.testing.assert_allclose(found, expected, **tolerance)
 
 
-# Each has kernels of its own, which the first run compiles.
+# Each has its own kernels, which the first run compiles.
 DIMENSIONS = at_night([[2, 8], range(1, 9)], [range(1, 9)])
 
 
@@ -126,7 +126,7 @@ ALL: list[Any] = [(cost, window) for cost in ("euclidean", "squared") for window
 
 @pytest.mark.slow
 def test_a_process_that_finds_the_compiled_kernels_gives_the_same(tmp_path):
-    """Who compiles says so, once."""
+    """Compiling prints a message, once."""
     options, rng = ALL, np.random.default_rng(1)
     series = [rng.integers(-5, 6, size=rng.integers(1, 9)).tolist() for _ in range(9)]
     program = (
@@ -163,7 +163,7 @@ def test_interrupt_ends_between_tiles(monkeypatch):
     started: list[bool] = []
 
     def interrupt(*args):
-        # After the first tile, as a user would while the rest is still to do.
+        # After the first tile, as a user would while the rest is pending.
         if not started:
             started.append(True)
             _thread.interrupt_main()
@@ -213,7 +213,7 @@ def test_progress_reaches_the_end(capsys):
         ([[1.0], [2.0], [np.inf]], {}, "Series 2 is not finite"),
         ([[1.0], []], {}, "Series 1 is empty"),
         ([[1.0], np.empty((3, 0))], {}, "Series 1 is empty"),
-        ([[1.0], [[1.0, 2.0]]], {}, "Series 1 has 2 dimensions where series 0 has 1"),
+        ([[1.0], [[1.0, 2.0]]], {}, "Series 1 has 2 dimensions, but series 0 has 1"),
         ([[1.0], 2.0], {}, "Series 1 has 0 axes"),
         ([["a"], [1.0]], {}, "Series 0 is not an array of numbers"),
         ([[1.0], [1e300]], {"dtype": "float32"}, "too large for float32"),
@@ -267,7 +267,7 @@ def test_landmarks_among_the_series_have_the_bits_of_the_matrix(window):
     [
         ([[1.0]], [[1.0], [np.nan]], {}, "Landmark 1 is not finite at instant 0"),
         ([[1.0], [np.nan]], [[1.0]], {}, "Series 1 is not finite at instant 0"),
-        ([[1.0]], [[[1.0, 2.0]]], {}, "Landmark 0 has 2 dimensions where series 0 has 1"),
+        ([[1.0]], [[[1.0, 2.0]]], {}, "Landmark 0 has 2 dimensions, but series 0 has 1"),
         ([[0.0]], [[1.0], [1e300]], {"dtype": "float32"}, "Landmark 1 is too large for float32"),
         ([[1e200], [0.0]], [[0.0], [-1e200]], {"local_cost": "squared"}, "series 0 and landmark 0"),
     ],

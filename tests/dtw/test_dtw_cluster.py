@@ -24,7 +24,7 @@ def client():
 def walks(count, dims=2, seed=0):
     rng = np.random.default_rng(seed)
     series = [np.cumsum(rng.normal(size=(rng.integers(1, 30), dims)), axis=0) for _ in range(count)]
-    # Copies, common rests, and lengths that repeat, which may be computed in other ways.
+    # Copies, common constant parts and repeated lengths, which have shortcuts.
     return [*series[:-3], series[0], *series[-3:-1]]
 
 
@@ -97,7 +97,7 @@ def test_distances_too_large_name_the_pair(client):
 
 def test_a_worker_of_another_version_is_told_of():
     settings = Settings(False, None, np.dtype("float64"), 1, "cpu")
-    with pytest.raises(InputError, match=r"a worker has cornercase .*, and this is 0\.0\.0"):
+    with pytest.raises(InputError, match=r"a worker has cornercase .*, but this process has 0\.0\.0"):
         tiles.compute_square("0.0.0", settings, {}, [np.zeros((1, 1))], None)
 
 

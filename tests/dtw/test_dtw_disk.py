@@ -48,7 +48,7 @@ def test_fills_a_map_that_is_given(tmp_path):
     out = np.memmap(path, np.float64, "w+", offset=64, shape=(40, 40))
     assert distance_matrix(series, out=out) is out
     assert np.array_equal(out, distance_matrix(series))
-    # Without resume it is filled again, whatever it holds.
+    # Without resume it is filled again, whatever its content.
     out[:] = -1.0
     distance_matrix(series, out=out)
     assert np.array_equal(out, distance_matrix(series))
@@ -61,7 +61,7 @@ def test_goes_on_after_being_killed(tmp_path, monkeypatch):
     program = (
         "import itertools, sys, time, numpy as np; from cornercase.dtw import disk, distance_matrix, pairs; "
         f"disk.SIDE = {SIDE}; stored = np.load(sys.argv[1]); number, check = itertools.count(), disk._checksum; "
-        # It waits to be killed before it notes the eighth square.
+        # It waits to be killed before it records the eighth square.
         "disk._checksum = lambda square: (time.sleep(600 * (next(number) == 7)), check(square))[1]; "
         "distance_matrix([stored[f'arr_{i}'] for i in range(500)], out=sys.argv[2])"
     )
@@ -73,7 +73,7 @@ def test_goes_on_after_being_killed(tmp_path, monkeypatch):
     squares = progress.read_text().splitlines()[1:]
     assert 5 < len(squares) < 32 * 33 / 2
 
-    # What is noted is there and is not computed again, and the last line is as good as torn.
+    # Recorded squares are not computed again; the last line is incomplete.
     whole = distance_matrix(series)
     half = np.load(path, mmap_mode="r+")
     for line in squares:
@@ -117,7 +117,7 @@ def test_what_is_not_as_it_was_noted_is_computed_again(tmp_path, damage):
         progress.write_text("\n".join([first, *squares[1:], *squares[:1], "0 2 17", "a b c"]) + "\n")
     path.write_bytes(bytes(data))
     assert np.array_equal(distance_matrix(series, out=path, resume=True), expected)
-    # And is whole from then on.
+    # And is complete from then on.
     assert np.array_equal(np.load(path), expected)
 
 
@@ -126,7 +126,7 @@ def test_resume_begins_where_nothing_is(tmp_path):
     expected = distance_matrix(series)
     path = tmp_path / "matrix.npy"
     assert np.array_equal(distance_matrix(series, out=path, resume=True), expected)
-    # The matrix lost, its progress kept.
+    # The matrix is lost, its journal is not.
     path.unlink()
     assert np.array_equal(distance_matrix(series, out=path, resume=True), expected)
     # Ended before the file had its size.
@@ -185,10 +185,10 @@ def test_a_full_disk_is_told_before_anything_is_computed(tmp_path, monkeypatch):
     series, path = random_walks(40), tmp_path / "matrix.npy"
     with monkeypatch.context() as full:
         full.setattr(shutil, "disk_usage", lambda _: SimpleNamespace(free=1000))
-        with pytest.raises(InputError, match=r"needs .* kB more on this disk, of which 1 kB are free"):
+        with pytest.raises(InputError, match=r"needs .* kB more disk space, but only 1 kB are free"):
             distance_matrix(series, out=path)
         assert os.listdir(tmp_path) == []
-        # One that is there already needs no more.
+        # An existing file needs no more space.
         raw = tmp_path / "raw"
         np.zeros((40, 40)).tofile(raw)
         distance_matrix(series, out=np.memmap(raw, np.float64, "r+", shape=(40, 40)))

@@ -140,7 +140,9 @@ def test_a_closed_trajectory_with_times_in_one_scenario_costs_none_of_the_others
 def test_times_that_go_back_are_refused_in_their_own_scenario(tmp_path):
     good, bad = words(timed(tmp_path), {"end": 1.0}, {"end": -1.0})
     assert good == ""
-    assert bad.endswith(": <FollowTrajectoryAction> of <Init>: the times of a trajectory of Ego go back at t = 0 s")
+    assert bad.endswith(
+        ": <FollowTrajectoryAction> of <Init>: the times of a trajectory of Ego must not decrease at t = 0 s"
+    )
 
 
 def test_a_scenario_without_entities_is_refused(tmp_path):

@@ -103,7 +103,7 @@ def test_42_s5_a_driver_fails_and_is_noticed_on_a_cluster_as_here(on_cluster):
             alone, lost, other = here.run(concretes)
         assert len(noticed) == 1
         said = noticed[0].message
-        assert "asks for more deceleration than the 9 m/s² of <Performance>" in str(said)
+        assert "exceeds the deceleration of 9 m/s² in <Performance>" in str(said)
         with pytest.warns(NoticeWarning) as noticed:
             found = list(there.run(concretes))
         assert [str(one.message) for one in noticed] == [str(said)]

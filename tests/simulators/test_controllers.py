@@ -1,4 +1,4 @@
-"""Drivers that take charge of entities of the builtin simulator, along lanes and trajectories."""
+"""Drivers of entities in the builtin simulator, along lanes and trajectories."""
 
 from __future__ import annotations
 
@@ -61,7 +61,7 @@ def controlled(folder, action: str, drivers=None):
 
 
 def test_a_controller_takes_over_when_it_is_assigned_and_activated(tmp_path):
-    """The storyboard jumps to 20 m/s; a driver accelerates towards them, and only once it is in charge."""
+    """The storyboard jumps to 20 m/s; a driver accelerates to 20 m/s once it is in control."""
     alone = controlled(tmp_path, assign(None))
     assert alone.speed[0][alone.time > 2.1].min() == 20.0
     driven = controlled(tmp_path, assign("normal"))
@@ -134,7 +134,7 @@ def test_a_driver_brakes_along_a_trajectory_that_runs_otherwise_in_each_scenario
     assert straight.x[0][-1] > 40.0
     # The sharp bend leads past the car.
     assert away.speed[0][away.time < 15.0].min() > 5.0
-    # Where nobody drives it goes on.
+    # Without a driver it continues.
     (undriven,) = ran(BuiltinSimulator(time_step=DT, duration=20.0), concretes[:1])
     assert undriven.collisions
 
@@ -159,7 +159,7 @@ def test_a_trajectory_with_times_leaves_the_driver_nothing_to_decide(tmp_path):
 
 
 class Own(Driver):
-    """Somebody's own: what it gives is what a function makes of the situation."""
+    """A user's driver: returns the value of a function of the situation."""
 
     def __init__(self, decide):
         self.decide = decide
@@ -191,7 +191,7 @@ def test_42_4_a_driver_that_gives_no_number_fails_its_own_scenario(tmp_path):
     assert isinstance(lost, Recording)
     first, lost, last = driven_by(tmp_path, lambda one: np.where(one.speed == 10.0, np.nan, one.time < 0.12))
     assert [first.speed[0, -1], last.speed[0, -1]] == pytest.approx([8.15, 12.15])
-    assert str(lost) == f"{OWN} gave nan at t = 0 s, which is no acceleration in m/s²"
+    assert str(lost) == f"{OWN} returned nan at t = 0 s, which is not an acceleration in m/s²"
 
 
 @pytest.mark.parametrize(
@@ -206,12 +206,12 @@ def test_42_4_a_driver_that_gives_no_number_fails_its_own_scenario(tmp_path):
 )
 def test_42_4_a_driver_that_gives_something_else_fails(tmp_path, given, said):
     for lost in driven_by(tmp_path, lambda situation: given):
-        assert f"{OWN} gave no acceleration for the scenario at t = 0 s, but" in str(lost)
+        assert f"{OWN} returned no acceleration for the scenario at t = 0 s, but" in str(lost)
         assert said in str(lost)
 
 
 def test_42_4_one_number_is_not_taken_for_all_scenarios(tmp_path):
-    """Who decides by the first scenario decides otherwise when it is alone."""
+    """A driver that depends on the first scenario decides differently when run alone."""
 
     def decide(situation):
         return -0.1 * situation.speed[:1]
@@ -326,9 +326,9 @@ def test_42_9_no_driver_gets_more_than_its_vehicle_can_do_and_it_is_said_once(tm
         assert one.acceleration[0].max() == pytest.approx(4.0)
     said = [str(one.message) for one in told]
     assert said == [
-        f"{OWN} asks for more deceleration than the 6 m/s² of <Performance>, and gets that; first 30 m/s² at t = 0 s",
-        f"{OWN} asks for more acceleration than the 4 m/s² of <Performance>, and gets that; first 30 m/s² at t = 0.5 s",
-        f"{OWN} asks for more deceleration than the 10 m/s² of <Performance>, and gets that; first 30 m/s² at t = 0 s",
+        f"{OWN} exceeds the deceleration of 6 m/s² in <Performance>, and is limited to it; first 30 m/s² at t = 0 s",
+        f"{OWN} exceeds the acceleration of 4 m/s² in <Performance>, and is limited to it; first 30 m/s² at t = 0.5 s",
+        f"{OWN} exceeds the deceleration of 10 m/s² in <Performance>, and is limited to it; first 30 m/s² at t = 0 s",
     ]
     with warnings.catch_warnings():
         warnings.simplefilter("error", NoticeWarning)
@@ -347,9 +347,9 @@ def test_42_9_a_driver_within_its_vehicle_is_as_it_was(tmp_path):
 def test_42_9_a_built_in_driver_knows_what_its_vehicle_can_do(tmp_path):
     path, simulator = limited(tmp_path, "normal:max_deceleration=30,comfortable_deceleration=30", "7")
     hit = ConcreteScenario(path, {})
-    with pytest.warns(NoticeWarning, match="the driver of Ego asks for more deceleration than the 7 m/s²"):
+    with pytest.warns(NoticeWarning, match="the driver of Ego exceeds the deceleration of 7 m/s²"):
         (found,) = ran(simulator, [hit])
-    # Compiled and in Python it decides the same.
+    # Compiled code and Python decide the same.
     own = limited(tmp_path, Own(lambda one: np.zeros(1)), "7")[1]
     own._drivers = {**simulator._drivers, "B": own._drivers["Ego"]}
     with pytest.warns(NoticeWarning):

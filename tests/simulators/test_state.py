@@ -1,4 +1,4 @@
-"""A run leaves nothing behind that a later run could see."""
+"""A run leaves no state that affects a later run."""
 
 from __future__ import annotations
 

@@ -258,7 +258,7 @@ def test_a_rate_holds_while_the_speed_to_reach_changes(tmp_path):
 
 
 def test_a_distance_is_kept_behind_unless_the_file_says_otherwise(tmp_path):
-    # Ahead of the other at first, it lets itself fall behind.
+    # It starts ahead of the other, and falls behind.
     init = placed("Ego", "100") + placed("Lead", "80")
     keep = event("e", keep_distance('maxAcceleration="3" maxDeceleration="3" maxSpeed="30"'), time_trigger("1"))
     recording = run(file(tmp_path, keep, init=init, entities=car("Ego") + car("Lead")), 30.0)
@@ -318,7 +318,7 @@ def test_what_comes_from_behind_collides_too(tmp_path, value, speed):
 
 
 def test_time_to_collision_is_of_the_motion_before_the_frame(tmp_path):
-    # The first event sets a speed at 1 s that the second does not see before the next frame.
+    # The first event sets a speed at 1 s that the second sees in the next frame.
     collides = """<TimeToCollisionCondition value="3" rule="lessThan" freespace="false">
 <TimeToCollisionConditionTarget><EntityRef entityRef="Lead"/></TimeToCollisionConditionTarget></TimeToCollisionCondition>"""
     first = event("first", speed_action("30"), time_trigger("1"))

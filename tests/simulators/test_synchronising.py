@@ -1,4 +1,4 @@
-"""Kernels of actions between two entities, compared with the NumPy versions."""
+"""Compiled actions between two entities, compared with their NumPy versions."""
 
 from __future__ import annotations
 

@@ -68,7 +68,7 @@ DISCONNECT = "<PrivateAction><TrailerAction><DisconnectTrailerAction/></TrailerA
 
 
 def taking_up(folder, *events, hitch=HITCH):
-    """A car that comes to pull what stands 5 m behind it."""
+    """A car that is connected to a trailer 5 m behind it."""
     entities = with_parts(car("Ego"), hitch) + with_parts(car("T"), COUPLER) + with_parts(car("U"), COUPLER)
     init = (
         private("Ego", teleport("60"), speed_action("0")) + private("T", teleport("55")) + private("U", teleport("20"))
@@ -135,7 +135,7 @@ def test_43_9_scenarios_of_one_file_pull_each_for_itself(tmp_path):
 )
 def test_43_9_what_cannot_be_taken_up_is_said(tmp_path, reference, hitch, said):
     if said is None:
-        with pytest.raises(InputError, match=r"line \d+: ('Ego' is to pull itself|.*'V', which does not exist)"):
+        with pytest.raises(InputError, match=r"line \d+: ('Ego' cannot pull itself|.*'V', which does not exist)"):
             taking_up(tmp_path, at("1", CONNECT.format(reference)), hitch=hitch)
         return
     path, _ = taking_up(tmp_path, at("1", CONNECT.format(reference)), hitch=hitch)

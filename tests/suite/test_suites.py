@@ -400,6 +400,6 @@ def test_a_collision_that_a_reference_prevents_fails_and_any_other_does_not(expl
             f"; aggressive does not prevent it either, and collides at {by_cautious.time:.6g} s" in by_aggressive.reason
         )
         # Who turns into a road at a junction is nobody that the regulation knows.
-        assert (by_human.state == "inconclusive") == ("cc-human says nothing of it" in by_human.reason)
+        assert (by_human.state == "inconclusive") == ("cc-human does not cover this scenario" in by_human.reason)
     told = cc.summarize(path).references["cautious"]
     assert (told.prevents, told.collides, told.says_nothing) == (len(collide), 0, 0)

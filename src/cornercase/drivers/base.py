@@ -13,26 +13,26 @@ from cornercase._common.typing import BoolArray, FloatArray
 
 @dataclass(frozen=True, eq=False)
 class DrivenPath:
-    """What the reference point of the driven entity will follow.
+    """Path that the reference point of the driven entity follows.
 
-    A lane is the same for all scenarios of a batch and has arrays of shape (P,). A trajectory may run otherwise in
-    each scenario; then they are of shape (N, P).
+    A lane is shared by all scenarios of a batch: arrays of shape (P,). A trajectory may differ between scenarios:
+    arrays of shape (N, P).
 
     Attributes
     ----------
     distance : ndarray of float64, shape (P,) or (N, P)
-        m along the path, increasing from 0, at most about 0.5 m apart in curves.
+        Distance along the path in m, increasing from 0, with steps of at most about 0.5 m in curves.
     x, y : ndarray of float64, shape (P,) or (N, P)
-        m.
+        In m.
     heading : ndarray of float64, shape (P,) or (N, P)
-        rad, unwrapped.
+        In rad, unwrapped.
     curvature : ndarray of float64, shape (P,) or (N, P)
-        1/m, positive to the left.
+        In 1/m, positive to the left.
 
     Raises
     ------
     ValueError
-        Fewer than two samples, unequal shapes, or distances that do not increase from 0.
+        If there are fewer than two samples, shapes differ, or distances do not increase from 0.
     """
 
     distance: FloatArray
@@ -44,40 +44,41 @@ class DrivenPath:
     def __post_init__(self) -> None:
         shape = self.distance.shape
         if len(shape) not in (1, 2) or shape[-1] < 2:
-            raise ValueError("a path has at least two samples")
+            raise ValueError("a path needs at least two samples")
         if any(getattr(self, name).shape != shape for name in ("x", "y", "heading", "curvature")):
-            raise ValueError("all arrays of a path have one shape")
+            raise ValueError("all arrays of a path must have the same shape")
         if self.distance[..., 0].any() or not (np.diff(self.distance) > 0.0).all():
-            raise ValueError("the distances of a path increase from 0")
+            raise ValueError("the distances of a path must increase from 0")
 
 
 @dataclass(frozen=True, eq=False)
 class Situation:
-    """What a driver is told at one instant, for N concrete scenarios and A other entities.
+    """What a driver is given in one time step, for N concrete scenarios and A other entities.
 
-    It is the truth, not what can be seen: what a driver perceives of it is the driver's own business.
+    It is the true state, not what can be seen: the driver has to model its own perception.
 
     Attributes
     ----------
     time, time_step : float
-        s.
+        In s.
     path : DrivenPath
+        The path ahead and behind.
     distance : ndarray of float64, shape (N,)
-        Place of the driven entity along the path, in m.
+        Position of the driven entity along the path, in m.
     x, y, heading, speed, acceleration : ndarray of float64, shape (N,)
-        Motion of the driven entity's reference point in m, rad, m/s, m/s².
+        State of the driven entity's reference point in m, rad, m/s, m/s².
     length, width, center_x : float
         Its bounding box in m, as in a recording.
     target_speed : ndarray of float64, shape (N,)
-        What the scenario's speed actions ask for, in m/s; infinite or NaN where they ask nothing.
+        Speed set by the scenario's speed actions, in m/s; infinite or NaN if there is none.
     others_x, others_y, others_heading, others_speed : ndarray of float64, shape (N, A)
-        Motion of the other entities; NaN where one does not exist.
+        State of the other entities; NaN if one does not exist.
     others_length, others_width, others_center_x : ndarray of float64, shape (A,)
-        m.
+        Their bounding boxes in m.
     others_kind : tuple of str, length A
         Vehicle category, ``"pedestrian"`` or ``"misc"``.
     active : ndarray of bool, shape (N,)
-        Scenarios in which the entity is to be driven along this path now.
+        Scenarios in which the entity is driven along this path in this step.
     """
 
     time: float
@@ -105,48 +106,49 @@ class Situation:
 
 
 class Driver(ABC):
-    """Decides the speed of one entity along its path, for all concrete scenarios of a batch in lock-step.
+    """Decide the speed of one entity along its path, for all concrete scenarios of a batch in lock-step.
 
-    What a driver does in one scenario is a function of that scenario's past alone: no random numbers, no clock,
-    nothing of the other scenarios. A driver of your own is a subclass with `acceleration`; one with a state also
-    overrides `start`.
+    A decision may only depend on the past of its own scenario: no random numbers, no clock, nothing from other
+    scenarios. Derive your own driver from this class and implement `acceleration`; if it has state, also override
+    `start`.
 
     Attributes
     ----------
     settings : dict
-        Everything that its decisions depend on, as plain JSON values. It is stored with a study, and a study goes on
-        only with the same settings. By default the name of the class, which is enough where nothing can be set.
+        Everything that decisions depend on, as plain JSON values. It is stored with a study, which can only be resumed
+        with the same settings. The default is the name of the class, which is enough for a driver without options.
     """
 
     settings: dict[str, object]
 
     def __init_subclass__(cls, **options: Any) -> None:
         super().__init_subclass__(**options)
-        if not any("settings" in vars(one) for one in cls.__mro__):
+        if not any("settings" in vars(base) for base in cls.__mro__):
             cls.settings = {"driver": f"{cls.__module__}:{cls.__qualname__}"}
 
     def start(self, scenarios: int, others: int) -> None:  # noqa: B027
-        """Forget everything, as a batch begins; by default there is nothing to forget.
+        """Reset all state at the start of a batch; does nothing by default.
 
         Parameters
         ----------
         scenarios, others : int
-            Numbers N of concrete scenarios, and A of other entities in each.
+            Number N of concrete scenarios, and A of other entities in each.
         """
 
     @abstractmethod
     def acceleration(self, situation: Situation) -> FloatArray:
-        """Acceleration along the path for the coming time step.
+        """Return the acceleration along the path for the coming time step.
 
-        In each time step it is called once per path, with masks ``active`` that exclude each other. What is returned
-        for scenarios that are not active is not used, and what is kept of them must not change.
+        It is called once per path in each time step, with disjoint masks ``active``. The result is ignored for
+        scenarios that are not active, and their state must not change.
 
         Parameters
         ----------
         situation : Situation
+            State of the driven entity and of the others.
 
         Returns
         -------
         ndarray of float64, shape (N,)
-            m/s².
+            In m/s².
         """

@@ -1,4 +1,4 @@
-"""The built-in driver: plans its speed, follows, gives way, and knows only what it has seen."""
+"""The built-in driver: plans its speed, follows, yields, and knows only what it has seen."""
 
 from __future__ import annotations
 
@@ -19,19 +19,20 @@ _MAY_BE_ZERO: Final = frozenset(
 
 
 class BehaviourDriver(CompiledDriver):
-    """Driver with a `Behaviour`.
+    """Driver with the parameters of a `Behaviour`.
 
-    It takes the lowest of the accelerations that its own plan, each entity that it follows and each entity
-    that it gives way to would let it have; see ``docs/drivers.md``.
+    It takes the lowest of the accelerations allowed by its own speed plan, by each entity that it follows and by each
+    entity that it yields to; see ``docs/drivers.md``.
 
     Parameters
     ----------
     behaviour : Behaviour, default NORMAL
+        Its parameters.
 
     Raises
     ------
     InputError
-        A parameter is out of range.
+        If a parameter is out of range.
     """
 
     kind = BEHAVIOUR
@@ -49,7 +50,7 @@ class BehaviourDriver(CompiledDriver):
 
     @property
     def yielding(self) -> BoolArray:
-        """To whom the driver gives way, shape (N, A)."""
+        """Entities that the driver yields to, ndarray of bool, shape (N, A)."""
         return self._fleet.awareness[0, :, YIELDING]
 
 
@@ -58,25 +59,25 @@ def _check(behaviour: Behaviour) -> None:
         require_parameter(name, value, name in _MAY_BE_ZERO)
     if behaviour.field_of_view > 2.0 * math.pi:
         raise InputError(
-            f"The driver's field_of_view is {behaviour.field_of_view:g}; it is in rad, and at most 6.2832, all around."
+            f"The driver's field_of_view is {behaviour.field_of_view:g}; give an angle in rad of at most 6.2832."
         )
 
 
 def _with_options(behaviour: Behaviour) -> Callable[..., BehaviourDriver]:
-    """What builds a preset, and takes each of its parameters as an option."""
+    """Return a function that builds a preset, with each parameter as an option."""
 
     def build(**changed: float) -> BehaviourDriver:
         return BehaviourDriver(behaviour._replace(**{name: float(value) for name, value in changed.items()}))
 
-    made: Any = build
-    # The registry reads there which options there are.
-    made.__signature__ = Signature(
+    factory: Any = build
+    # The registry reads the options from the signature.
+    factory.__signature__ = Signature(
         [
             Parameter(name, Parameter.KEYWORD_ONLY, default=value, annotation=float)
             for name, value in behaviour._asdict().items()
         ]
     )
-    return cast(Callable[..., BehaviourDriver], made)
+    return cast(Callable[..., BehaviourDriver], factory)
 
 
 cautious, normal, aggressive = map(_with_options, (CAUTIOUS, NORMAL, AGGRESSIVE))

@@ -1,6 +1,6 @@
-"""Where and when the driven entity's box would touch another's.
+"""Times and positions at which the driven entity's box would touch another box.
 
-Places are those that the driven entity comes to, the other goes along straight legs.
+The driven entity is tested at samples of its path; the other one moves along straight legs.
 """
 
 # Compiled functions have no static types.
@@ -10,45 +10,20 @@ from __future__ import annotations
 
 import math
 
-from cornercase._common.compiling import kernel
+from cornercase.drivers.traffic import inline_kernel, plain_kernel
 from cornercase.drivers.way import lay
 
-# m; boxes that are less apart are tested exactly.
+# m; closer boxes are tested exactly.
 _HAIR = 1e-6
 
-# Nothing is allocated, so that references need not be counted, which takes longer than what is computed.
-_kernel = kernel(error_model="numpy", _nrt=False)
 
-# What is called from one place, or does little, spares the call.
-_part = kernel(error_model="numpy", _nrt=False, forceinline=True)
-
-
-@_kernel
+@plain_kernel
 def meeting(places, row, ego, margin, other, horizon):
-    """When the other would touch the driven entity, if that were at a place.
+    """First and last contact in s, and the leg of the first, if the driven entity were at a path sample.
 
-    Separating axes: on each of the four, the projections overlap during one interval; the boxes do in what
-    is common to all.
-
-    Parameters
-    ----------
-    places : ndarray of float64, shape (K, 6)
-        Distance, centre x and y, cosine and sine of the heading, time of arrival.
-    row : int
-    ego : tuple of float
-        Half length and half width of the driven entity, in m.
-    margin : float
-        m on either side by which the driven entity counts as wider.
-    other : tuple
-        Legs (L, 6) as of `foresee`, half length, half width, speed.
-    horizon : float
-        s; 0 for the other where it is now.
-
-    Returns
-    -------
-    tuple of (float, float, int)
-        First and last instant of contact within the horizon in s, and the leg of the first; (inf, -inf, 0)
-        for never.
+    Separating axes: the projections overlap during one interval on each of four axes; the boxes overlap during the
+    intersection. `ego` is (half length, half width) in m, widened by `margin` on either side; `other` is
+    (legs, half length, half width, speed). With horizon 0 the other stays where it is. Without contact: (inf, -inf, 0).
     """
     legs = other[0]
     own_length, own_width = ego[0], ego[1] + margin
@@ -68,23 +43,12 @@ def meeting(places, row, ego, margin, other, horizon):
     return enters, leaves, at
 
 
-@_part
+@inline_kernel
 def last_contact(places, row, ego, margin, other, horizon, instant, after):
-    """Last contact of the other with the driven entity, if that were at a place, and if it ends late enough.
+    """Leg and interval of the last contact at a path sample, if its end + `time_offset` is later than `min_end`.
 
-    As `meeting` says it: what is over too early is not asked for.
-
-    Parameters
-    ----------
-    places, row, ego, margin, other, horizon
-        As in `meeting`; the horizon is above 0.
-    instant, after : float
-        Instant in s, and what is added to that of `meeting` before it has to be above this.
-
-    Returns
-    -------
-    tuple of (int, float, float)
-        Leg, first and last instant of contact on it, counted from its begin in s; -1 for the leg where there is none.
+    The interval is counted from the start of the leg, in s; the leg is -1 if there is no such contact. The horizon is
+    above 0. Skips the computation if contact ends too early.
     """
     legs = other[0]
     own_length, own_width = ego[0], ego[1] + margin
@@ -101,22 +65,11 @@ def last_contact(places, row, ego, margin, other, horizon, instant, after):
     return -1, math.inf, -math.inf
 
 
-@_part
+@inline_kernel
 def begins_before(places, row, ego, margin, other, horizon, found, instant, before):
-    """Whether the first contact of the other with the driven entity, if that were at a place, begins early enough.
+    """Check that the first contact at a path sample, plus `time_offset`, begins earlier than `max_start`.
 
-    Parameters
-    ----------
-    places, row, ego, margin, other, horizon
-        As in `meeting`.
-    found : tuple of (int, float, float)
-        As of `last_contact`, with a leg.
-    instant, before : float
-        Instant in s, and what is added to that of `meeting` before it has to be below this.
-
-    Returns
-    -------
-    bool
+    `known_contact` is the result of `last_contact_ending_after`, with a leg.
     """
     legs = other[0]
     for early in range(found[0]):
@@ -128,21 +81,21 @@ def begins_before(places, row, ego, margin, other, horizon, found, instant, befo
     return legs[found[0], 4] + found[1] + before < instant
 
 
-@_part
+@inline_kernel
 def _duration(legs, leg, horizon):
     return max(min(legs[leg, 5], horizon) - legs[leg, 4], 0.0)
 
 
-@_kernel
+@plain_kernel
 def _on_leg(places, row, own_length, own_width, other, leg, horizon):
-    """First and last instant of contact, counted from the begin of a leg; the last one before the first for never."""
+    """First and last contact in s from the start of a leg; first > last if there is none."""
     legs, half_length, half_width, speed = other
     first, last = 0.0, _duration(legs, leg, horizon)
     dx, dy = legs[leg, 0] - places[row, 1], legs[leg, 1] - places[row, 2]
     reach = own_length + own_width + half_length + half_width + abs(speed) * last
     if abs(dx) > reach or abs(dy) > reach:
         return math.inf, -math.inf
-    # The axis on which it does not move first: it takes no division.
+    # First the axis without motion, which needs no division.
     sideways = dy * legs[leg, 2] - dx * legs[leg, 3]
     if abs(sideways) > own_length + own_width + half_width:
         return math.inf, -math.inf
@@ -150,30 +103,30 @@ def _on_leg(places, row, own_length, own_width, other, leg, horizon):
     sin = places[row, 3] * legs[leg, 3] - places[row, 4] * legs[leg, 2]
     if abs(sideways) > half_width + own_length * abs(sin) + own_width * abs(cos):
         return math.inf, -math.inf
-    apart = dx * legs[leg, 2] + dy * legs[leg, 3]
-    first, last = _during(first, last, apart, half_length + own_length * abs(cos) + own_width * abs(sin), speed)
+    along = dx * legs[leg, 2] + dy * legs[leg, 3]
+    first, last = _during(first, last, along, half_length + own_length * abs(cos) + own_width * abs(sin), speed)
     if first > last:
         return math.inf, -math.inf
-    apart, across = dx * places[row, 3] + dy * places[row, 4], dy * places[row, 3] - dx * places[row, 4]
+    along, lateral = dx * places[row, 3] + dy * places[row, 4], dy * places[row, 3] - dx * places[row, 4]
     radius = own_length + half_length * abs(cos) + half_width * abs(sin)
-    first, last = _during(first, last, apart, radius, speed * cos)
+    first, last = _during(first, last, along, radius, speed * cos)
     radius = own_width + half_length * abs(sin) + half_width * abs(cos)
-    return _during(first, last, across, radius, speed * sin)
+    return _during(first, last, lateral, radius, speed * sin)
 
 
-@_part
+@inline_kernel
 def _during(first, last, apart, radius, rate):
-    """Part of a time in which what is so far apart, and moves at a rate, is within a radius."""
-    one, two = (-radius - apart) / rate, (radius - apart) / rate
-    still = abs(rate) < 1e-9
-    begin, end = max(first, min(one, two)), min(last, max(one, two))
-    away = -1.0 if abs(apart) > radius else last
-    return (first if still else begin), (away if still else end)
+    """Clip a time interval to when a point at offset `offset`, moving at `rate`, is within `radius`."""
+    first_crossing, second_crossing = (-radius - apart) / rate, (radius - apart) / rate
+    is_still = abs(rate) < 1e-9
+    begin, end = max(first, min(first_crossing, second_crossing)), min(last, max(first_crossing, second_crossing))
+    end_if_still = -1.0 if abs(apart) > radius else last
+    return (first if is_still else begin), (end_if_still if is_still else end)
 
 
-@_part
+@inline_kernel
 def _touching(places, row, own_length, own_width, other):
-    """Whether the boxes touch, the other's being where its first leg begins."""
+    """Check whether the boxes overlap with the other at the start of its first leg."""
     legs, half_length, half_width, _ = other
     dx, dy = legs[0, 0] - places[row, 1], legs[0, 1] - places[row, 2]
     reach = own_length + own_width + half_length + half_width
@@ -192,23 +145,12 @@ def _touching(places, row, own_length, own_width, other):
     )
 
 
-@_kernel
+@plain_kernel
 def first_contact(places, most, ego, margin, other, horizon, way=None):
-    """First place ahead at which the driven entity would touch the other.
+    """Row of the first path sample ahead with contact; -1 if there is none.
 
-    Parameters
-    ----------
-    places, ego, margin, other, horizon
-        As in `meeting`; row 0 of the places is left out.
-    most : float
-        m between the centres at two places that follow each other, at most.
-    way : Way, optional
-        That the places are laid out along; if not given, they are all laid out already.
-
-    Returns
-    -------
-    int
-        Row; -1 for none.
+    Row 0 is skipped. `max_spacing` is the largest distance in m between centres at consecutive samples. Samples are
+    computed on demand if `lookahead` is given.
     """
     k, count, until = 0, len(places), -1
     if way is not None:
@@ -229,32 +171,18 @@ def first_contact(places, most, ego, margin, other, horizon, way=None):
     return -1
 
 
-@_part
+@inline_kernel
 def next_rows(way, k, margin, other, since, horizon):
-    """Find the next places ahead at which the driven entity may touch the other, and lay out the first of them.
+    """First and last row of the next consecutive samples with possible contact; computes the first.
 
-    Parameters
-    ----------
-    way : Way
-    k : int
-        Row of the first that is asked for.
-    margin, other, horizon
-        As in `meeting`.
-    since : float
-        s; what is over before does not matter.
-
-    Returns
-    -------
-    tuple of (int, int)
-        The first and the last of them that follow each other; there may be more behind the last. The first may be
-        beyond the way.
+    Contacts that end before `min_time` (s) are ignored. The first row may be past the end of the path.
     """
-    straight = int(way.points[way.first + k, 5])
+    straight = int(way.points[way.first_point + k, 5])
     lay(way, k)
     if straight < 2:
-        first = until = k + rows_apart(way.places, way.most, k, way.ego, margin, other, since, horizon)
+        first = until = k + rows_apart(way.samples, way.max_spacing, k, way.ego, margin, other, since, horizon)
     else:
-        begin, end = _stretch(way.places, k, way.ego, margin, other, since, horizon, straight * way.step)
+        begin, end = _stretch(way.samples, k, way.ego, margin, other, since, horizon, straight * way.step)
         first = until = k + straight + 1
         if begin < math.inf:
             first, until = k + int(begin / way.step), k + min(int(end / way.step) + 1, straight)
@@ -263,12 +191,11 @@ def next_rows(way, k, margin, other, since, horizon):
     return first, until
 
 
-@_part
+@inline_kernel
 def _stretch(places, k, ego, margin, other, since, horizon, length):
-    """First stretch of a straight line on which the driven entity may touch the other's swept box.
+    """First range in m from sample `row` of a straight line in which the ego may touch the other's swept box.
 
-    Separating axes: on each of the four, the projections overlap during one stretch.
-    Returns begin and end in m from place `k`; (inf, inf) for none within a length.
+    (inf, inf) if there is none within `length`. Separating axes: the projections overlap in one range on each of four.
     """
     legs, half_length, half_width, speed = other
     own_length, own_width = ego[0], ego[1] + margin
@@ -279,18 +206,18 @@ def _stretch(places, k, ego, margin, other, since, horizon, length):
         over = min(legs[leg, 5], horizon)
         if over < since:
             continue
-        gone, half = _swept(legs, leg, speed, since, over)
-        dx = legs[leg, 0] + (gone + half) * legs[leg, 2] - places[k, 1]
-        dy = legs[leg, 1] + (gone + half) * legs[leg, 3] - places[k, 2]
+        distance, half = _swept(legs, leg, speed, since, over)
+        dx = legs[leg, 0] + (distance + half) * legs[leg, 2] - places[k, 1]
+        dy = legs[leg, 1] + (distance + half) * legs[leg, 3] - places[k, 2]
         cos = places[k, 3] * legs[leg, 2] + places[k, 4] * legs[leg, 3]
         sin = places[k, 3] * legs[leg, 3] - places[k, 4] * legs[leg, 2]
         swept = half_length + abs(half)
-        aside = dy * places[k, 3] - dx * places[k, 4]
-        if abs(aside) > own_width + swept * abs(sin) + half_width * abs(cos) + _HAIR:
+        lateral = dy * places[k, 3] - dx * places[k, 4]
+        if abs(lateral) > own_width + swept * abs(sin) + half_width * abs(cos) + _HAIR:
             continue
-        ahead = dx * places[k, 3] + dy * places[k, 4]
+        longitudinal = dx * places[k, 3] + dy * places[k, 4]
         reach = own_length + swept * abs(cos) + half_width * abs(sin) + _HAIR
-        first, last = max(ahead - reach, 0.0), min(ahead + reach, length)
+        first, last = max(longitudinal - reach, 0.0), min(longitudinal + reach, length)
         if first > last:
             continue
         first, last = _clip(
@@ -312,47 +239,30 @@ def _stretch(places, k, ego, margin, other, since, horizon, length):
     return begin, end
 
 
-@_part
+@inline_kernel
 def _swept(legs, leg, speed, since, over):
-    """How far the other has gone on a leg at an instant, and half of what it goes on it from then on, in m."""
+    """Distance that the other has covered on a leg at time `start`, and half of what it covers afterwards, in m."""
     from_then = max(legs[leg, 4], since)
     return speed * (from_then - legs[leg, 4]), 0.5 * speed * max(over - from_then, 0.0)
 
 
-@_part
+@inline_kernel
 def _clip(first, last, rate, middle, radius):
-    """Part of a stretch on which a way of `rate` m a metre is within a radius of a middle."""
+    """Clip a range to where a projection that grows by `rate` per metre is within `radius` of `center`."""
     if abs(rate) < 1e-9:
-        # It hardly moves on this axis: a hair more than it could.
+        # Hardly any motion on this axis: add a tolerance.
         return (first, last) if abs(middle) <= radius + _HAIR else (math.inf, -math.inf)
-    one, two = (middle - radius) / rate, (middle + radius) / rate
-    return max(first, min(one, two)), min(last, max(one, two))
+    first_crossing, second_crossing = (middle - radius) / rate, (middle + radius) / rate
+    return max(first, min(first_crossing, second_crossing)), min(last, max(first_crossing, second_crossing))
 
 
-@_part
+@inline_kernel
 def rows_apart(places, most, k, ego, margin, other, since, horizon):
-    """How many places, from one on, are too far from the other to be touched.
-
-    Parameters
-    ----------
-    places, ego, margin, other, horizon
-        As in `meeting`.
-    most : float
-        m between the centres at two places that follow each other, at most.
-    k : int
-        Row of the first of them.
-    since : float
-        As in `next_rows`.
-
-    Returns
-    -------
-    int
-        0 where the boxes may touch at the first.
-    """
+    """Number of samples from `first_row` on that are too far from the other for contact."""
     legs, half_length, half_width, speed = other
     width = ego[1] + margin
-    own, least, leg = math.sqrt(ego[0] * ego[0] + width * width), math.inf, legs.shape[0]
-    # The last leg is the longest, and the likeliest to be near.
+    radius, min_gap, leg = math.sqrt(ego[0] * ego[0] + width * width), math.inf, legs.shape[0]
+    # The last leg is the longest, and the most likely to be near.
     while leg > 0:
         leg -= 1
         if leg > 0 and legs[leg, 4] >= horizon:
@@ -360,13 +270,13 @@ def rows_apart(places, most, k, ego, margin, other, since, horizon):
         over = min(legs[leg, 5], horizon)
         if over < since:
             break
-        gone, half = _swept(legs, leg, speed, since, over)
+        distance, half = _swept(legs, leg, speed, since, over)
         dx, dy = legs[leg, 0] - places[k, 1], legs[leg, 1] - places[k, 2]
-        across = abs(dy * legs[leg, 2] - dx * legs[leg, 3]) - half_width
-        begin = dx * legs[leg, 2] + dy * legs[leg, 3] + gone
+        lateral = abs(dy * legs[leg, 2] - dx * legs[leg, 3]) - half_width
+        begin = dx * legs[leg, 2] + dy * legs[leg, 3] + distance
         end = begin + 2.0 * half
         along = max(min(begin, end), -max(begin, end)) - half_length
-        least = min(least, max(across, along) - own)
-        if not least > 1e-6:
+        min_gap = min(min_gap, max(lateral, along) - radius)
+        if not min_gap > 1e-6:
             return 0
-    return 1 + int(min((least - 1e-6) / most, float(len(places))))
+    return 1 + int(min((min_gap - 1e-6) / most, float(len(places))))

@@ -1,4 +1,4 @@
-"""One compiled decision for one driver in one scenario."""
+"""Compiled decision of one driver in one scenario."""
 
 # Compiled functions have no static types.
 # mypy: disable-error-code="no-untyped-def, no-untyped-call, untyped-decorator"
@@ -13,42 +13,18 @@ from cornercase._common.compiling import kernel
 from cornercase.drivers.foreseeing import TURN_LEGS
 from cornercase.drivers.keeping import keep_distance
 from cornercase.drivers.parameters import Behaviour, Keeping
-from cornercase.drivers.traffic import BEHAVIOUR, SIMPLE, Driven, Scene, Workspace
+from cornercase.drivers.traffic import BEHAVIOUR, SIMPLE, Driven, Scene, Workspace, inline_kernel, plain_kernel
 from cornercase.drivers.visibility import eye_of, look, perceive
 from cornercase.drivers.way import MOST_PLACES
 from cornercase.drivers.yielding import decide
 
-# Nothing is allocated, so that references need not be counted, which takes longer than what is computed.
-_kernel = kernel(error_model="numpy", _nrt=False)
-_part = kernel(error_model="numpy", _nrt=False, forceinline=True)
 
-
-@_part
+@inline_kernel
 def accelerate(fleet, d, n, route, time, time_step, driven, others, work):
-    """Acceleration that a driver gives its entity for the coming time step, in one scenario.
+    """Acceleration in m/s² that a driver chooses in one scenario; updates what the driver remembers.
 
-    What the driver remembers of that scenario is brought up to date.
-
-    Parameters
-    ----------
-    fleet : Fleet
-    d : int
-        Row of the driver; not one of the kind `FOREIGN`.
-    n : int
-        Scenario.
-    route : int
-        Row of the route that it takes, as of `route_row`.
-    time, time_step : float
-        s.
-    driven : Driven
-    others : ndarray of float64, shape (4, A)
-        x, y, heading and speed of the others; NaN where one does not exist or is not visible.
-    work : Workspace
-
-    Returns
-    -------
-    float
-        m/s².
+    `driver` is not `NOT_COMPILED`; `route` comes from `find_route_row`; `others` has shape (4, A): x, y, heading and
+    speed, NaN if an entity does not exist or is not visible.
     """
     cos, sin = math.cos(driven.heading), math.sin(driven.heading)
     scene = Scene(
@@ -69,21 +45,9 @@ def accelerate(fleet, d, n, route, time, time_step, driven, others, work):
     return max(a, -driven.speed / time_step)
 
 
-@_kernel
+@plain_kernel
 def route_row(fleet, d, track, n):
-    """Row of the route that a driver takes along a track in one scenario.
-
-    Parameters
-    ----------
-    fleet : Fleet
-    d, track, n : int
-        Row of the driver, number of the track, scenario.
-
-    Returns
-    -------
-    int
-        -1 if it has none yet, and needs one: see `with_route`.
-    """
+    """Row of the route of a driver along a track in one scenario; -1 if `set_route` has to plan it first."""
     if fleet.kind[d] != BEHAVIOUR:
         return 0
     routes = fleet.routes
@@ -94,17 +58,7 @@ def route_row(fleet, d, track, n):
 
 @kernel(error_model="numpy")
 def workspace(others):
-    """Make room for the decisions of one thread.
-
-    Parameters
-    ----------
-    others : int
-        A.
-
-    Returns
-    -------
-    Workspace
-    """
+    """Allocate the buffers for the decisions of one thread among `n_others` other entities."""
     return Workspace(
         np.full((others, 5), np.nan),
         np.empty(others, dtype=np.bool_),
@@ -117,31 +71,14 @@ def workspace(others):
 
 @kernel(error_model="numpy")
 def accelerate_each(fleet, track, time, time_step, driven, others, active):
-    """Acceleration that the first driver of a fleet gives its entity, in each scenario.
+    """Acceleration in m/s² of the first driver of a fleet in each scenario, shape (N,); 0 if not active.
 
-    Parameters
-    ----------
-    fleet : Fleet
-    track : int
-        Number of the track, along which a route is planned.
-    time, time_step : float
-        s.
-    driven : ndarray of float64, shape (N, 6)
-        The fields of `Driven`.
-    others : ndarray of float64, shape (N, 4, A)
-        x, y, heading and speed; NaN where one does not exist.
-    active : ndarray of bool, shape (N,)
-        Scenarios to decide; in the others nothing changes.
-
-    Returns
-    -------
-    ndarray of float64, shape (N,)
-        m/s²; 0 where not active.
+    `driven` has shape (N, 6), the fields of `DrivenState`; `others` has shape (N, 4, A).
     """
     result, work = np.zeros(len(active)), workspace(others.shape[2])
     for n in range(len(active)):
         if active[n]:
             s = driven[n]
-            one = Driven(s[0], s[1], s[2], s[3], s[4], s[5])
-            result[n] = accelerate(fleet, 0, n, route_row(fleet, 0, track, n), time, time_step, one, others[n], work)
+            state = Driven(s[0], s[1], s[2], s[3], s[4], s[5])
+            result[n] = accelerate(fleet, 0, n, route_row(fleet, 0, track, n), time, time_step, state, others[n], work)
     return result

@@ -1,4 +1,4 @@
-"""What a driver is: as studies store it, in words, and as a command takes it."""
+"""Describe drivers: as stored in studies, as text, and as a command line option."""
 
 from __future__ import annotations
 
@@ -17,26 +17,16 @@ from cornercase.drivers.mutants import name_driver
 from cornercase.drivers.references.models import REFERENCES
 from cornercase.drivers.registry import DRIVERS
 
-# Where a driver that was made by its name keeps that name.
+# Attribute in which a driver created by name stores its name and options.
 _NOTED: Final = "_cornercase_name"
 _OF_A_DIGEST: Final = 8
 _checksums: Final[WeakKeyDictionary[type, str]] = WeakKeyDictionary()
 
 
 def note_name(driver: Driver, name: str, options: Mapping[str, object]) -> None:
-    """Note by which name and with which options a driver was made.
+    """Store on a driver the name and the options it was created with.
 
-    Parameters
-    ----------
-    driver : Driver
-    name : str
-        ``"package.module:Class"``, or a registered name with its options.
-    options : mapping of str to object
-
-    Raises
-    ------
-    InputError
-        Nothing can be noted with the driver, and it has options.
+    Raises `InputError` if the driver has options but no `__dict__` to store them.
     """
     try:
         vars(driver)[_NOTED] = (name, dict(sorted(options.items())))
@@ -49,40 +39,33 @@ def note_name(driver: Driver, name: str, options: Mapping[str, object]) -> None:
 
 
 def describe_driver(driver: str | Driver) -> str | dict[str, Any]:
-    """Say what a driver is, as plain JSON values.
+    """Return a driver as plain JSON values.
 
-    Parameters
-    ----------
-    driver : str or Driver
-
-    Returns
-    -------
-    str or dict of str to object
-        The name of a registered driver. The settings of an object of cornercase's own classes. Of any other driver
-        ``driver``, its class as ``"package.module:Class"``; ``options``, where it was made by its name; ``sha256`` of
-        the file that defines the class, where there is one; and its ``settings``, where the class defines them.
+    A registered driver is its name; an object of cornercase's own classes is its settings. Any other driver is a dict:
+    ``driver``, the class as ``"package.module:Class"``; ``options``, if it was created by name; ``sha256`` of the file
+    that defines the class, if there is one; ``settings``, if the class defines them.
     """
     if isinstance(driver, str):
         return driver
     cls = type(driver)
-    place = f"{cls.__module__}:{cls.__qualname__}"
-    noted = getattr(driver, "__dict__", {}).get(_NOTED)
-    if noted is None and cls.__module__.startswith("cornercase."):
+    class_path = f"{cls.__module__}:{cls.__qualname__}"
+    spec = getattr(driver, "__dict__", {}).get(_NOTED)
+    if spec is None and cls.__module__.startswith("cornercase."):
         return dict(driver.settings)
-    name, options = (place, None) if noted is None else noted
-    found: dict[str, Any] = {"driver": name}
+    name, options = (class_path, None) if spec is None else spec
+    description: dict[str, Any] = {"driver": name}
     if options is not None:
-        found["options"] = dict(options)
+        description["options"] = dict(options)
     if checksum := _checksum(cls):
-        found["sha256"] = checksum
-    if driver.settings != {"driver": place}:
-        found["settings"] = dict(driver.settings)
-    return found
+        description["sha256"] = checksum
+    if driver.settings != {"driver": class_path}:
+        description["settings"] = dict(driver.settings)
+    return description
 
 
 def _checksum(cls: type) -> str:
-    """SHA-256 of the file that defines a class, as it was when the class was first seen here; empty without a file."""
-    # A module that is edited meanwhile is not loaded again.
+    """SHA-256 of the file that defines a class, as of when the class was first seen; empty without a file."""
+    # A module edited in the meantime is not reloaded.
     if cls not in _checksums:
         file = getattr(sys.modules.get(cls.__module__), "__file__", None)
         content = None
@@ -93,17 +76,9 @@ def _checksum(cls: type) -> str:
 
 
 def driver_command(description: object) -> str | None:
-    """Give the name by which a command makes a driver again.
+    """Command line option that creates a driver again, such as ``"my_aeb:Aeb:reaction=0.3"``; None if unknown.
 
-    Parameters
-    ----------
-    description : object
-        As of `describe_driver`; a study from elsewhere may hold anything.
-
-    Returns
-    -------
-    str or None
-        ``"my_aeb:Aeb:reaction=0.3"``; None where that is not known, as of an object that Python code made.
+    `description` comes from a study, so it may hold anything. Objects created in Python code have no such option.
     """
     if isinstance(description, str):
         return description
@@ -111,10 +86,12 @@ def driver_command(description: object) -> str | None:
         return None
     name, options = description.get("driver"), description.get("options")
     if isinstance(name, str) and isinstance(options, Mapping):
-        return ":".join([name, ",".join(f"{key}={_value(one)}" for key, one in options.items())] if options else [name])
+        return ":".join(
+            [name, ",".join(f"{key}={_value(value)}" for key, value in options.items())] if options else [name]
+        )
     with suppress(InputError):
         return name_driver(description)
-    # Nothing of another package is made because a study says so.
+    # Never create an object of another package because a study names it.
     delay = description.get("delay")
     if isinstance(name, str) and name in REFERENCES and len(description) == 2 and isinstance(delay, int | float):
         return f"{name}:delay={delay}"
@@ -122,41 +99,22 @@ def driver_command(description: object) -> str | None:
 
 
 def given_name(driver: str | Driver) -> str | None:
-    """Find the name by which a user gave a driver that does not come with cornercase.
+    """Name and options by which the user chose a driver that is not part of cornercase.
 
-    Parameters
-    ----------
-    driver : str or Driver
-
-    Returns
-    -------
-    str or None
-        ``"package.module:Class:reaction=0.3"``, or a registered name of another package. None for a driver of
-        cornercase, and for an object that Python code made.
+    None for a driver of cornercase and for an object created in Python code.
     """
     if isinstance(driver, str):
         factory = DRIVERS.factory(driver.partition(":")[0])
         return None if is_built_in(maker_of(factory)) else driver
-    noted = getattr(driver, "__dict__", {}).get(_NOTED)
-    if noted is None or is_built_in(type(driver)):
+    spec = getattr(driver, "__dict__", {}).get(_NOTED)
+    if spec is None or is_built_in(type(driver)):
         return None
-    name, options = noted
+    name, options = spec
     return driver_command({"driver": name, "options": options})
 
 
 def driver_text(description: object) -> str:
-    """Say in words what a driver is.
-
-    Parameters
-    ----------
-    description : object
-        As of `describe_driver`.
-
-    Returns
-    -------
-    str
-        ``"my_aeb:Aeb, reaction=0.3, sha256 1234abcd…"``.
-    """
+    """Format a serialized driver as text, such as ``"my_aeb:Aeb, reaction=0.3, sha256 1234abcd…"``."""
     if isinstance(description, str):
         return description
     if not isinstance(description, Mapping):
@@ -166,12 +124,12 @@ def driver_text(description: object) -> str:
         return command
     parts = [str(description.get("driver", "a driver"))]
     if isinstance(options, Mapping):
-        parts += [f"{key}={_value(one)}" for key, one in options.items()]
+        parts += [f"{key}={_value(value)}" for key, value in options.items()]
     else:
-        # Without options its settings are all that tells it from another one.
-        own = description.get("settings")
-        known = own if isinstance(own, Mapping) else description
-        parts += [f"{key}={_value(one)}" for key, one in known.items() if key not in ("driver", "sha256")]
+        # Without options, only its settings distinguish it.
+        settings = description.get("settings")
+        values = settings if isinstance(settings, Mapping) else description
+        parts += [f"{key}={_value(value)}" for key, value in values.items() if key not in ("driver", "sha256")]
     if isinstance(checksum, str):
         parts.append(f"sha256 {checksum[:_OF_A_DIGEST]}…")
     return ", ".join(parts)
@@ -182,28 +140,19 @@ def _value(value: object) -> str:
 
 
 def driver_changes(there: object, here: object) -> Iterator[tuple[str, str, str, bool]]:
-    """Find the entities that somebody else drives.
+    """Yield (entity, before, now, only_the_file) for each entity whose driver differs.
 
-    Parameters
-    ----------
-    there, here : object
-        Descriptions by entity, as settings hold them under ``"drivers"``.
-
-    Yields
-    ------
-    entity, before, now : str
-        In words.
-    only_the_file : bool
-        Whether it is the same class with the same options, and its file has changed.
+    `stored` and `current` are serialized drivers by entity. `only_the_file`: same class and options, but its file has
+    changed.
     """
-    old, new = (dict(one) if isinstance(one, Mapping) else {} for one in (there, here))
+    old, new = (dict(drivers) if isinstance(drivers, Mapping) else {} for drivers in (there, here))
     for entity in sorted({*old, *new}):
-        before, now = old.get(entity), new.get(entity)
-        if before != now:
-            both = isinstance(before, Mapping) and isinstance(now, Mapping)
-            same = both and _without_checksum(before) == _without_checksum(now)
-            yield entity, driver_text(before), driver_text(now), same
+        before, after = old.get(entity), new.get(entity)
+        if before != after:
+            are_mappings = isinstance(before, Mapping) and isinstance(after, Mapping)
+            only_file_changed = are_mappings and _without_checksum(before) == _without_checksum(after)
+            yield entity, driver_text(before), driver_text(after), only_file_changed
 
 
 def _without_checksum(description: Any) -> dict[str, object]:
-    return {key: one for key, one in description.items() if key != "sha256"}
+    return {key: value for key, value in description.items() if key != "sha256"}

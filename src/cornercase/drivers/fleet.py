@@ -1,4 +1,4 @@
-"""Drivers whose decisions are compiled, alone and gathered for a simulator's own compiled code."""
+"""Drivers with compiled decisions, alone or gathered in a fleet for the simulator's kernels."""
 
 from __future__ import annotations
 
@@ -30,54 +30,48 @@ from cornercase.drivers.traffic import (
 )
 
 _LEAST_LIMIT = 1e-3
-"""m/s² that a driver decides at least, whatever its vehicle can do."""
+"""Lowest limit in m/s², whatever the vehicle can do."""
 _VULNERABLE_KINDS = ("pedestrian", "bicycle")
 
-# By path that is the same in all scenarios, and what of a behaviour it depends on.
+# Points and measures by path shared by all scenarios, then by lateral acceleration and deceleration.
 _PLANNED: WeakKeyDictionary[DrivenPath, dict[tuple[float, float], tuple[FloatArray, FloatArray]]] = WeakKeyDictionary()
 
 
 class CompiledDriver(Driver):
-    """A driver whose decisions are compiled: a fleet of one, or the row of a larger one."""
+    """A driver with compiled decisions: a fleet of one, or a row of a larger fleet."""
 
     kind: ClassVar[int]
-    """What decides, as in `Fleet.kind`."""
+    """Kind of driver, as in `Fleet.kind`."""
 
     parameters: tuple[float, ...]
-    """Of it."""
+    """Parameters of that kind."""
 
     def start(self, scenarios: int, others: int) -> None:
-        """Forget everything; what follows is a batch of N `scenarios` with A `others` in each."""
+        """Reset all state for a batch of N `scenarios` with A `others` in each."""
         self._fleet = _empty_fleet(1, scenarios, others)
         self._fleet.kind[0] = self.kind
         self._fleet.parameters[0, : len(self.parameters)] = self.parameters
-        # The path is kept with its route: while it exists, no other object can have its id.
+        # Keep a reference to the path, so that its id stays unique.
         self._routes: dict[int, tuple[DrivenPath, int]] = {}
 
     def join(self, fleet: Fleet, row: int) -> None:
-        """Move what it knows into a row of a fleet, and keep a view of that.
-
-        Parameters
-        ----------
-        fleet : Fleet
-        row : int
-        """
-        whole, mine = slice(row, row + 1), self._fleet
+        """Move the driver's state into a row of a fleet, and keep a view of it."""
+        rows, own_fleet = slice(row, row + 1), self._fleet
         view = Fleet(
-            kind=fleet.kind[whole],
-            parameters=fleet.parameters[whole],
-            own=fleet.own[whole],
-            boxes=fleet.boxes[whole],
-            memory=fleet.memory[whole],
-            awareness=fleet.awareness[whole],
-            routes=mine.routes,
+            kind=fleet.kind[rows],
+            parameters=fleet.parameters[rows],
+            own=fleet.own[rows],
+            boxes=fleet.boxes[rows],
+            memory=fleet.memory[rows],
+            awareness=fleet.awareness[rows],
+            routes=own_fleet.routes,
         )
-        view.kind[:], view.parameters[:] = mine.kind, mine.parameters
-        view.memory[:], view.awareness[:] = mine.memory, mine.awareness
+        view.kind[:], view.parameters[:] = own_fleet.kind, own_fleet.parameters
+        view.memory[:], view.awareness[:] = own_fleet.memory, own_fleet.awareness
         self._fleet = view
 
     def acceleration(self, situation: Situation) -> FloatArray:
-        """Acceleration along the path in m/s², shape (N,); 0 in scenarios that are not active."""
+        """Return the acceleration along the path in m/s², shape (N,); 0 in scenarios that are not active."""
         s, fleet = situation, self._fleet
         fleet.own[0] = 0.5 * s.length, 0.5 * s.width, s.center_x
         fleet.boxes[0, HALF_LENGTH], fleet.boxes[0, HALF_WIDTH] = 0.5 * s.others_length, 0.5 * s.others_width
@@ -91,7 +85,7 @@ class CompiledDriver(Driver):
         return result
 
     def _planned(self, path: DrivenPath) -> int:
-        """Number of the route along a path, among this driver's own."""
+        """Index of the route along a path among the driver's own routes; plans it if needed."""
         if self.kind != BEHAVIOUR:
             return 0
         if id(path) not in self._routes:
@@ -101,46 +95,27 @@ class CompiledDriver(Driver):
 
 
 def decides_in_fleet(driver: Driver) -> TypeGuard[CompiledDriver]:
-    """Whether compiled code decides for a driver: a user's class may derive from a built-in one and decide itself.
-
-    Parameters
-    ----------
-    driver : Driver
-
-    Returns
-    -------
-    bool
-    """
+    """Check whether compiled code decides for a driver: a derived class may override `acceleration`."""
     return isinstance(driver, CompiledDriver) and type(driver).acceleration is CompiledDriver.acceleration
 
 
 def limit_driver(driver: CompiledDriver, acceleration: float, deceleration: float) -> dict[str, float]:
-    """Let a driver whose decisions are compiled know what its vehicle can do, until it is started again.
+    """Limit a started driver to what its vehicle can do (m/s²), until it is started again.
 
-    Parameters
-    ----------
-    driver : CompiledDriver
-        Started, and not in a fleet yet.
-    acceleration, deceleration : float
-        m/s²; infinite for no limit.
-
-    Returns
-    -------
-    dict of str to float
-        What it would do without, in m/s², for each limit that it would exceed: ``"acceleration"`` and
-        ``"deceleration"``.
+    Returns the driver's own value for each limit that it exceeds: ``"acceleration"``, ``"deceleration"``. The driver
+    must not be in a fleet yet.
     """
     fields = Behaviour._fields if driver.kind == BEHAVIOUR else Keeping._fields
-    own, exceeded = driver._fleet.parameters[0], dict[str, float]()
+    parameters, exceeded = driver._fleet.parameters[0], dict[str, float]()
     for limit, bound, names in (
         ("acceleration", acceleration, ("acceleration",)),
         ("deceleration", deceleration, ("max_deceleration", "comfortable_deceleration")),
     ):
         rows = [fields.index(name) for name in names]
-        if own[rows[0]] > bound:
-            exceeded[limit] = float(own[rows[0]])
-        # Its formulas divide by them.
-        own[rows] = np.minimum(own[rows], max(bound, _LEAST_LIMIT))
+        if parameters[rows[0]] > bound:
+            exceeded[limit] = float(parameters[rows[0]])
+        # The formulas divide by these values.
+        parameters[rows] = np.minimum(parameters[rows], max(bound, _LEAST_LIMIT))
     return exceeded
 
 
@@ -153,27 +128,10 @@ def form_fleet(
     center_x: FloatArray,
     kinds: Sequence[str],
 ) -> Fleet:
-    """Gather drivers, so that compiled code and their own `acceleration` go on from the same state.
+    """Gather started drivers, so that kernels and `Driver.acceleration` share one state.
 
-    What the drivers know moves into the fleet's arrays, of which they keep views.
-
-    Parameters
-    ----------
-    drivers : sequence of Driver, length D
-        Started, with N scenarios and all other entities.
-    driven : sequence of int, length D
-        Row of the entity that each of them drives.
-    scenarios : int
-        N.
-    length, width, center_x : ndarray of float64, shape (E,)
-        Boxes of all entities in m.
-    kinds : sequence of str, length E
-        Vehicle category, ``"pedestrian"`` or ``"misc"``.
-
-    Returns
-    -------
-    Fleet
-        Without routes.
+    The drivers' state moves into the fleet's arrays, of which they keep views. `driven_rows` is the row of the entity
+    of each driver; the boxes of all E entities are in m. The fleet has no routes yet.
     """
     fleet = _empty_fleet(len(drivers), scenarios, max(len(kinds) - 1, 0))
     boxes = np.stack((0.5 * length, 0.5 * width, center_x, _vulnerable(kinds)))
@@ -186,21 +144,10 @@ def form_fleet(
 
 
 def with_route(fleet: Fleet, driver: int, track: int, path: DrivenPath, where: BoolArray | None = None) -> Fleet:
-    """Plan a driver's route along a track, in place of what it had planned for that track.
+    """Plan a driver's route along a track, replacing the previous one for that track.
 
-    Parameters
-    ----------
-    fleet : Fleet
-    driver, track : int
-        Row of the driver, and number of the track.
-    path : DrivenPath
-    where : ndarray of bool, shape (N,), optional
-        Scenarios in which a path that runs otherwise in each has changed since; by default all.
-
-    Returns
-    -------
-    Fleet
-        With new arrays of routes, or with those of the given one, in which the route now stands.
+    `changed`: scenarios (N,) in which a path that differs between scenarios has changed; all by default. Returns a
+    fleet with the route, in new arrays or in those of the given fleet.
     """
     samples, rows = count_samples(path), len(np.atleast_2d(path.distance))
     routes, chosen = fleet.routes, np.arange(rows)
@@ -215,27 +162,27 @@ def with_route(fleet: Fleet, driver: int, track: int, path: DrivenPath, where: B
         routes = _with_room(routes, driver, track, rows, samples)
     if len(chosen):
         behaviour = Behaviour(*fleet.parameters[driver])
-        places = routes.begin[first + chosen][:, None] + np.arange(samples)
-        routes.points[places], routes.measures[first + chosen] = _plan(path, behaviour, chosen)
+        points = routes.begin[first + chosen][:, None] + np.arange(samples)
+        routes.points[points], routes.measures[first + chosen] = _plan(path, behaviour, chosen)
     return fleet._replace(routes=routes)
 
 
 def _plan(path: DrivenPath, behaviour: Behaviour, rows: IntArray) -> tuple[FloatArray, FloatArray]:
-    """Points and measures of rows of a path, as in `Routes`; those of a lane are made once for all batches."""
+    """Points and measures of rows of a path, as in `Routes`; cached across batches for lanes."""
     lateral, braking = behaviour.lateral_acceleration, behaviour.comfortable_deceleration
-    known = _PLANNED.setdefault(path, {}) if path.distance.ndim == 1 else {}
-    if (lateral, braking) not in known:
+    cache = _PLANNED.setdefault(path, {}) if path.distance.ndim == 1 else {}
+    if (lateral, braking) not in cache:
         plan = plan_route(path, lateral_acceleration=lateral, deceleration=braking, rows=rows)
         columns = plan.x, plan.y, plan.cos, plan.sin, plan.squared_speed, plan.straight
         measures = plan.step, plan.longest, plan.sharpest
-        known[lateral, braking] = np.stack(columns, axis=-1), np.stack(measures, axis=-1)
-    return known[lateral, braking]
+        cache[lateral, braking] = np.stack(columns, axis=-1), np.stack(measures, axis=-1)
+    return cache[lateral, braking]
 
 
 def _with_room(routes: Routes, driver: int, track: int, rows: int, samples: int) -> Routes:
-    """Add rows of so many points each, behind all others, as the route of a driver along a track."""
-    more = ((0, 0), (0, max(track + 1 - routes.row.shape[1], 0)))
-    row, counts = np.pad(routes.row, more, constant_values=-1), np.pad(routes.rows, more)
+    """Append empty rows of `samples` points each as the route of a driver along a track."""
+    padding = ((0, 0), (0, max(track + 1 - routes.row.shape[1], 0)))
+    row, counts = np.pad(routes.row, padding, constant_values=-1), np.pad(routes.rows, padding)
     row[driver, track], counts[driver, track] = len(routes.begin), rows
     return Routes(
         row=row,
@@ -248,19 +195,19 @@ def _with_room(routes: Routes, driver: int, track: int, rows: int, samples: int)
 
 
 def _without(routes: Routes, driver: int, track: int) -> Routes:
-    """Leave out the route of a driver along a track."""
+    """Remove the route of a driver along a track."""
     first, rows = int(routes.row[driver, track]), int(routes.rows[driver, track])
-    gone = slice(first, first + rows)
-    points = int(routes.samples[gone].sum())
+    removed = slice(first, first + rows)
+    points = int(routes.samples[removed].sum())
     begin = int(routes.begin[first])
     row = np.where(routes.row > first, routes.row - rows, routes.row)
     row[driver, track] = -1
     return Routes(
         row=row,
         rows=routes.rows,
-        begin=np.delete(np.where(routes.begin > begin, routes.begin - points, routes.begin), gone),
-        samples=np.delete(routes.samples, gone),
-        measures=np.delete(routes.measures, gone, axis=0),
+        begin=np.delete(np.where(routes.begin > begin, routes.begin - points, routes.begin), removed),
+        samples=np.delete(routes.samples, removed),
+        measures=np.delete(routes.measures, removed, axis=0),
         points=np.delete(routes.points, slice(begin, begin + points), axis=0),
     )
 
@@ -283,4 +230,4 @@ def _empty_fleet(drivers: int, scenarios: int, others: int) -> Fleet:
 
 
 def _vulnerable(kinds: Sequence[str]) -> BoolArray:
-    return np.array([kind in _VULNERABLE_KINDS for kind in kinds], dtype=np.bool_)
+    return np.array([object_type in _VULNERABLE_KINDS for object_type in kinds], dtype=np.bool_)

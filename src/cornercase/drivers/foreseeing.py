@@ -1,4 +1,4 @@
-"""Where another entity will be, in straight legs."""
+"""Predicted motion of other entities, as straight legs."""
 
 # Compiled functions have no static types.
 # mypy: disable-error-code="no-untyped-def, untyped-decorator"
@@ -8,51 +8,27 @@ from __future__ import annotations
 import math
 from typing import Final
 
-from cornercase._common.compiling import kernel
-from cornercase.drivers.traffic import HEADING, SPEED, TURN, X, Y
+from cornercase.drivers.traffic import HEADING, SPEED, TURN, X, Y, inline_kernel
 
 STANDING: Final = 0.2
-"""Below this speed in m/s an entity stands."""
+"""Speed in m/s below which an entity counts as standing."""
 
 TURNING: Final = 2.0
-"""Time in s for which an entity that turns is expected to go on turning."""
+"""Time in s for which a turning entity is predicted to keep turning."""
 
 TURN_LEGS: Final = 8
-"""Straight legs into which that is divided."""
+"""Number of straight legs for that time."""
 
 STRAIGHT: Final = 0.05
-"""Rate of turn in rad/s up to which an entity is taken to go straight."""
-
-# Nothing is allocated, so that references need not be counted, which takes longer than what is computed.
-# What is called from one place, or does little, spares the call.
-_part = kernel(error_model="numpy", _nrt=False, forceinline=True)
+"""Turn rate in rad/s up to which an entity is predicted to go straight."""
 
 
-@_part
+@inline_kernel
 def foresee(memory, o, cos, sin, center_x, horizon, legs):
-    """Fill the table of straight legs that another is expected to go.
+    """Fill `legs` with the predicted motion of another entity up to `horizon` (s); return their number.
 
-    It keeps its rate of turn for some time, then goes straight on.
-
-    Parameters
-    ----------
-    memory : ndarray of float64, shape (9, A)
-        As in `Fleet.memory`.
-    o : int
-        Which of the others.
-    cos, sin : float
-        Of its heading.
-    center_x : float
-        Centre of its box in m.
-    horizon : float
-        s for which it is foreseen.
-    legs : ndarray of float64, shape (L, 6)
-        As in `Workspace`; filled.
-
-    Returns
-    -------
-    int
-        How many legs there are.
+    The entity keeps its turn rate for some time, then goes straight. `cos` and `sin` are of its heading; `center_x` is
+    the centre of its box in m.
     """
     x, y, heading, speed, turn = memory[X, o], memory[Y, o], memory[HEADING, o], memory[SPEED, o], memory[TURN, o]
     if not (abs(turn) > STRAIGHT and abs(speed) >= STANDING):
@@ -62,7 +38,7 @@ def foresee(memory, o, cos, sin, center_x, horizon, legs):
         return 1
     for k in range(TURN_LEGS + 1):
         duration = TURNING / TURN_LEGS
-        # The first leg begins with the present heading of the box.
+        # The first leg has the current heading of the box.
         if k > 0:
             towards = heading + 0.5 * turn * duration
             if k == TURN_LEGS:

@@ -1,4 +1,4 @@
-"""Decisions of the driver that keeps its speed and its distance."""
+"""Kernel of the driver that keeps its speed and its distance."""
 
 # Compiled functions have no static types.
 # mypy: disable-error-code="no-untyped-def, untyped-decorator"
@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import math
 
-from cornercase._common.compiling import kernel
 from cornercase.drivers.traffic import (
     AHEAD_FOR,
     CENTER_X,
@@ -17,35 +16,21 @@ from cornercase.drivers.traffic import (
     SPEED,
     X,
     Y,
+    plain_kernel,
 )
 
-# Nothing is allocated, so that references need not be counted, which takes longer than what is computed.
-_kernel = kernel(error_model="numpy", _nrt=False)
 
-
-@_kernel
+@plain_kernel
 def keep_distance(keeping, scene):
-    """Acceleration of a driver who brakes for what is straight ahead.
-
-    Parameters
-    ----------
-    keeping : Keeping
-    scene : Scene
-        What the driver remembers is updated.
-
-    Returns
-    -------
-    float
-        m/s².
-    """
-    v, wanted, memory, time_step = scene.driven.speed, scene.driven.target_speed, scene.memory, scene.time_step
-    if not math.isfinite(wanted):
-        wanted = v
-    most, braking = keeping.acceleration, keeping.comfortable_deceleration
-    least = min(max((wanted - v) / time_step, -braking), most)
+    """Acceleration in m/s² of a driver that brakes for what is straight ahead; updates its memory."""
+    v, target_speed, memory, time_step = scene.driven.speed, scene.driven.target_speed, scene.memory, scene.time_step
+    if not math.isfinite(target_speed):
+        target_speed = v
+    max_acceleration, braking = keeping.acceleration, keeping.comfortable_deceleration
+    result = min(max((target_speed - v) / time_step, -braking), max_acceleration)
     count = scene.others.shape[1]
     if count == 0:
-        return least
+        return result
     for a in range(count):
         gap, closing = _ahead(scene, a, keeping.sight_range)
         if not gap < math.inf:
@@ -53,27 +38,31 @@ def keep_distance(keeping, scene):
             continue
         memory[AHEAD_FOR, a] += time_step
         if memory[AHEAD_FOR, a] > keeping.reaction_time:
-            dynamic = v * keeping.time_headway + v * closing / (2.0 * math.sqrt(most * braking))
-            kept = keeping.min_gap + max(0.0, dynamic)
-            share = (v / max(wanted, 0.1)) ** 2
-            least = min(least, most * (1.0 - share * share - (kept / max(gap, 0.1)) ** 2))
-    return min(max(least, -keeping.max_deceleration), most)
+            dynamic = v * keeping.time_headway + v * closing / (2.0 * math.sqrt(max_acceleration * braking))
+            wanted_gap = keeping.min_gap + max(0.0, dynamic)
+            speed_ratio_squared = (v / max(target_speed, 0.1)) ** 2
+            result = min(
+                result,
+                max_acceleration
+                * (1.0 - speed_ratio_squared * speed_ratio_squared - (wanted_gap / max(gap, 0.1)) ** 2),
+            )
+    return min(max(result, -keeping.max_deceleration), max_acceleration)
 
 
-@_kernel
+@plain_kernel
 def _ahead(scene, a, sight_range):
-    """Gap to another if it is in the lane ahead, else infinite, and the closing speed."""
-    own, boxes, others, driven, cos, sin = scene.own, scene.boxes, scene.others, scene.driven, scene.cos, scene.sin
-    towards = others[HEADING, a]
-    if math.isnan(others[X, a]) or math.isnan(towards):
+    """Gap in m to another entity in the lane ahead (infinite otherwise), and the closing speed."""
+    own_box, boxes, others, driven, cos, sin = scene.own, scene.boxes, scene.others, scene.driven, scene.cos, scene.sin
+    heading = others[HEADING, a]
+    if math.isnan(others[X, a]) or math.isnan(heading):
         return math.inf, 0.0
-    x = others[X, a] + boxes[CENTER_X, a] * math.cos(towards) - driven.x - own[CENTER_X] * cos
-    y = others[Y, a] + boxes[CENTER_X, a] * math.sin(towards) - driven.y - own[CENTER_X] * sin
-    along, across = cos * x + sin * y, abs(cos * y - sin * x)
-    turn_cos, turn_sin = math.cos(towards - driven.heading), abs(math.sin(towards - driven.heading))
+    x = others[X, a] + boxes[CENTER_X, a] * math.cos(heading) - driven.x - own_box[CENTER_X] * cos
+    y = others[Y, a] + boxes[CENTER_X, a] * math.sin(heading) - driven.y - own_box[CENTER_X] * sin
+    along, lateral = cos * x + sin * y, abs(cos * y - sin * x)
+    turn_cos, turn_sin = math.cos(heading - driven.heading), abs(math.sin(heading - driven.heading))
     reach = boxes[HALF_LENGTH, a] * abs(turn_cos) + boxes[HALF_WIDTH, a] * turn_sin
     half = boxes[HALF_LENGTH, a] * turn_sin + boxes[HALF_WIDTH, a] * abs(turn_cos)
-    gap = along - reach - own[HALF_LENGTH]
-    if across < half + own[HALF_WIDTH] and along > 0.0 and gap < sight_range:
+    gap = along - reach - own_box[HALF_LENGTH]
+    if lateral < half + own_box[HALF_WIDTH] and along > 0.0 and gap < sight_range:
         return gap, driven.speed - others[SPEED, a] * turn_cos
     return math.inf, 0.0

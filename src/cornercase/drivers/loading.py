@@ -1,4 +1,4 @@
-"""A driver by the name that a person gives on the command line."""
+"""Create a driver from the name given on the command line."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from cornercase.drivers.registry import DRIVERS, is_registered
 
 @runtime_checkable
 class _Drives(Protocol):
-    """What makes a driver of a class, whether it derives from `Driver` or not."""
+    """What makes an object a driver, whether or not its class derives from `Driver`."""
 
     settings: dict[str, object]
 
@@ -28,50 +28,26 @@ class _Drives(Protocol):
 
 
 def is_driver(made: object) -> TypeGuard[Driver]:
-    """Whether something can drive: it derives from `Driver`, or has all that one has.
-
-    Parameters
-    ----------
-    made : object
-
-    Returns
-    -------
-    bool
-        False for a class, of which a driver is still to be made.
-    """
+    """Check whether an object is a driver, by base class or by its members; False for a class."""
     return not isinstance(made, type) and isinstance(made, _Drives) and isinstance(made.settings, dict)
 
 
 def driver_of_file(name: str) -> Driver:
-    """Build a driver that a file names.
+    """Create a driver named by a scenario file, such as ``"normal:reaction_time=0.6,horizon=4"``.
 
-    A file may come from anywhere: it can name no class to load, and its options can only be numbers, since others
-    may name files or programs.
-
-    Parameters
-    ----------
-    name : str
-        As it is registered, possibly with options: ``"normal:reaction_time=0.6,horizon=4"``.
-
-    Returns
-    -------
-    Driver
-
-    Raises
-    ------
-    InputError
-        There is none, or it cannot be named by a file.
+    A file may come from anywhere: it cannot name a class to load, and options must be numbers, since strings could name
+    files or programs. Otherwise raises `InputError`.
     """
     if not is_registered(name):
-        known = suggestion(name.partition(":")[0], DRIVERS.names())
-        raise InputError(f"asks for the driver '{name}', which does not exist; {known}")
+        hint = suggestion(name.partition(":")[0], DRIVERS.names())
+        raise InputError(f"asks for the driver '{name}', which does not exist; {hint}")
     if (other := _other_option(name)) is not None:
         raise InputError(f"asks for the driver '{name}' with the option '{other}'; in a file, options are numbers.")
     return DRIVERS.create(name)
 
 
 def _other_option(name: str) -> str | None:
-    """Return an option of a driver that is no number; None where there is none."""
+    """First option of a driver that is not a number; None if there is none."""
     options = name.partition(":")[2]
     for option in options.split(",") if options else ():
         key, _, value = option.partition("=")
@@ -83,130 +59,75 @@ def _other_option(name: str) -> str | None:
 
 
 def decides_compiled(name: str) -> bool:
-    """Whether the decisions of a registered driver are compiled.
-
-    Parameters
-    ----------
-    name : str
-        One of `DRIVERS`, possibly with options; there is none of another name.
-
-    Returns
-    -------
-    bool
-    """
+    """Check whether a name, possibly with options, is a registered driver with compiled decisions."""
     from cornercase.drivers.fleet import CompiledDriver
 
     return is_registered(name) and isinstance(DRIVERS.create(name), CompiledDriver)
 
 
 def load_driver(name: str) -> Driver:
-    """Build a user's own driver.
+    """Create a user's own driver from ``"package.module:Class"``, possibly with options ``":reaction=0.3"``.
 
-    This runs the module, so the name must come from the person at the command line, never from a file.
-
-    Parameters
-    ----------
-    name : str
-        ``"package.module:Class"``, possibly with options of its constructor: ``"package.module:Class:reaction=0.3"``.
-        The module is looked for among what is installed, then in the current folder.
-
-    Returns
-    -------
-    Driver
-
-    Raises
-    ------
-    InputError
-        The name has no such form, the module or the class is not there or fails, the class has no such option, or it
-        makes no driver.
+    This runs the module, so the name must come from the person at the command line, never from a file. The module is
+    searched among installed packages, then in the current folder. Raises `InputError` if anything of this fails.
     """
-    module_name, _, rest = name.partition(":")
-    class_name, colon, text = rest.partition(":")
+    module_name, _, class_and_options = name.partition(":")
+    class_name, colon, text = class_and_options.partition(":")
     if "=" in class_name:
         raise InputError(f"There is no driver '{module_name}'; {suggestion(module_name, DRIVERS.names())}")
-    if not all(part.isidentifier() for part in module_name.split(".")) or not class_name.isidentifier():
+    if not all(identifier.isidentifier() for identifier in module_name.split(".")) or not class_name.isidentifier():
         raise InputError(f"The driver '{name}' is not of the form package.module:Class.")
-    place = f"{module_name}:{class_name}"
+    class_path = f"{module_name}:{class_name}"
     if colon and not text:
-        raise InputError(f"The driver '{name}' ends in a colon; give options as in '{place}:name=value'.")
-    # Else Python itself would take a `KeyboardInterrupt` of the driver for one that somebody typed.
+        raise InputError(f"The driver '{name}' ends in a colon; give options as in '{class_path}:name=value'.")
+    # Otherwise Python would treat a `KeyboardInterrupt` raised by the driver as Ctrl-C.
     with noted_interrupts():
-        heard = requests_heard()
+        requests = requests_heard()
         try:
             module = import_here(module_name)
         except ModuleNotFoundError as error:
             raise InputError(
                 f"The driver '{name}' cannot be loaded since there is no module '{error.name}';"
-                " install it or start in its folder."
+                " install it or run the command in its folder."
             ) from error
         except BaseException as error:
-            raise_if_request(error, heard)
+            raise_if_request(error, requests)
             raise InputError(
                 f"The driver '{name}' cannot be loaded since its module fails: {in_one_line(error)}."
             ) from error
-        made = getattr(module, class_name, None)
-        if not isinstance(made, type):
+        driver_class = getattr(module, class_name, None)
+        if not isinstance(driver_class, type):
             raise InputError(f"The driver '{name}' cannot be loaded since '{module_name}' has no class '{class_name}'.")
-        options = read_options("driver", place, made, text) if text else {}
-        require_options("driver", place, made, options)
+        options = read_options("driver", class_path, driver_class, text) if text else {}
+        require_options("driver", class_path, driver_class, options)
         try:
-            driver = made(**options)
+            driver = driver_class(**options)
         except InputError:
             raise
         except BaseException as error:
-            raise_if_request(error, heard)
-            raise InputError(f"The driver '{name}' cannot be made: {in_one_line(error)}.") from error
+            raise_if_request(error, requests)
+            raise InputError(f"The driver '{name}' cannot be created: {in_one_line(error)}.") from error
     if not is_driver(driver):
         raise InputError(
-            f"The class '{place}' is not a driver: it neither derives from cornercase.drivers.Driver nor has start(),"
-            " acceleration() and a dict called settings."
+            f"The class '{class_path}' is not a driver: it neither derives from cornercase.drivers.Driver nor has"
+            " start(), acceleration() and a dict called settings."
         )
-    note_name(driver, place, options)
+    note_name(driver, class_path, options)
     return driver
 
 
 def named_driver(name: str) -> Driver:
-    """Build a driver by its name: a registered one, or a class of one's own.
-
-    Parameters
-    ----------
-    name : str
-        As it is registered or ``"package.module:Class"``, either possibly with options after a colon.
-
-    Returns
-    -------
-    Driver
-
-    Raises
-    ------
-    InputError
-        There is none.
-    """
+    """Create a driver from a registered name or ``"package.module:Class"``, either possibly with options."""
     return load_driver(name) if ":" in name and not is_registered(name) else DRIVERS.create(name)
 
 
 def told_driver(driver: str | Driver) -> str | Driver:
-    """Load a driver as a simulator is told of it: a registered one stays a name, so that studies and files can hold it.
-
-    Parameters
-    ----------
-    driver : str or Driver
-        As of `named_driver`, or one that is made.
-
-    Returns
-    -------
-    str or Driver
-
-    Raises
-    ------
-    InputError
-        There is no such driver.
-    """
+    """Load a driver, but keep the name of a registered one, so that studies and files can store it."""
     if not isinstance(driver, str):
         return driver
-    made = named_driver(driver)
+    created = named_driver(driver)
     if is_registered(driver):
         if _other_option(driver) is None:
             return driver
-        note_name(made, driver, {})
-    return made
+        note_name(created, driver, {})
+    return created

@@ -16,22 +16,23 @@ from cornercase.drivers.fleet import CompiledDriver
 from cornercase.drivers.registry import DRIVERS, is_registered
 
 MOST_MUTANTS: Final = 1000
-"""So many at most are drawn of a driver."""
+"""Maximum number of mutants of a driver."""
 
 _GOLDEN: Final = (math.sqrt(5.0) - 1.0) / 2.0
 
 
 @dataclass(frozen=True)
 class Mutation:
-    """What makes a driver worse: one parameter that is multiplied, or becomes larger by an amount.
+    """What makes a driver worse: one parameter is multiplied by a factor, or increased by an amount.
 
     Attributes
     ----------
     words : str
         What it does, as in tables.
     parameter : str
+        Name of the parameter.
     mild, severe : float
-        Between these the factor lies, or the amount in the parameter's unit.
+        Range of the factor, or of the amount in the parameter's unit.
     adds : bool
         Whether it is an amount.
     """
@@ -60,7 +61,7 @@ MUTATIONS: Final = (
     Mutation("faster in curves", "lateral_acceleration", 1.2, 3.0),
     Mutation("accelerates more", "acceleration", 1.2, 3.0),
 )
-"""All mutations; those apply to a driver whose parameter is among its own."""
+"""All mutations; a driver gets those of its own parameters."""
 
 
 @dataclass(frozen=True)
@@ -70,9 +71,9 @@ class Mutant:
     Attributes
     ----------
     driver : str
-        Name by which it drives, as in ``"normal:reaction_time=0.8"``.
+        Name that creates it, such as ``"normal:reaction_time=0.8"``.
     mutation : str
-        What was done to it, in words.
+        What was changed, in words.
     """
 
     driver: str
@@ -82,28 +83,27 @@ class Mutant:
 def mutants_of(driver: str, count: int, seed: int = 0) -> tuple[Mutant, ...]:
     """Draw mutants of a driver.
 
-    The kinds of mutation take turns, in an order that is drawn. How severe a mutant is, from mild to severe on a
-    logarithmic scale, follows for each kind the additive recurrence with the golden ratio from a place that is drawn,
-    which leaves no gaps.
+    The mutations take turns in random order. The severity of a mutant, from mild to severe on a logarithmic scale,
+    follows the additive recurrence with the golden ratio from a random start for each mutation, which leaves no gaps.
 
     Parameters
     ----------
     driver : str
         A registered driver with parameters, possibly with options: ``"normal:horizon=4"``.
     count : int
-        How many; the first of them are those of a smaller number.
+        Number of mutants. A larger number only adds to the mutants of a smaller one.
     seed : int, default 0
         The same seed gives the same mutants.
 
     Returns
     -------
     tuple of Mutant
-        No two of them are the same, and none is the driver.
+        All different from each other and from the driver.
 
     Raises
     ------
     InputError
-        There is no such driver, or it has no parameters that could be made worse.
+        If there is no such driver, or it has no parameters to make worse.
 
     References
     ----------
@@ -114,29 +114,31 @@ def mutants_of(driver: str, count: int, seed: int = 0) -> tuple[Mutant, ...]:
     Examples
     --------
     >>> from cornercase.drivers import mutants_of
-    >>> [one.driver for one in mutants_of("normal:horizon=4", 2)]
+    >>> [mutant.driver for mutant in mutants_of("normal:horizon=4", 2)]
     ['normal:horizon=4,field_of_view=2.86', 'normal:horizon=4,min_gap=0.338']
     """
     count = whole_number("count", count, 1, MOST_MUTANTS)
     rng = np.random.default_rng(whole_number("seed", seed, 0))
     parameters = _parameters(text("driver", driver))
-    kinds = [
-        one for one in MUTATIONS if parameters.get(one.parameter, 0.0) or (one.adds and one.parameter in parameters)
+    mutations = [
+        mutation
+        for mutation in MUTATIONS
+        if parameters.get(mutation.parameter, 0.0) or (mutation.adds and mutation.parameter in parameters)
     ]
-    kinds = [kinds[i] for i in rng.permutation(len(kinds))]
-    places = rng.random(len(kinds))
-    found: dict[str, Mutant] = {}
-    # A name has three digits, so that some severities are the same; there are enough others.
-    for turn in range(2 * count):
-        for kind, place in zip(kinds, places.tolist(), strict=True):
-            severity = math.fmod(place + turn * _GOLDEN, 1.0)
-            value = float(f"{_worse(kind, parameters[kind.parameter], severity):.3g}")
-            name = _renamed(driver, kind.parameter, value)
-            if value != parameters[kind.parameter] and name not in found:
-                found[name] = Mutant(name, kind.words)
-            if len(found) == count:
-                return tuple(found.values())
-    return tuple(found.values())
+    mutations = [mutations[i] for i in rng.permutation(len(mutations))]
+    starts = rng.random(len(mutations))
+    mutants: dict[str, Mutant] = {}
+    # Values are rounded to three digits, so some coincide; there are enough others.
+    for round_number in range(2 * count):
+        for mutation, start in zip(mutations, starts.tolist(), strict=True):
+            severity = math.fmod(start + round_number * _GOLDEN, 1.0)
+            value = float(f"{_worse(mutation, parameters[mutation.parameter], severity):.3g}")
+            name = _renamed(driver, mutation.parameter, value)
+            if value != parameters[mutation.parameter] and name not in mutants:
+                mutants[name] = Mutant(name, mutation.words)
+            if len(mutants) == count:
+                return tuple(mutants.values())
+    return tuple(mutants.values())
 
 
 def _worse(kind: Mutation, value: float, severity: float) -> float:
@@ -146,46 +148,34 @@ def _worse(kind: Mutation, value: float, severity: float) -> float:
 
 def _renamed(driver: str, parameter: str, value: float) -> str:
     base, _, options = driver.partition(":")
-    others = [one for one in options.split(",") if one and one.partition("=")[0].strip() != parameter]
-    return f"{base}:{','.join([*others, f'{parameter}={value:g}'])}"
+    kept_options = [option for option in options.split(",") if option and option.partition("=")[0].strip() != parameter]
+    return f"{base}:{','.join([*kept_options, f'{parameter}={value:g}'])}"
 
 
 def name_driver(driver: str | Driver | Mapping[str, object]) -> str:
-    """Return the name of a driver that can have mutants.
+    """Name of a driver that can have mutants: the nearest preset, with options for what differs.
 
-    Parameters
-    ----------
-    driver : str, Driver or mapping of str to object
-        A name, a driver that is made, or its settings as a study holds them.
-
-    Returns
-    -------
-    str
-        What is no preset is the nearest one, with options.
-
-    Raises
-    ------
-    InputError
-        It is none of cornercase's own drivers with parameters.
+    Accepts a name, a driver, or its settings as stored in a study. Raises `InputError` for any other than cornercase's
+    own drivers with parameters.
     """
     if isinstance(driver, str):
         _parameters(driver)
         return driver
     settings = dict(driver.settings if isinstance(driver, Driver) else driver)
-    kind = settings.get("driver")
-    bases = {"behaviour": ("normal", "cautious", "aggressive"), "simple": ("simple",)}.get(str(kind), ())
-    found: list[tuple[int, str]] = []
+    driver_kind = settings.get("driver")
+    bases = {"behaviour": ("normal", "cautious", "aggressive"), "simple": ("simple",)}.get(str(driver_kind), ())
+    candidates: list[tuple[int, str]] = []
     for base in bases:
-        known = _parameters(base)
-        # A class of one's own that derives from a built-in driver may decide otherwise.
-        if set(settings) != {"driver", *known} or not (isinstance(driver, Mapping) or _is_own(driver)):
+        defaults = _parameters(base)
+        # A user's class derived from a built-in driver may decide differently.
+        if set(settings) != {"driver", *defaults} or not (isinstance(driver, Mapping) or _is_own(driver)):
             continue
-        changed = {name: value for name, value in settings.items() if name in known and value != known[name]}
+        changed = {name: value for name, value in settings.items() if name in defaults and value != defaults[name]}
         options = ",".join(f"{name}={value!r}" for name, value in changed.items())
-        found.append((len(changed), f"{base}:{options}" if options else base))
-    if not found:
-        raise InputError(f"The driver {kind} has no mutants: its parameters are not known here.")
-    name = min(found, key=lambda one: one[0])[1]
+        candidates.append((len(changed), f"{base}:{options}" if options else base))
+    if not candidates:
+        raise InputError(f"The driver {driver_kind} has no mutants, as its parameters are unknown.")
+    name = min(candidates, key=lambda one: one[0])[1]
     _parameters(name)
     return name
 
@@ -195,10 +185,10 @@ def _is_own(driver: Driver) -> bool:
 
 
 def _parameters(driver: str) -> dict[str, float]:
-    made = DRIVERS.create(driver) if is_registered(driver) else None
-    if not isinstance(made, CompiledDriver):
+    created = DRIVERS.create(driver) if is_registered(driver) else None
+    if not isinstance(created, CompiledDriver):
         raise InputError(
-            f"The driver {driver} has no mutants: its parameters are not known here; those of cautious, normal,"
-            " aggressive and simple are."
+            f"The driver {driver} has no mutants, as its parameters are unknown; use cautious, normal, aggressive"
+            " or simple."
         )
-    return {name: float(value) for name, value in made.settings.items() if isinstance(value, int | float)}
+    return {name: float(value) for name, value in created.settings.items() if isinstance(value, int | float)}

@@ -1,4 +1,4 @@
-"""Parameters of the built-in driver, and the presets."""
+"""Parameters of the built-in drivers, and the presets."""
 
 from __future__ import annotations
 
@@ -14,35 +14,35 @@ class Behaviour(NamedTuple):
     Attributes
     ----------
     max_speed : float
-        m/s; wanted where the scenario asks for no speed.
+        Speed in m/s that the driver wants if the scenario sets none.
     target_share : float
-        Part of the speed asked for by the scenario that the driver wants.
+        Fraction of the scenario's target speed that the driver wants.
     lateral_acceleration : float
-        m/s²; limits the speed in curves.
+        In m/s²; limits the speed in curves.
     acceleration, comfortable_deceleration, max_deceleration : float
-        m/s².
+        In m/s².
     time_headway : float
-        s, to the one it follows.
+        Time gap in s to the leader.
     min_gap : float
-        m, to the one it follows, at rest.
+        Gap in m to the leader at rest.
     safety_time : float
-        s between its own box and another's in the same place, whoever comes first.
+        Time in s between its own box and another box at the same position, whoever comes first.
     braking_distance : float
-        m that it wants to stop ahead of the corridor of the one it gives way to.
+        Distance in m ahead of a crossing corridor at which it wants to stop to yield.
     lateral_margin : float
-        m on either side by which its own corridor is wider than its box.
+        Width in m by which its own corridor exceeds its box on either side.
     standing_caution : float
-        Part of the wanted speed at which it passes a pedestrian or cyclist who stands beside the corridor.
+        Fraction of the wanted speed for passing a pedestrian or cyclist who stands beside the corridor.
     reaction_time : float
-        s for which it has to see an entity, and see that their ways conflict, before it reacts.
+        Time in s for which it has to see an entity, and a conflict with it, before it reacts.
     memory : float
-        s for which it remembers an entity that it no longer sees.
+        Time in s for which it remembers an entity that is out of sight.
     field_of_view : float
-        rad, full angle.
+        Full angle in rad.
     sight_range : float
-        m.
+        In m.
     horizon : float
-        s for which it foresees the others' motion.
+        Time in s for which it predicts the motion of others.
     """
 
     max_speed: float
@@ -120,15 +120,15 @@ class Keeping(NamedTuple):
     Attributes
     ----------
     acceleration, comfortable_deceleration, max_deceleration : float
-        m/s².
+        In m/s².
     time_headway : float
-        s.
+        In s.
     min_gap : float
-        m.
+        In m.
     reaction_time : float
-        s for which something has to be ahead before it reacts.
+        Time in s for which something has to be ahead before it reacts.
     sight_range : float
-        m.
+        In m.
     """
 
     acceleration: float = 3.0
@@ -141,20 +141,7 @@ class Keeping(NamedTuple):
 
 
 def require_parameter(name: str, value: float, may_be_zero: bool) -> None:
-    """Refuse a value that no parameter of a driver can have.
-
-    Parameters
-    ----------
-    name : str
-    value : float
-    may_be_zero : bool
-        Whether 0 is a value of it.
-
-    Raises
-    ------
-    InputError
-        It is not finite, or below zero, or zero where it may not be.
-    """
+    """Raise `InputError` unless the value is finite and positive, or zero if that is allowed."""
     if not math.isfinite(value) or value < 0.0 or (value == 0.0 and not may_be_zero):
-        least = "of 0 or more" if may_be_zero else "above zero"
-        raise InputError(f"The driver's {name} is {value:g}; it has to be a finite number {least}.")
+        requirement = "of 0 or more" if may_be_zero else "above zero"
+        raise InputError(f"The driver's {name} is {value:g}; it has to be a finite number {requirement}.")

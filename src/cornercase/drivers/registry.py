@@ -18,15 +18,5 @@ for _reference in ("cc-human", "fsm", "rss", "reg157"):
 
 
 def is_registered(name: str) -> bool:
-    """Whether a name is that of a registered driver, with options or without.
-
-    Parameters
-    ----------
-    name : str
-
-    Returns
-    -------
-    bool
-        False for a class of one's own.
-    """
+    """Check whether a name, with or without options, is that of a registered driver."""
     return name.partition(":")[0] in DRIVERS

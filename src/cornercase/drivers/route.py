@@ -1,4 +1,4 @@
-"""The path as the driver model plans on it."""
+"""The path resampled for the driver's speed planning."""
 
 from __future__ import annotations
 
@@ -10,34 +10,22 @@ from cornercase._common.typing import FloatArray, IntArray
 from cornercase.drivers.base import DrivenPath
 
 STEP: Final = 0.5
-"""m between the samples of a route, or the next less that divides its length.
-
-Boxes are tested at places this far apart; contacts are refined in between.
-"""
+"""Sample distance of a route in m, reduced to divide its length; contacts are refined between samples."""
 
 _FASTEST = 100.0
 
-# m from sample to sample by which a straight line may fail to be one.
+# Largest deviation in m per sample of a straight line.
 _STRAIGHT = 1e-10
 
 
 class Route(NamedTuple):
-    """A path at equal distances, in one row for all scenarios or in one for each.
+    """A path sampled at equal distances, in one row for all scenarios or one row for each.
 
-    Attributes
-    ----------
-    step : ndarray of float64, shape (N,)
-        m between samples.
-    x, y, cos, sin : ndarray of float64, shape (N, R)
-        m, m, 1, 1.
-    squared_speed : ndarray of float64, shape (N, R)
-        Square of the highest speed from which the curves ahead can be taken, in m²/s²; the lowest within one
-        step.
-    straight : ndarray of float64, shape (N, R)
-        How many samples follow in a straight line.
-    longest, sharpest : ndarray of float64, shape (N,)
-        Largest distance between two samples that follow each other in m, and between the ends of their directions,
-        taken as unit vectors.
+    `step` (N,) is the sample distance in m. Arrays of shape (N, R): `x` and `y` in m, `cos` and `sin` of the heading,
+    `max_speed_squared`, the square of the highest speed in m²/s² that the curves ahead allow (the lowest within one
+    step), and `straight_count`, the number of following samples on a straight line. Of shape (N,): `max_spacing`, the
+    largest distance in m between consecutive samples, and `max_turn`, the largest one between their directions as unit
+    vectors.
     """
 
     step: FloatArray
@@ -54,23 +42,10 @@ class Route(NamedTuple):
 def plan_route(
     path: DrivenPath, *, lateral_acceleration: float, deceleration: float, rows: IntArray | None = None
 ) -> Route:
-    """Resample a path and find how fast its curves can be taken.
+    """Resample a path and compute the speed that its curves allow; only the given `rows` of it, if any.
 
-    At each place the speed v satisfies v² |κ| ≤ a_lat, and v² ≤ v_c² + 2 b d for each place at a distance d
-    ahead whose own limit is v_c.
-
-    Parameters
-    ----------
-    path : DrivenPath
-    lateral_acceleration, deceleration : float
-        a_lat and b in m/s².
-    rows : ndarray of int64, shape (R,), optional
-        Of a path that runs otherwise in each scenario, those to plan; all if not given.
-
-    Returns
-    -------
-    Route
-        With R rows in place of N, if `rows` are given.
+    The speed v satisfies v² |κ| ≤ a_lat, and v² ≤ v_c² + 2 b d for each sample at distance d ahead whose own limit is
+    v_c, with the lateral acceleration a_lat and the deceleration b in m/s².
     """
     arrays = [np.atleast_2d(array) for array in (path.distance, path.x, path.y, path.heading, path.curvature)]
     if rows is not None:
@@ -86,27 +61,18 @@ def plan_route(
 
 
 def count_samples(path: DrivenPath) -> int:
-    """Say how many samples a row of a path's `Route` has.
-
-    Parameters
-    ----------
-    path : DrivenPath
-
-    Returns
-    -------
-    int
-    """
+    """Number of samples in a row of the path's `Route`."""
     return max(2, int(np.ceil(path.distance.max() / STEP)) + 1)
 
 
 def _straight(step: float, x: FloatArray, y: FloatArray, cos: FloatArray, sin: FloatArray) -> FloatArray:
-    """How many samples of a row follow each in a straight line, in its direction."""
-    off = np.hypot(np.diff(x) - step * cos[:-1], np.diff(y) - step * sin[:-1])
-    turned = np.hypot(np.diff(cos), np.diff(sin))
-    ends = np.append(np.flatnonzero((off > _STRAIGHT) | (turned > _STRAIGHT)), len(x) - 1)
-    every = np.arange(len(x))
-    following: FloatArray = (ends[np.searchsorted(ends, every)] - every).astype(np.float64)
-    return following
+    """Number of samples that follow each sample of a row on a straight line in its direction."""
+    position_error = np.hypot(np.diff(x) - step * cos[:-1], np.diff(y) - step * sin[:-1])
+    direction_change = np.hypot(np.diff(cos), np.diff(sin))
+    ends = np.append(np.flatnonzero((position_error > _STRAIGHT) | (direction_change > _STRAIGHT)), len(x) - 1)
+    samples = np.arange(len(x))
+    counts: FloatArray = (ends[np.searchsorted(ends, samples)] - samples).astype(np.float64)
+    return counts
 
 
 def _plan_row(
@@ -115,15 +81,25 @@ def _plan_row(
     deceleration: float,
     count: int,
 ) -> tuple[float, FloatArray, FloatArray, FloatArray, FloatArray, FloatArray]:
-    here, x, y, heading, curvature = row
+    distance, x, y, heading, curvature = row
     in_curve = lateral_acceleration / np.maximum(np.abs(curvature), lateral_acceleration / _FASTEST**2)
-    from_start = in_curve + 2.0 * deceleration * here
-    squared = np.minimum.accumulate(from_start[::-1])[::-1] - 2.0 * deceleration * here
-    at = np.linspace(0.0, here[-1], count)
-    towards = np.interp(at, here, heading)
-    step = float(at[1])
-    # The lowest limit around each sample, so that interpolation never exceeds the path's limit.
-    around = np.stack([np.searchsorted(here, at - step), np.searchsorted(here, at + step, "right")], axis=1)
-    lowest = np.minimum.reduceat(np.append(squared, np.inf), around.ravel())[::2]
-    squared_speed = np.minimum(lowest, np.interp(at, here, squared))
-    return step, np.interp(at, here, x), np.interp(at, here, y), np.cos(towards), np.sin(towards), squared_speed
+    from_start = in_curve + 2.0 * deceleration * distance
+    squared = np.minimum.accumulate(from_start[::-1])[::-1] - 2.0 * deceleration * distance
+    sample_distance = np.linspace(0.0, distance[-1], count)
+    sample_heading = np.interp(sample_distance, distance, heading)
+    step = float(sample_distance[1])
+    # Use the lowest limit around each sample, so that interpolation never exceeds the path's limit.
+    window = np.stack(
+        [np.searchsorted(distance, sample_distance - step), np.searchsorted(distance, sample_distance + step, "right")],
+        axis=1,
+    )
+    lowest = np.minimum.reduceat(np.append(squared, np.inf), window.ravel())[::2]
+    squared_speed = np.minimum(lowest, np.interp(sample_distance, distance, squared))
+    return (
+        step,
+        np.interp(sample_distance, distance, x),
+        np.interp(sample_distance, distance, y),
+        np.cos(sample_heading),
+        np.sin(sample_heading),
+        squared_speed,
+    )

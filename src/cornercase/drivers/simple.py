@@ -1,4 +1,4 @@
-"""A road user that keeps its speed and its distance, and never gives way."""
+"""A driver that keeps its speed and its distance, and never yields."""
 
 from __future__ import annotations
 
@@ -8,28 +8,28 @@ from cornercase.drivers.traffic import SIMPLE
 
 
 class SimpleDriver(CompiledDriver):
-    """Goes at the speed that the scenario asks for, and brakes for what is straight ahead in its own lane.
+    """Drive at the scenario's target speed, and brake for what is straight ahead in the own lane.
 
-    It is inattentive, and looks neither left nor right: other traffic of the kind that a test puts in an ego's way.
-    The distance is kept by the Intelligent Driver Model (Treiber, Hennecke and Helbing 2000).
+    It is inattentive and looks neither left nor right, like the traffic that a test puts in an ego's way. It keeps its
+    distance with the Intelligent Driver Model (Treiber, Hennecke and Helbing 2000).
 
     Parameters
     ----------
     acceleration, comfortable_deceleration, max_deceleration : float
-        m/s².
+        In m/s².
     time_headway : float
-        s.
+        In s.
     min_gap : float
-        m.
+        In m.
     reaction_time : float
-        s for which something has to be ahead before it reacts.
+        Time in s for which something has to be ahead before it reacts.
     sight_range : float
-        m.
+        In m.
 
     Raises
     ------
     InputError
-        A parameter is out of range.
+        If a parameter is out of range.
     """
 
     kind = SIMPLE

@@ -1,13 +1,19 @@
-"""What drivers know, in the form that their compiled decisions take: arrays over drivers, scenarios and others.
+"""State of drivers as arrays over drivers, scenarios and others, for their kernels.
 
-The types of these tuples hang neither on the number of drivers, scenarios or others, nor on the roads.
+The types of these tuples depend neither on the numbers of drivers, scenarios and others, nor on the roads.
 """
 
 from __future__ import annotations
 
 from typing import Final, NamedTuple
 
+from cornercase._common.compiling import kernel
 from cornercase._common.typing import BoolArray, FloatArray, IntArray
+
+# These kernels allocate nothing: without reference counting, which would take longer than what they compute.
+plain_kernel = kernel(error_model="numpy", _nrt=False)
+# For kernels that are called from one place, or are short.
+inline_kernel = kernel(error_model="numpy", _nrt=False, forceinline=True)
 
 FOREIGN: Final = -1
 """Kind of a driver whose decisions are not compiled."""
@@ -31,20 +37,11 @@ HALF_LENGTH, HALF_WIDTH, CENTER_X, VULNERABLE = range(4)
 class Routes(NamedTuple):
     """Planned routes, one after the other.
 
-    Attributes
-    ----------
-    row : ndarray of int64, shape (D, G)
-        By driver and number of the track, the route's row, in scenario 0 if it runs otherwise in each; -1 where none is
-        planned.
-    rows : ndarray of int64, shape (D, G)
-        How many it has: 1, or N.
-    begin, samples : ndarray of int64, shape (Q,)
-        The first point of each row, and how many it has.
-    measures : ndarray of float64, shape (Q, 3)
-        Of each row the distance between its points in m, and its `longest` and `sharpest` as in `Route`.
-    points : ndarray of float64, shape (M, 6)
-        x and y in m, cosine and sine of the heading, the square of the highest speed in m²/s², and how many points of
-        the row follow in a straight line.
+    `row` (D, G): row of the route of a driver along a track, in scenario 0 if it differs between scenarios; -1 if not
+    planned. `rows` (D, G): its number of rows, 1 or N. `begin`, `samples` (Q,): first point of each row, and number of
+    points. `measures` (Q, 3): point distance in m, and `longest` and `sharpest` of `Route`. `points` (M, 6): x and y in
+    m, cosine and sine of the heading, square of the highest speed in m²/s², number of following points on a straight
+    line.
     """
 
     row: IntArray
@@ -56,25 +53,14 @@ class Routes(NamedTuple):
 
 
 class Fleet(NamedTuple):
-    """D drivers of N scenarios, each among A others: all entities but the one that it drives, in their order.
+    """D drivers in N scenarios, each among A others: all entities but its own, in their order.
 
-    Attributes
-    ----------
-    kind : ndarray of int64, shape (D,)
-        `BEHAVIOUR`, `SIMPLE` or `FOREIGN`.
-    parameters : ndarray of float64, shape (D, P)
-        The fields of a `Behaviour` or a `Keeping`.
-    own : ndarray of float64, shape (D, 3)
-        Box of the entity that is driven: half length, half width and centre in m.
-    boxes : ndarray of float64, shape (D, 4, A)
-        Those of the others, and 1 for pedestrians and cyclists.
-    memory : ndarray of float64, shape (D, N, 9, A)
-        What the drivers remember of the others: x, y, heading and speed as perceived, the rate of turn as a running
-        mean in rad/s; times in s at which they were first and last seen, and since when their way conflicts with the
-        driver's; for how long in s they have been ahead.
-    awareness : ndarray of bool, shape (D, N, 3, A)
-        Whether a driver has noticed them, knows them, gives way to them.
-    routes : Routes
+    `kind` (D,): `BEHAVIOUR`, `SIMPLE` or `NOT_COMPILED`. `parameters` (D, P): fields of a `Behaviour` or
+    `FollowParameters`. `own` (D, 3): half length, half width and centre of the driven box in m. `boxes` (D, 4, A): the
+    same of the others, and 1 for pedestrians and cyclists. `memory` (D, N, 9, A): what drivers remember of the others:
+    x, y, heading and speed as perceived, running mean of the turn rate in rad/s, times in s of the first and last
+    sighting and of the start of the conflict, and how long in s they have been ahead. `awareness` (D, N, 3, A):
+    noticed, known, yielded to.
     """
 
     kind: IntArray
@@ -87,16 +73,9 @@ class Fleet(NamedTuple):
 
 
 class Driven(NamedTuple):
-    """The driven entity of one scenario.
+    """State of the driven entity in one scenario: m along its path; m, rad and m/s of its reference point.
 
-    Attributes
-    ----------
-    distance : float
-        Place along its path in m.
-    x, y, heading, speed : float
-        Motion of its reference point in m, rad and m/s.
-    target_speed : float
-        m/s; infinite or NaN where the scenario asks for none.
+    `target_speed` is in m/s; infinite or NaN if the scenario sets none.
     """
 
     distance: float
@@ -108,25 +87,11 @@ class Driven(NamedTuple):
 
 
 class Scene(NamedTuple):
-    """One driver in one scenario, at one instant.
+    """One driver in one scenario at one instant.
 
-    Attributes
-    ----------
-    time, time_step : float
-        s.
-    driven : Driven
-    cos, sin : float
-        Of the driven entity's heading.
-    own : ndarray of float64, shape (3,)
-        Its box, as in `Fleet`.
-    boxes : ndarray of float64, shape (4, A)
-        Those of the others, as in `Fleet`.
-    others : ndarray of float64, shape (4, A)
-        Their true x, y, heading and speed in m, rad and m/s; NaN where one does not exist or is not visible.
-    memory : ndarray of float64, shape (9, A)
-        What the driver remembers of them, as in `Fleet`; brought up to date by decisions.
-    awareness : ndarray of bool, shape (3, A)
-        As in `Fleet`; brought up to date by decisions.
+    `cos` and `sin` are of the driven entity's heading; `own` (3,), `boxes` (4, A), `memory` (9, A) and `awareness` (3,
+    A) are as in `Fleet`, and decisions update the last two. `others` (4, A): true x, y, heading and speed in m, rad and
+    m/s; NaN if an entity does not exist or is not visible.
     """
 
     time: float
@@ -142,29 +107,19 @@ class Scene(NamedTuple):
 
 
 class Workspace(NamedTuple):
-    """Where a decision notes what it is about; what stood there before changes no decision.
+    """Buffers of a decision; their previous content does not affect decisions.
 
-    Attributes
-    ----------
-    boxes : ndarray of float64, shape (A, 5)
-        Centre in m, cosine and sine of the heading of the others' boxes as they are, and the heading; cosine and sine
-        are found anew only where that differs.
-    seen : ndarray of bool, shape (A,)
-    places : ndarray of float64, shape (K, 6)
-        Where the driven entity will be: distance in m, centre of the box in m, cosine and sine of its heading, time of
-        arrival in s.
-    legs : ndarray of float64, shape (L, 6)
-        Where another will be, in straight legs: centre of the box in m, cosine and sine of its heading, begin and end
-        in s.
-    arrivals : ndarray of float64, shape (3,)
-        Up to which place the times of arrival are known, the square of the speed there in m²/s², and the speed in m/s.
-    between : ndarray of float64, shape (1, 6)
-        A place between two others.
+    `boxes` (A, 5): centre in m, cosine and sine of the heading of the others' true boxes, and the heading, by which
+    cosine and sine are cached. `seen` (A,). `samples` (K, 6): future samples of the driven entity: distance in m,
+    centre of the box in m, cosine and sine of its heading, arrival time in s. `legs` (L, 6): predicted straight legs of
+    another entity: centre of the box in m, cosine and sine of its heading, start and end in s. `arrivals` (3,): row up
+    to which arrival times are known, squared speed there in m²/s², speed in m/s. `interpolated` (1, 6): a sample
+    between two others.
     """
 
     boxes: FloatArray
     seen: BoolArray
-    places: FloatArray
+    samples: FloatArray
     legs: FloatArray
     arrivals: FloatArray
-    between: FloatArray
+    interpolated: FloatArray

@@ -1,4 +1,4 @@
-"""What a driver sees, and what it remembers of it."""
+"""What a driver sees, and what it remembers."""
 
 # Compiled functions have no static types.
 # mypy: disable-error-code="no-untyped-def, no-untyped-call, untyped-decorator"
@@ -24,22 +24,18 @@ from cornercase.drivers.traffic import (
     TURN,
     X,
     Y,
+    inline_kernel,
+    plain_kernel,
 )
 
 EYE_AHEAD = 0.25
-"""Where the eye is, behind the windscreen: this part of the box's length ahead of the box's centre."""
+"""Position of the eye ahead of the box's centre, as a fraction of the box's length."""
 
-# Time constant in s of the rate of turn as perceived.
+# Time constant in s of the perceived turn rate.
 TURN_MEAN = 0.2
 
-# Comparisons closer than this, relative to what is compared, are made again by the exact way.
+# Closer comparisons, relatively, are repeated exactly.
 _CLOSE = 1e-9
-
-# Nothing is allocated, so that references need not be counted, which takes longer than what is computed.
-_kernel = kernel(error_model="numpy", _nrt=False)
-
-# What is called from one place, or does little, spares the call.
-_part = kernel(error_model="numpy", _nrt=False, forceinline=True)
 
 
 def in_sight(
@@ -51,88 +47,44 @@ def in_sight(
     field_of_view: float = 2.0 * math.pi,
     sight_range: float = math.inf,
 ) -> BoolArray:
-    """Find which of A other entities a driver sees, in each of N scenes.
+    """Which of A others a driver sees in each of N scenes; ndarray of bool, shape (N, A).
 
-    The eye is in the middle of the box's width, a quarter of its length ahead of its centre. An entity is
-    seen when at least one of five points of its box, the centre and the corners, is within range and field
-    of view and the line to it meets no third entity's box. Boxes have no height: every entity hides what is
-    behind it.
-
-    Parameters
-    ----------
-    pose : ndarray of float64, shape (N, 3)
-        x and y in m and heading in rad of the driven entity's reference point.
-    box : ndarray of float64, shape (3,)
-        Length, width, and how far ahead of the reference point its centre is, in m.
-    others : ndarray of float64, shape (N, 3, A)
-        x, y and heading of the others; NaN where one does not exist.
-    boxes : ndarray of float64, shape (3, A)
-        Their boxes.
-    field_of_view : float, default 2 pi
-        Full angle in rad, symmetric about the heading.
-    sight_range : float, default infinity
-        m.
-
-    Returns
-    -------
-    ndarray of bool, shape (N, A)
+    The eye is a quarter of the box's length ahead of its centre. An entity is seen if at least one of five points of
+    its box (centre and corners) is within range and field of view and no third box blocks the line to it. Boxes have no
+    height: every entity hides what is behind it. `pose` (N, 3): x and y in m, heading in rad of the reference point.
+    `box` (3,): length, width and centre in m. `others` (N, 3, A): x, y, heading; NaN if missing. `boxes` (3, A). Angle
+    in rad.
     """
     half = np.array([0.5, 0.5, 1.0])
-    # Compiled once, for arrays in one order.
-    places = np.ascontiguousarray(pose), np.ascontiguousarray(others)
-    seen: BoolArray = _look_each(field_of_view, sight_range, half * box, half[:, None] * boxes, *places)
+    # Contiguous arrays, so that the kernel is compiled only once.
+    arrays = np.ascontiguousarray(pose), np.ascontiguousarray(others)
+    seen: BoolArray = _look_each(field_of_view, sight_range, half * box, half[:, None] * boxes, *arrays)
     return seen
 
 
 @kernel(error_model="numpy")
 def _look_each(field_of_view, sight_range, own, boxes, pose, others):
     scenarios, count = len(pose), others.shape[2]
-    seen, now = np.empty((scenarios, count), dtype=np.bool_), np.full((count, 5), np.nan)
+    seen, placed_boxes = np.empty((scenarios, count), dtype=np.bool_), np.full((count, 5), np.nan)
     for n in range(scenarios):
         eye = eye_of(own, pose[n, 0], pose[n, 1], math.cos(pose[n, 2]), math.sin(pose[n, 2]))
-        look(field_of_view, sight_range, eye, boxes, others[n], now, seen[n])
+        look(field_of_view, sight_range, eye, boxes, others[n], placed_boxes, seen[n])
     return seen
 
 
-@_part
+@inline_kernel
 def eye_of(own, x, y, cos, sin):
-    """Place and direction of a driver's eye.
-
-    Parameters
-    ----------
-    own : ndarray of float64, shape (3,)
-        Its box, as in `Fleet.own`.
-    x, y, cos, sin : float
-        The driven entity's reference point in m, cosine and sine of its heading.
-
-    Returns
-    -------
-    tuple of float
-        x, y, cosine and sine.
-    """
-    ahead = own[CENTER_X] + EYE_AHEAD * (2.0 * own[HALF_LENGTH])
-    return x + ahead * cos, y + ahead * sin, cos, sin
+    """Position and direction (x, y, cosine, sine) of a driver's eye; `own` is its box as in `Fleet`."""
+    offset = own[CENTER_X] + EYE_AHEAD * (2.0 * own[HALF_LENGTH])
+    return x + offset * cos, y + offset * sin, cos, sin
 
 
-@_part
+@inline_kernel
 def look(field_of_view, sight_range, eye, boxes, others, now, seen):
-    """Find which others a driver sees, in one scenario.
+    """Fill `seen` (A,) with the others that a driver sees in one scenario, and `placed_boxes` (A, 5) with their boxes.
 
-    Parameters
-    ----------
-    field_of_view, sight_range : float
-        As in `in_sight`.
-    eye : tuple of float
-        As of `eye_of`.
-    boxes : ndarray of float64, shape (4, A)
-        As in `Fleet.boxes`.
-    others : ndarray of float64, shape (4, A)
-        As in `Scene`.
-    now : ndarray of float64, shape (A, 5)
-        Filled, as in `Workspace.boxes`; the centre is NaN where none is within range. The headings are those of
-        before, NaN at first.
-    seen : ndarray of bool, shape (A,)
-        Filled.
+    `eye` comes from `eye_pose`, `boxes` and `others` are as in `DriverScene`, `placed_boxes` is as in
+    `Workspace.boxes`: its centre is NaN if out of range, and its headings are those of the previous call, NaN at first.
     """
     eye_x, eye_y, cos, sin = eye
     count = others.shape[1]
@@ -140,14 +92,14 @@ def look(field_of_view, sight_range, eye, boxes, others, now, seen):
         reach = sight_range + abs(boxes[CENTER_X, a]) + boxes[HALF_LENGTH, a] + boxes[HALF_WIDTH, a]
         away_x, away_y = others[X, a] - eye_x, others[Y, a] - eye_y
         if away_x * away_x + away_y * away_y <= reach * reach * (1.0 + _CLOSE):
-            # Most go on as they went.
+            # Most keep their heading.
             if others[HEADING, a] != now[a, 4]:
                 now[a, 4] = others[HEADING, a]
                 now[a, 2], now[a, 3] = math.cos(others[HEADING, a]), math.sin(others[HEADING, a])
             now[a, 0] = others[X, a] + boxes[CENTER_X, a] * now[a, 2]
             now[a, 1] = others[Y, a] + boxes[CENTER_X, a] * now[a, 3]
         else:
-            # Out of reach it is not seen, and hides nothing of what is within range.
+            # Out of range it is neither seen, nor does it hide anything within range.
             now[a, 0] = math.nan
     half_view = 0.5 * field_of_view
     edge = math.cos(half_view) if half_view < math.pi else -2.0
@@ -156,12 +108,12 @@ def look(field_of_view, sight_range, eye, boxes, others, now, seen):
         if math.isnan(now[a, 0]):
             continue
         for point in range(5):
-            along, across = 0.0, 0.0
+            longitudinal, lateral = 0.0, 0.0
             if point < 4:
-                along = boxes[HALF_LENGTH, a] * (1.0 if point < 2 else -1.0)
-                across = boxes[HALF_WIDTH, a] * (1.0 if point % 2 == 0 else -1.0)
-            to_x = now[a, 0] + along * now[a, 2] - across * now[a, 3] - eye_x
-            to_y = now[a, 1] + along * now[a, 3] + across * now[a, 2] - eye_y
+                longitudinal = boxes[HALF_LENGTH, a] * (1.0 if point < 2 else -1.0)
+                lateral = boxes[HALF_WIDTH, a] * (1.0 if point % 2 == 0 else -1.0)
+            to_x = now[a, 0] + longitudinal * now[a, 2] - lateral * now[a, 3] - eye_x
+            to_y = now[a, 1] + longitudinal * now[a, 3] + lateral * now[a, 2] - eye_y
             if not _in_view(cos * to_x + sin * to_y, cos * to_y - sin * to_x, to_x, to_y, sight_range, half_view, edge):
                 continue
             hidden = False
@@ -174,9 +126,9 @@ def look(field_of_view, sight_range, eye, boxes, others, now, seen):
                 break
 
 
-@_part
+@inline_kernel
 def _in_view(along, across, to_x, to_y, sight_range, half_view, edge):
-    """Whether a point is within range and field of view; only where that is close are root and angle asked for."""
+    """Check range and field of view; computes root and angle only in borderline cases."""
     squared = to_x * to_x + to_y * to_y
     if squared > sight_range * sight_range * (1.0 + _CLOSE):
         return False
@@ -189,9 +141,9 @@ def _in_view(along, across, to_x, to_y, sight_range, half_view, edge):
     return abs(math.atan2(across, along)) <= half_view
 
 
-@_kernel
+@plain_kernel
 def _meets(eye_x, eye_y, to_x, to_y, now, b, half_length, half_width):
-    """Whether the line from the eye meets a box (slabs); a box around the eye itself hides nothing."""
+    """Check whether the line from the eye hits a box (slab method); a box around the eye itself hides nothing."""
     if math.isnan(now[b, 0]):
         return False
     from_x, from_y = eye_x - now[b, 0], eye_y - now[b, 1]
@@ -218,21 +170,12 @@ def _meets(eye_x, eye_y, to_x, to_y, now, b, half_length, half_width):
     return enters < leaves and not inside
 
 
-@_part
+@inline_kernel
 def perceive(behaviour, scene, seen):
-    """Take in what is seen, in one scenario.
+    """Update what a driver remembers and is aware of in one scenario, from the others in sight.
 
-    An entity is known once it has been seen for the reaction time. When it gets out of sight it is taken to
-    go on straight at its last speed for as long as the memory lasts, and is then forgotten; a shorter loss of
-    sight does not start the reaction time again.
-
-    Parameters
-    ----------
-    behaviour : Behaviour
-    scene : Scene
-        What the driver remembers, and is aware of, is updated.
-    seen : ndarray of bool, shape (A,)
-        Who is in sight.
+    An entity is known once it has been seen for the reaction time. Out of sight it is assumed to go straight at its
+    last speed for the memory time, and is then forgotten; a shorter loss of sight does not restart the reaction time.
     """
     time, time_step, others, memory, awareness = (
         scene.time, scene.time_step, scene.others, scene.memory, scene.awareness,
@@ -247,7 +190,7 @@ def perceive(behaviour, scene, seen):
             else:
                 since = max(time - memory[LAST_SEEN, a], time_step)
                 change = others[HEADING, a] - memory[HEADING, a] + math.pi
-                # The remainder of what is less than the divisor is itself, and takes long to be found.
+                # Skip the slow remainder if it changes nothing.
                 if not 0.0 <= change < 2.0 * math.pi:
                     change %= 2.0 * math.pi
                 change -= math.pi
@@ -256,9 +199,9 @@ def perceive(behaviour, scene, seen):
             memory[X, a], memory[Y, a] = others[X, a], others[Y, a]
             memory[HEADING, a], memory[SPEED, a] = others[HEADING, a], others[SPEED, a]
         elif time - memory[LAST_SEEN, a] <= memorable:
-            way = memory[SPEED, a] * time_step
-            memory[X, a] += way * math.cos(memory[HEADING, a])
-            memory[Y, a] += way * math.sin(memory[HEADING, a])
+            step = memory[SPEED, a] * time_step
+            memory[X, a] += step * math.cos(memory[HEADING, a])
+            memory[Y, a] += step * math.sin(memory[HEADING, a])
         noticed = time - memory[LAST_SEEN, a] <= memorable and not math.isnan(others[X, a])
         awareness[NOTICED, a] = noticed
         awareness[KNOWN, a] = noticed and memory[LAST_SEEN, a] - memory[FIRST_SEEN, a] >= behaviour.reaction_time - 1e-9

@@ -1,4 +1,4 @@
-"""Where and when the driven entity will be: places along its route, each laid out only when it is asked for."""
+"""Path of the driven entity ahead, as samples and arrival times that are computed on demand."""
 
 # Compiled functions have no static types.
 # mypy: disable-error-code="no-untyped-def, untyped-decorator"
@@ -8,230 +8,140 @@ from __future__ import annotations
 import math
 from typing import Final, NamedTuple
 
-from cornercase._common.compiling import kernel
 from cornercase._common.typing import FloatArray
 from cornercase.drivers.route import STEP
-from cornercase.drivers.traffic import CENTER_X, HALF_LENGTH, HALF_WIDTH
+from cornercase.drivers.traffic import CENTER_X, HALF_LENGTH, HALF_WIDTH, inline_kernel, plain_kernel
 
 LOOKAHEAD: Final = 150.0
-"""m."""
+"""Longest lookahead in m."""
 
 MOST_PLACES: Final = int(2.0 * LOOKAHEAD / STEP) + 4
-"""Rows of a table of places; the samples of a route are at least half as far apart as they should be."""
+"""Rows of a table of samples; samples of a route are at least half of `ROUTE_STEP` apart."""
 
-# By which instants that are found in different ways may differ, in parts and in s.
+# Relative and absolute (s) difference of arrival times that are computed differently.
 _HAIR: Final = 1e-9
-
-# Nothing is allocated, so that references need not be counted, which takes longer than what is computed.
-_kernel = kernel(error_model="numpy", _nrt=False)
-
-# What is called from one place, or does little, spares the call.
-_part = kernel(error_model="numpy", _nrt=False, forceinline=True)
 
 
 class Way(NamedTuple):
-    """The way ahead of a driven entity.
+    """The path ahead of a driven entity.
 
-    Row 0 of its places is where the entity is, the others are the route's samples ahead of it.
-
-    Attributes
-    ----------
-    places : ndarray of float64, shape (K, 6)
-        As in `Workspace`; each row is right once `lay` has been called for it.
-    arrivals : ndarray of float64, shape (3,)
-        Row up to which times of arrival are known, the square of the speed there, and the speed: few are ever asked
-        for.
-    between : ndarray of float64, shape (1, 6)
-        As in `Workspace`.
-    rows : int
-        How many places there are.
-    most : float
-        m between the centres at two places that follow each other, at most.
-    points : ndarray of float64, shape (M, 6)
-        As in `Routes`.
-    first : int
-        The point before that of row 1.
-    before : int
-        Its number along the route.
-    step : float
-        m between the points.
-    distance : float
-        Place of the driven entity along the route in m.
-    offset : float
-        How far it is to the left of the route in m.
-    center_x : float
-        Centre of its box in m.
-    ego : tuple of float
-        Half length and half width of its box in m.
-    speed, wanted : float
-        That which it has, and that which it wants, in m/s.
+    Row 0 of `samples` is the entity itself, the others are the route's samples ahead; each is valid after
+    `compute_sample`. `arrivals` and `interpolated` are as in `Workspace`, `points` as in `Routes`. `rows`: number of
+    samples. `max_spacing`: largest distance in m between centres at consecutive samples. `first_point`: the point
+    before row 1, `first_index`: its index along the route. `step`: point distance in m. `distance`: position along the
+    route in m. `offset`: m to the left of the route. `center_x`: centre of the box in m. `ego`: half length and half
+    width in m. `speed`, `target_speed`: current and wanted, m/s.
     """
 
-    places: FloatArray
+    samples: FloatArray
     arrivals: FloatArray
-    between: FloatArray
+    interpolated: FloatArray
     rows: int
-    most: float
+    max_spacing: float
     points: FloatArray
-    first: int
-    before: int
+    first_point: int
+    first_index: int
     step: float
     distance: float
     offset: float
     center_x: float
     ego: tuple[float, float]
     speed: float
-    wanted: float
+    target_speed: float
 
 
-@_part
+@inline_kernel
 def look_ahead(behaviour, routes, route, scene, v, wanted, work):
-    """Find the way ahead of the driven entity, as far as it matters.
-
-    Parameters
-    ----------
-    behaviour : Behaviour
-    routes : Routes
-    route : int
-        Row of the route.
-    scene : Scene
-    v, wanted : float
-        Its speed, and that which it wants, in m/s.
-    work : Workspace
-
-    Returns
-    -------
-    Way
-    """
+    """Build the path ahead as far as it matters, for the current speed and `target_speed` speed in m/s."""
     driven, cos, sin, center_x = scene.driven, scene.cos, scene.sin, scene.own[CENTER_X]
-    places, points, distance = work.places, routes.points, driven.distance
+    samples_ahead, points, distance = work.samples, routes.points, driven.distance
     begin, samples, step = routes.begin[route], routes.samples[route], routes.measures[route, 0]
-    places[0, 0] = 0.0
-    places[0, 1], places[0, 2] = driven.x + center_x * cos, driven.y + center_x * sin
-    places[0, 3], places[0, 4], places[0, 5] = cos, sin, 0.0
+    samples_ahead[0, 0] = 0.0
+    samples_ahead[0, 1], samples_ahead[0, 2] = driven.x + center_x * cos, driven.y + center_x * sin
+    samples_ahead[0, 3], samples_ahead[0, 4], samples_ahead[0, 5] = cos, sin, 0.0
     at = min(max(distance / step, 0.0), samples - 1.0)
-    here = int(at)
-    part = at - here
-    one, two = begin + here, begin + min(here + 1, samples - 1)
-    # The driven entity is expected to keep its lateral offset from the path.
-    path_x = points[one, 0] + part * (points[two, 0] - points[one, 0])
-    path_y = points[one, 1] + part * (points[two, 1] - points[one, 1])
-    offset = (driven.y - path_y) * points[one, 2] - (driven.x - path_x) * points[one, 3]
+    segment = int(at)
+    share = at - segment
+    start, end = begin + segment, begin + min(segment + 1, samples - 1)
+    # The driven entity is assumed to keep its lateral offset from the path.
+    path_x = points[start, 0] + share * (points[end, 0] - points[start, 0])
+    path_y = points[start, 1] + share * (points[end, 1] - points[start, 1])
+    offset = (driven.y - path_y) * points[start, 2] - (driven.x - path_x) * points[start, 3]
     braking = v * v / (2.0 * behaviour.comfortable_deceleration)
     reach = min(max(v * behaviour.horizon, braking) + behaviour.braking_distance + 30.0, LOOKAHEAD)
-    before = here
+    before = segment
     while before + 1 < samples and (before + 1) * step - distance <= 1e-6:
         before += 1
     last = max(before, min(samples - 1, int((reach + distance) / step) + 1))
     while last > before and last * step - distance > reach:
         last -= 1
-    most = routes.measures[route, 1] + (abs(center_x) + abs(offset)) * routes.measures[route, 2]
+    max_spacing = routes.measures[route, 1] + (abs(center_x) + abs(offset)) * routes.measures[route, 2]
     arrivals = work.arrivals
     arrivals[0], arrivals[1], arrivals[2] = 0.0, v * v, math.sqrt(v * v)
     return Way(
-        places, arrivals, work.between, 1 + last - before, most, points, begin + before, before, step, distance,
-        offset, center_x, (scene.own[HALF_LENGTH], scene.own[HALF_WIDTH]), v, wanted,
+        samples_ahead, arrivals, work.interpolated, 1 + last - before, max_spacing, points, begin + before, before,
+        step, distance, offset, center_x, (scene.own[HALF_LENGTH], scene.own[HALF_WIDTH]), v, wanted,
     )  # fmt: skip
 
 
-@_part
+@inline_kernel
 def lay(way, k):
-    """Lay out one place ahead, but for its time of arrival.
-
-    Parameters
-    ----------
-    way : Way
-    k : int
-        Row of it.
-    """
+    """Compute the sample of a row, except for its arrival time."""
     if k == 0:
         return
-    places, points, at = way.places, way.points, way.first + k
+    samples, points, at = way.samples, way.points, way.first_point + k
     cos, sin = points[at, 2], points[at, 3]
-    places[k, 0] = distance_to(way, k)
-    places[k, 1] = points[at, 0] + way.center_x * cos - way.offset * sin
-    places[k, 2] = points[at, 1] + way.center_x * sin + way.offset * cos
-    places[k, 3], places[k, 4] = cos, sin
+    samples[k, 0] = distance_to(way, k)
+    samples[k, 1] = points[at, 0] + way.center_x * cos - way.offset * sin
+    samples[k, 2] = points[at, 1] + way.center_x * sin + way.offset * cos
+    samples[k, 3], samples[k, 4] = cos, sin
 
 
-@_part
+@inline_kernel
 def distance_to(way, k):
-    """Distance from the driven entity to a place ahead.
-
-    Parameters
-    ----------
-    way : Way
-    k : int
-        Row of the place.
-
-    Returns
-    -------
-    float
-        m.
-    """
-    return (way.before + k) * way.step - way.distance if k > 0 else 0.0
+    """Distance in m from the driven entity to a sample."""
+    return (way.first_index + k) * way.step - way.distance if k > 0 else 0.0
 
 
-@_kernel
+@plain_kernel
 def arrive(behaviour, way, k):
-    """When the driven entity is to come to a place ahead.
-
-    Parameters
-    ----------
-    behaviour : Behaviour
-    way : Way
-    k : int
-        Row of the place.
-
-    Returns
-    -------
-    float
-        s from now.
-    """
-    known = int(way.arrivals[0])
-    if k > known:
-        squared, root, when, here = way.arrivals[1], way.arrivals[2], way.places[known, 5], distance_to(way, known)
-        fastest = way.wanted * way.wanted
-        for i in range(known + 1, k + 1):
-            there = distance_to(way, i)
-            leg, here = there - here, there
-            limit = min(fastest, way.points[way.first + i, 4])
-            both = root + root
-            # At the limit it stays, and so does its root, which takes long to be found.
+    """Planned arrival time at a sample in s from now; computed up to `row` on demand."""
+    known_row = int(way.arrivals[0])
+    if k > known_row:
+        squared, root, when, distance = (
+            way.arrivals[1],
+            way.arrivals[2],
+            way.samples[known_row, 5],
+            distance_to(way, known_row),
+        )
+        fastest = way.target_speed * way.target_speed
+        for i in range(known_row + 1, k + 1):
+            next_distance = distance_to(way, i)
+            step, distance = next_distance - distance, next_distance
+            limit = min(fastest, way.points[way.first_point + i, 4])
+            speed_sum = root + root
+            # At the limit the speed is constant: skip the slow root.
             if limit != squared:
-                slowest = max(squared - 2.0 * behaviour.comfortable_deceleration * leg, 0.0)
-                squared = max(min(squared + 2.0 * behaviour.acceleration * leg, limit), slowest)
-                there_root = math.sqrt(squared)
-                both, root = root + there_root, there_root
-            when += 2.0 * leg / both if both > 0.0 else math.inf
-            way.places[i, 5] = when
+                slowest = max(squared - 2.0 * behaviour.comfortable_deceleration * step, 0.0)
+                squared = max(min(squared + 2.0 * behaviour.acceleration * step, limit), slowest)
+                next_root = math.sqrt(squared)
+                speed_sum, root = root + next_root, next_root
+            when += 2.0 * step / speed_sum if speed_sum > 0.0 else math.inf
+            way.samples[i, 5] = when
         way.arrivals[0], way.arrivals[1], way.arrivals[2] = k, squared, root
-    return way.places[k, 5]
+    return way.samples[k, 5]
 
 
-@_part
+@inline_kernel
 def soonest(behaviour, way, k):
-    """When the driven entity comes to a place ahead at the soonest, whatever the curves on the way to it.
-
-    Parameters
-    ----------
-    behaviour : Behaviour
-    way : Way
-    k : int
-        Row of the place.
-
-    Returns
-    -------
-    float
-        s from now, less a hair for rounding: never more than `arrive` says.
-    """
-    v, wanted, a, there = way.speed, way.wanted, behaviour.acceleration, distance_to(way, k)
+    """Lower bound of the arrival time at a sample in s, ignoring curves; never more than `arrival_time`."""
+    v, target_speed, a, distance = way.speed, way.target_speed, behaviour.acceleration, distance_to(way, k)
     if k <= way.arrivals[0]:
-        return way.places[k, 5]
-    if v >= wanted:
-        return (1.0 - _HAIR) * there / v if v > 0.0 else 0.0
-    root = math.sqrt(v * v + 2.0 * a * there)
-    if root <= wanted:
+        return way.samples[k, 5]
+    if v >= target_speed:
+        return (1.0 - _HAIR) * distance / v if v > 0.0 else 0.0
+    root = math.sqrt(v * v + 2.0 * a * distance)
+    if root <= target_speed:
         return (1.0 - _HAIR) * (root - v) / a - _HAIR
-    until = (wanted * wanted - v * v) / (2.0 * a)
-    return (1.0 - _HAIR) * ((wanted - v) / a + (there - until) / wanted) - _HAIR
+    acceleration_distance = (target_speed * target_speed - v * v) / (2.0 * a)
+    return (1.0 - _HAIR) * ((target_speed - v) / a + (distance - acceleration_distance) / target_speed) - _HAIR

@@ -1,4 +1,4 @@
-"""How alike two scenarios are: dynamic time warping."""
+"""Similarity of two scenarios: dynamic time warping."""
 
 import lazy_loader as lazy
 

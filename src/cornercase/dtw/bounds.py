@@ -1,4 +1,4 @@
-"""Pairs of series that are surely farther apart than a given distance, found without warping them."""
+"""Lower bounds of distances, to skip pairs of series without warping them."""
 
 # Compiled functions have no static types.
 # mypy: disable-error-code="no-untyped-def, untyped-decorator, call-arg"
@@ -15,38 +15,26 @@ import numpy.typing as npt
 from cornercase._common.compiling import kernel
 from cornercase._common.typing import BoolArray
 
-# What rounding may add to a bound, relatively.
+# Relative rounding error of a bound.
 _ROUNDING = 1e-9
 _TINY = 1e-150
 
 
 def may_be_within(series: Sequence[npt.NDArray[np.floating[Any]]], distance: float, squared: bool) -> BoolArray:
-    """Return which pairs may be at most `distance` apart.
+    """Return which pairs may be at most `distance` apart, bool (n, n), symmetric.
 
-    Each point of one series is matched with some point of the other, so it costs at least its distance to the
-    box around all of these: the sum of these costs is a lower bound of the dynamic time warping distance, with
-    any window.
-
-    Parameters
-    ----------
-    series : sequence of ndarray, shape (T_i, k)
-    distance : float
-    squared : bool
-        Whether squared distances are summed and the root is taken of the sum.
-
-    Returns
-    -------
-    ndarray of bool, shape (n, n)
-        Symmetric, True on the diagonal.
+    Each point of one series is matched with some point of the other, so its cost is at least its distance to their
+    bounding box: the sum of these costs is a lower bound with any window. `squared`: costs are squared and the root is
+    taken of the sum.
     """
-    lengths = np.array([len(one) for one in series], dtype=np.int64)
+    lengths = np.array([len(values_of_series) for values_of_series in series], dtype=np.int64)
     starts = np.concatenate(([0], np.cumsum(lengths)))
-    values = np.concatenate(series).astype(np.float64)
-    low = np.stack([one.min(axis=0) for one in series]).astype(np.float64)
-    high = np.stack([one.max(axis=0) for one in series]).astype(np.float64)
+    points = np.concatenate(series).astype(np.float64)
+    low = np.stack([values_of_series.min(axis=0) for values_of_series in series]).astype(np.float64)
+    high = np.stack([values_of_series.max(axis=0) for values_of_series in series]).astype(np.float64)
     possible = np.ones((len(series), len(series)), dtype=np.bool_)
     limit = distance * (1.0 + _ROUNDING) + _TINY
-    _compare(values, starts, low, high, limit * limit if squared else limit, squared, possible)
+    _compare(points, starts, low, high, limit * limit if squared else limit, squared, possible)
     return possible & possible.T
 
 
@@ -59,8 +47,8 @@ def _compare(values, starts, low, high, limit, squared, possible):
             for t in range(starts[i], starts[i + 1]):
                 cost = 0.0
                 for d in range(dims):
-                    beyond = max(low[j, d] - values[t, d], values[t, d] - high[j, d], 0.0)
-                    cost += beyond * beyond
+                    excess = max(low[j, d] - values[t, d], values[t, d] - high[j, d], 0.0)
+                    cost += excess * excess
                 total += cost if squared else math.sqrt(cost)
                 if total > limit:
                     possible[i, j] = False

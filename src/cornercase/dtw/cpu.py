@@ -1,11 +1,10 @@
 """Dynamic time warping on the CPU: one series against as many others as a vector has lanes.
 
-The series are sorted by length. Each block of 8 (double) or 16 (single precision) neighbours is interleaved,
-so that one vector holds the same instant of all of them; a tile is such a block against a run of single
-series. In a pair the recurrence is advanced by four rows at a time: their values stay in registers, and four
-independent chains hide the latency of one. Every cell is one rounded sum of its cost and an exact minimum, so
-neither the order of the cells, nor the partner in the neighbouring lane, nor the number of threads shows in
-the result.
+Series are sorted by length. Each block of 8 (double) or 16 (single precision) neighbours is interleaved, so that one
+vector holds the same instant of all of them; a tile is such a block against a run of single series. The recurrence
+advances four rows at a time: their values stay in registers, and four independent chains hide the latency of one. Every
+cell is one rounded sum of its cost and an exact minimum, so the result depends neither on the order of the cells, nor
+on the neighbouring lanes, nor on the number of threads.
 """
 
 # Compiled functions have no static types.
@@ -42,7 +41,7 @@ from cornercase.dtw.simd import (
     within,
 )
 
-# Cells of one tile: some milliseconds of work, so that threads end together and Ctrl-C is heard soon.
+# Cells of a tile: a few ms of work, so that threads finish together and Ctrl-C takes effect soon.
 TILE_CELLS = 20_000_000
 
 Floats = npt.NDArray[np.floating[Any]]
@@ -50,7 +49,7 @@ Floats = npt.NDArray[np.floating[Any]]
 
 @dataclass(frozen=True)
 class _Singles:
-    """Series one after the other in the order of length: series ``order[i]`` from ``starts[i]`` on."""
+    """Concatenated series sorted by length: series ``order[i]`` begins at ``starts[i]``."""
 
     order: IntArray
     lengths: IntArray
@@ -60,7 +59,7 @@ class _Singles:
 
 @dataclass(frozen=True)
 class _Block:
-    """Neighbours in the order of length, interleaved: ``values[(instant * dims + dim) * lanes + lane]``."""
+    """Interleaved series of similar length: ``values[(instant * dims + dim) * lanes + lane]``."""
 
     first: int
     lengths: IntArray
@@ -78,35 +77,25 @@ def distances(
     advance: Callable[[int], None],
     needed: BoolArray | None = None,
 ) -> Floats:
-    """Distances of checked series.
+    """Distances of checked series, shape (len(rows), len(columns)).
 
-    Parameters
-    ----------
-    rows : sequence of ndarray, shape (T_i, k)
-        At least one.
-    columns : sequence of ndarray, shape (T_j, k), or None
-        At least one. None: the rows again; then only one half is computed.
-    squared : bool
-        Sum squared distances and take the root at the end.
-    window : int or None
-    dtype : float64 or float32
-        Of the arithmetic and the result.
-    n_jobs : int
-        Number of threads.
-    advance : callable
-        Called in this thread with the number of cells done since the last call.
-    needed : ndarray of bool, shape (len(rows), len(columns)), optional
-        Which pairs are wanted; the others may come out as infinite.
+    `columns` None means the rows; then only one half is computed.
 
-    Returns
-    -------
-    ndarray of `dtype`, shape (len(rows), len(columns))
+    `report_progress` gets the number of cells done since its last call, in this thread. `needed`: pairs that are
+    wanted; others may be infinite.
     """
     if columns is not None and len(columns) < len(rows):
         # The longer side fills the lanes better; the distance is the same from either side.
-        turned = None if needed is None else needed.T
+        transposed = None if needed is None else needed.T
         return distances(
-            columns, rows, squared=squared, window=window, dtype=dtype, n_jobs=n_jobs, advance=advance, needed=turned
+            columns,
+            rows,
+            squared=squared,
+            window=window,
+            dtype=dtype,
+            n_jobs=n_jobs,
+            advance=advance,
+            needed=transposed,
         ).T.copy()
     symmetric = columns is None
     dims = rows[0].shape[1]
@@ -120,18 +109,18 @@ def distances(
     band = -1 if window is None else window
 
     def run(block: _Block, chosen: range) -> int:
-        which = np.arange(chosen.start, chosen.stop)
+        selected = np.arange(chosen.start, chosen.stop)
         j = partners.order[block.first : block.first + len(block.lengths)]
         if needed is not None:
-            which = which[needed[singles.order[which][:, None], j].any(axis=1)]
-        found = np.empty((len(which), lanes), dtype=dtype)
-        kernel(singles.values, singles.starts, singles.lengths, block.values, block.lengths, which, band, found)
-        i = singles.order[which]
-        found = found[:, : len(j)]
-        out[i[:, None], j] = found
+            selected = selected[needed[singles.order[selected][:, None], j].any(axis=1)]
+        result = np.empty((len(selected), lanes), dtype=dtype)
+        kernel(singles.values, singles.starts, singles.lengths, block.values, block.lengths, selected, band, result)
+        i = singles.order[selected]
+        result = result[:, : len(j)]
+        out[i[:, None], j] = result
         if symmetric:
-            # Where a block meets itself both halves are there, equal to the bit.
-            out[j[:, None], i] = found.T
+            # A block against itself has both halves, equal to the bit.
+            out[j[:, None], i] = result.T
         return int(singles.lengths[chosen.start : chosen.stop].sum() * block.lengths.sum())
 
     with noted_interrupts() as check:
@@ -145,7 +134,7 @@ def distances(
 
 
 def _sorted(series: Sequence[Floats], dtype: np.dtype[Any]) -> _Singles:
-    lengths = np.array([len(one) for one in series], dtype=np.int64)
+    lengths = np.array([len(values) for values in series], dtype=np.int64)
     order = np.argsort(lengths, kind="stable")
     starts = np.concatenate(([0], np.cumsum(lengths[order] * series[0].shape[1])))
     return _Singles(order, lengths[order], starts, np.concatenate([series[i].ravel() for i in order]).astype(dtype))
@@ -162,10 +151,7 @@ def _interleave(series: _Singles, first: int, dims: int, lanes: int) -> _Block:
 
 
 def _tiles(blocks: Sequence[_Block], lengths: IntArray, symmetric: bool, n_jobs: int) -> Iterator[tuple[_Block, range]]:
-    """Blocks against runs of single series, the most expensive first.
-
-    In the symmetric case the runs end with the block's last member, which leaves one half.
-    """
+    """Blocks with runs of single series, the most expensive first; symmetric runs end with the block's last member."""
     total = int(lengths.sum()) * sum(int(block.lengths.sum()) for block in blocks) // (2 if symmetric else 1)
     share = min(max(total // (16 * n_jobs), TILE_CELLS // 10), TILE_CELLS)
     for block in reversed(blocks):
@@ -173,8 +159,8 @@ def _tiles(blocks: Sequence[_Block], lengths: IntArray, symmetric: bool, n_jobs:
         cells = np.cumsum(lengths[:end]) * int(block.lengths[-1]) * len(block.lengths)
         start = 0
         while start < end:
-            done = cells[start - 1] if start else 0
-            stop = max(start + 1, int(np.searchsorted(cells, done + share, side="right")))
+            finished = cells[start - 1] if start else 0
+            stop = max(start + 1, int(np.searchsorted(cells, finished + share, side="right")))
             yield block, range(start, min(stop, end))
             start = stop
 
@@ -185,7 +171,7 @@ def _run_all(
     n_jobs: int,
     advance: Callable[[int], None],
 ) -> None:
-    """Run tiles on threads; an interrupt drops those not begun and waits for those that are."""
+    """Run tiles on threads; an interrupt drops waiting tiles and waits for running ones."""
     if n_jobs == 1:
         for tile in tiles:
             advance(run(*tile))
@@ -195,8 +181,8 @@ def _run_all(
         for tile in tiles:
             waiting.add(pool.submit(run, *tile))
             if len(waiting) > n_jobs:
-                done, waiting = wait(waiting, return_when=FIRST_COMPLETED)
-                advance(sum(future.result() for future in done))
+                finished, waiting = wait(waiting, return_when=FIRST_COMPLETED)
+                advance(sum(future.result() for future in finished))
         advance(sum(future.result() for future in waiting))
 
 
@@ -215,9 +201,8 @@ def _cost(x, y, j, dims, squared, lanes):
     return root(total)
 
 
-# A row is kept behind one column of infinity. The columns `lower` to `upper` are those of the lane with the
-# widest band; what a narrower one must not see is masked. Their arguments are many because compiled code passes arrays
-# and constants one by one.
+# A row is stored after one column of infinity. Columns `lower` to `upper` are those of the lane with the widest band;
+# narrower bands are masked.
 @_inlined
 def _one_row(x, i, y, lower, upper, row, below, above, infinity, dims, squared, banded, lanes):
     x_a = point(x, i * dims, dims)
@@ -275,9 +260,9 @@ def _kernel(dims: int, squared: bool, banded: bool, lanes: int) -> Callable[...,
         infinity = np.full(lanes, np.inf, dtype=values.dtype)
         below = np.zeros(lanes, dtype=values.dtype)
         above = np.zeros(lanes, dtype=values.dtype)
-        for place, one in enumerate(which):
-            x = values[starts[one] : starts[one + 1]]
-            length = lengths[one]
+        for out_row, index in enumerate(which):
+            x = values[starts[index] : starts[index + 1]]
+            length = lengths[index]
             row[:lanes] = 0.0
             row[lanes:] = np.inf
             reach_below, reach_above = length, longest
@@ -302,15 +287,15 @@ def _kernel(dims: int, squared: bool, banded: bool, lanes: int) -> Callable[...,
                 distance = row[block_lengths[lane] * lanes + lane]
                 if squared:
                     distance = math.sqrt(distance)
-                out[place, lane] = distance
+                out[out_row, lane] = distance
 
     return compiling.kernel()(tile)
 
 
 def compiled(dims: int, squared: bool, banded: bool, dtype: npt.DTypeLike) -> Callable[..., None]:
-    """Return a kernel that is ready to run."""
+    """Return a kernel that is compiled."""
     dtype = np.dtype(dtype)
     kernel = _kernel(dims, squared, banded, simd.BYTES // dtype.itemsize)
-    floats, whole = np.zeros(dims, dtype=dtype), np.zeros(1, dtype=np.int64)
-    kernel(floats, whole, whole, floats, whole, whole[:0], 1, np.empty((0, 1), dtype=dtype))
+    floats, integers = np.zeros(dims, dtype=dtype), np.zeros(1, dtype=np.int64)
+    kernel(floats, integers, integers, floats, integers, integers[:0], 1, np.empty((0, 1), dtype=dtype))
     return kernel

@@ -1,8 +1,8 @@
 """Dynamic time warping on an NVIDIA GPU: one pair per thread, four rows of its table at a time.
 
-Neighbouring threads have the same row series and neighbouring column series, which are interleaved: a warp reads
-and writes consecutive numbers. Four rows stay in registers, the last of them in global memory. The
-compiler contracts products and sums there, so the last digits may differ from the CPU's.
+Neighbouring threads have the same row series and neighbouring column series, which are interleaved: a warp reads and
+writes consecutive numbers. Four rows stay in registers, the last of them in global memory. The compiler contracts
+products and sums, so the last digits may differ from the CPU's.
 """
 
 # Compiled functions have no static types.
@@ -25,7 +25,7 @@ from cornercase._common.typing import IntArray
 THREADS = 128
 # Memory for the rows of all pairs of one launch.
 ROW_BYTES = 1 << 30
-# CUDA has no larger grid along its second axis.
+# Largest CUDA grid along the second axis.
 MOST_LINES = 65_535
 
 Floats = npt.NDArray[np.floating[Any]]
@@ -40,45 +40,45 @@ def distances(
     dtype: npt.DTypeLike,
     advance: Callable[[int], None],
 ) -> Floats:
-    """Distances of checked series; parameters and result are those of ``cpu.distances``."""
+    """Distances of checked series; parameters and result are those of the CPU version."""
     dtype = np.dtype(dtype)
     symmetric = columns is None
     partners = rows if columns is None else columns
     dims = rows[0].shape[1]
-    # Long ones first, so that the threads of a warp end together and the last launch is a short one.
+    # Longest first, so that the threads of a warp finish together and the last launch is short.
     row_order, row_lengths = _by_length(rows)
     column_order, column_lengths = _by_length(partners)
     longest, width = int(column_lengths[0]), len(partners)
     interleaved = np.zeros((longest, dims, width), dtype=dtype)
-    for place, j in enumerate(column_order):
-        interleaved[: len(partners[j]), :, place] = partners[j]
+    for position, j in enumerate(column_order):
+        interleaved[: len(partners[j]), :, position] = partners[j]
     starts = np.concatenate(([0], np.cumsum(row_lengths * dims)))
     values = cuda.to_device(np.concatenate([rows[i].ravel() for i in row_order]).astype(dtype))
-    starts_there, lengths_there = cuda.to_device(starts), cuda.to_device(row_lengths)
-    columns_there, column_lengths_there = cuda.to_device(interleaved), cuda.to_device(column_lengths)
+    starts_on_device, lengths_on_device = cuda.to_device(starts), cuda.to_device(row_lengths)
+    columns_on_device, column_lengths_on_device = cuda.to_device(interleaved), cuda.to_device(column_lengths)
 
     blocks = -(-width // THREADS)
     together = max(1, min(len(rows), MOST_LINES, ROW_BYTES // ((longest + 1) * blocks * THREADS * dtype.itemsize)))
-    row_there = cuda.device_array((together, longest + 1, width), dtype=dtype)
-    found_there = cuda.device_array((together, width), dtype=dtype)
+    rows_on_device = cuda.device_array((together, longest + 1, width), dtype=dtype)
+    result_on_device = cuda.device_array((together, width), dtype=dtype)
     kernel = _kernel(dims, squared, dtype)
     out = np.zeros((len(rows), width), dtype=dtype)
     for first in range(0, len(rows), together):
         stop = min(first + together, len(rows))
         kernel[(blocks, stop - first), (THREADS, 1)](
             values,
-            starts_there,
-            lengths_there,
-            columns_there,
-            column_lengths_there,
+            starts_on_device,
+            lengths_on_device,
+            columns_on_device,
+            column_lengths_on_device,
             first,
             -1 if window is None else window,
             symmetric,
-            row_there,
-            found_there,
+            rows_on_device,
+            result_on_device,
         )
-        found = found_there.copy_to_host()[: stop - first]
-        for i, line in zip(range(first, stop), found, strict=True):
+        result = result_on_device.copy_to_host()[: stop - first]
+        for i, line in zip(range(first, stop), result, strict=True):
             if symmetric:
                 later = column_order[i + 1 :]
                 out[row_order[i], later] = line[i + 1 :]
@@ -90,7 +90,7 @@ def distances(
 
 
 def _by_length(series: Sequence[Floats]) -> tuple[IntArray, IntArray]:
-    lengths = np.array([len(one) for one in series], dtype=np.int64)
+    lengths = np.array([len(values) for values in series], dtype=np.int64)
     order = np.argsort(-lengths, kind="stable")
     return order, lengths[order]
 
@@ -120,11 +120,11 @@ def _kernel(dims: int, squared: bool, dtype: np.dtype[Any]) -> Any:
     def kernel(x, starts, lengths, columns, column_lengths, first, window, symmetric, rows, out):
         column = cuda.blockIdx.x * cuda.blockDim.x + cuda.threadIdx.x
         line = cuda.blockIdx.y
-        one = first + line
-        if column >= len(column_lengths) or (symmetric and column <= one):
+        index = first + line
+        if column >= len(column_lengths) or (symmetric and column <= index):
             return
-        length, width = lengths[one], column_lengths[column]
-        start = starts[one]
+        length, width = lengths[index], column_lengths[column]
+        start = starts[index]
         infinity = real(np.inf)
         below, above = length, width
         if window > 0:

@@ -1,9 +1,9 @@
-"""A distance matrix that does not fit in memory: written to a file square by square, and gone on with.
+"""A distance matrix that does not fit in memory: written to a file square by square, and resumable.
 
-Beside the matrix stands ``NAME.progress``: in its first line a fingerprint of the series and the settings, then
-one line for each square that is in the file, with its CRC-32. A square is noted after it has been written out, so a
-process that is killed loses the square at which it was; the same call with ``resume=True`` computes that and the rest,
-and what of the file is not as it was noted.
+Next to the matrix is the journal ``NAME.progress``: a line with a fingerprint of the series and the settings, then a
+line for each finished square with its CRC-32. A square is recorded after it has been flushed, so a killed process loses
+only the current square; the same call with ``resume=True`` computes it and the rest, and any square that does not match
+its checksum.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ from cornercase.dtw.tiles import Tiles
 if TYPE_CHECKING:
     from distributed import Client
 
-# Series along one side of a square: some seconds of work, and 16 MB of the file with its mirror image.
+# Series per side of a square: a few seconds of work, and 16 MB of the file with its mirror image.
 SIDE = 1024
 
 _FORMAT: Any = np.lib.format
@@ -49,31 +49,11 @@ def distance_matrix(
     advance: Callable[[int], None],
     client: Client | None = None,
 ) -> FloatMap:
-    """Fill a matrix on disk from checked series.
+    """Fill a matrix on disk from checked series: a new file at a path, or a memmap (n, n) of an existing one.
 
-    Parameters
-    ----------
-    series : sequence of n ndarray, shape (T_i, k)
-    out : path or numpy.memmap of shape (n, n)
-        The path of a file in NumPy's format that is made, or a map onto an existing file.
-    resume : bool
-        Go on with what is there.
-    settings : Settings
-    advance : callable
-        Called with the number of cells that are settled since the last call.
-    client : distributed.Client, optional
-        Cluster that computes the squares; this process writes them.
-
-    Returns
-    -------
-    numpy.memmap
-        `out`, or the map onto the file at that path.
-
-    Raises
-    ------
-    InputError
-        `out` does not fit, exists although not to be resumed, or was begun from other series or settings, or there is
-        no space for it.
+    With `resume`, continue with the existing squares. A Dask `client` computes the squares; this process writes them.
+    Raises `InputError` if `out` does not fit, exists without `resume`, belongs to other series or settings, or lacks
+    space.
     """
     size = len(series)
     path = Path(_file_of(out, size, settings.dtype) if isinstance(out, np.memmap) else out)
@@ -83,23 +63,23 @@ def distance_matrix(
         if not resume:
             journal.unlink(missing_ok=True)
     elif not resume and path.exists():
-        raise InputError(f"{path}: exists; go on with it by resume=True, or give another path.")
+        raise InputError(f"{path}: already exists; continue it with resume=True, or give another path.")
     elif resume and path.exists() and not journal.exists():
-        raise InputError(f"{path}: {journal.name} is not beside it, so what it holds is unknown; give another path.")
+        raise InputError(f"{path}: {journal.name} is missing, so its content is unknown; give another path.")
     elif not path.exists():
         journal.unlink(missing_ok=True)
-    was_there = path.exists()
+    existed = path.exists()
     try:
-        noted = _begun(journal, fingerprint)
-        view = out if isinstance(out, np.memmap) else _map_of(path, size, settings.dtype, new=not noted)
+        checksums = _begun(journal, fingerprint)
+        view = out if isinstance(out, np.memmap) else _map_of(path, size, settings.dtype, new=not checksums)
         try:
             _reserve(path)
         except (InputError, OSError):
-            if not was_there:
+            if not existed:
                 path.unlink()
                 journal.unlink()
             raise
-        _fill(view, series, journal, noted, settings, advance, client)
+        _fill(view, series, journal, checksums, settings, advance, client)
     except OSError as error:
         raise InputError(f"{path}: cannot be written ({error.strerror}).") from error
     return view
@@ -116,34 +96,34 @@ def _fill(
 ) -> None:
     bands = [range(first, min(first + SIDE, len(series))) for first in range(0, len(series), SIDE)]
     parts = [[series[i] for i in band] for band in bands]
-    wanted = []
+    missing = []
     for a in range(len(bands)):
         for b in range(a, len(bands)):
             if (a, b) in noted and _is_there(view, bands[a], bands[b], noted[a, b]):
                 advance(pairs.cells(parts[a], None if a == b else parts[b]))
             else:
-                wanted.append((a, b))
+                missing.append((a, b))
     with journal.open("ab") as notes:
-        for a, b, square in _squares(parts, wanted, settings, advance, client):
+        for a, b, square in _squares(parts, missing, settings, advance, client):
             rows, columns = bands[a], bands[b]
             pairs.refuse_infinite(square, rows.start, columns.start)
-            # A map of its own for each square: what is unmapped no longer counts as this process's memory.
-            part = np.memmap(str(view.filename), view.dtype, "r+", view.offset, view.shape)
-            part[rows.start : rows.stop, columns.start : columns.stop] = square
-            part[columns.start : columns.stop, rows.start : rows.stop] = square.T
-            part.flush()
-            del part
+            # Map each square separately: unmapped pages no longer count as this process's memory.
+            memmap = np.memmap(str(view.filename), view.dtype, "r+", view.offset, view.shape)
+            memmap[rows.start : rows.stop, columns.start : columns.stop] = square
+            memmap[columns.start : columns.stop, rows.start : rows.stop] = square.T
+            memmap.flush()
+            del memmap
             notes.write(f"{a} {b} {_checksum(square)}\n".encode())
             notes.flush()
             os.fsync(notes.fileno())
 
 
 def _is_there(view: FloatMap, rows: range, columns: range, checksum: int) -> bool:
-    """Tell whether a square and its mirror image are as they were noted."""
-    # A map of its own, as where squares are written.
-    part = np.memmap(str(view.filename), view.dtype, "r", view.offset, view.shape)
-    square = part[rows.start : rows.stop, columns.start : columns.stop]
-    mirror = part[columns.start : columns.stop, rows.start : rows.stop].T
+    """Check that a square and its mirror image match a checksum."""
+    # Map each square separately, as for writing.
+    memmap = np.memmap(str(view.filename), view.dtype, "r", view.offset, view.shape)
+    square = memmap[rows.start : rows.stop, columns.start : columns.stop]
+    mirror = memmap[columns.start : columns.stop, rows.start : rows.stop].T
     return _checksum(square) == checksum == _checksum(mirror)
 
 
@@ -168,11 +148,11 @@ def _squares(
 
 
 def _file_of(out: FloatMap, size: int, dtype: np.dtype[Any]) -> str:
-    """Return the path of the file under a map that can be filled."""
+    """Return the path of the file under a memmap, if it can be filled."""
     if out.shape != (size, size) or out.dtype != dtype:
         raise InputError(f"out is {out.dtype} of shape {out.shape}; give {dtype} of shape ({size}, {size}).")
     if out.filename is None or not isinstance(out.base, mmap.mmap) or not out.flags.c_contiguous:
-        raise InputError("out is not the map of a whole file in rows; give a numpy.memmap as it was made, or a path.")
+        raise InputError("out is not a map of a whole file in row-major order; give such a numpy.memmap, or a path.")
     if out.mode not in ("r+", "w+"):
         raise InputError(f"out is open in mode {out.mode!r}; open it with 'r+'.")
     return os.fspath(out.filename)
@@ -180,7 +160,7 @@ def _file_of(out: FloatMap, size: int, dtype: np.dtype[Any]) -> str:
 
 def _map_of(path: Path, size: int, dtype: np.dtype[Any], *, new: bool) -> FloatMap:
     if not new:
-        # One that was cut is filled with what is computed again.
+        # Extend a truncated file; its missing squares are computed again.
         end = _header_size(path) + size * size * dtype.itemsize
         if path.stat().st_size < end:
             os.truncate(path, end)
@@ -189,18 +169,18 @@ def _map_of(path: Path, size: int, dtype: np.dtype[Any], *, new: bool) -> FloatM
     except ValueError as error:
         raise InputError(f"{path}: is not a NumPy file; give another path.") from error
     if view.shape != (size, size) or view.dtype != dtype or not view.flags.c_contiguous:
-        raise InputError(f"{path}: holds {view.dtype} of shape {view.shape}, which is another matrix.")
+        raise InputError(f"{path}: holds {view.dtype} of shape {view.shape}, which does not match.")
     return view
 
 
 def _reserve(path: Path) -> None:
-    """Take the space of the whole file now: who writes into a map when the disk is full is ended by the system."""
+    """Allocate the whole file now: the system kills a process that writes into a map of a full disk."""
     lacking = bytes_in_holes(path)
     free = shutil.disk_usage(path).free
     if lacking > free:
         raise InputError(
-            f"{path}: needs {size_in_words(lacking)} more on this disk, of which {size_in_words(free)} are free; free"
-            " some space, or give a path on another one."
+            f"{path}: needs {size_in_words(lacking)} more disk space, but only {size_in_words(free)} are free;"
+            " free some space, or give a path on another disk."
         )
     if lacking > 0:
         fill_holes(path)
@@ -218,36 +198,36 @@ def _header_size(path: Path) -> int:
 
 
 def _begun(journal: Path, fingerprint: str) -> dict[tuple[int, int], int]:
-    """Return checksums of the squares that are in the file; a journal that is not there is begun."""
+    """Return checksums of the finished squares; start the journal if there is none."""
     if not journal.exists():
         journal.write_text(fingerprint + "\n", encoding="utf-8", newline="\n")
         return {}
     content = journal.read_bytes()
-    # A line without its end was not all written when the machine went down.
-    whole = content[: content.rfind(b"\n") + 1]
-    if len(whole) < len(content):
-        journal.write_bytes(whole)
-    first, *squares = whole.decode(errors="replace").splitlines() or [fingerprint]
-    if not whole:
+    # Drop an incomplete last line.
+    complete = content[: content.rfind(b"\n") + 1]
+    if len(complete) < len(content):
+        journal.write_bytes(complete)
+    first, *squares = complete.decode(errors="replace").splitlines() or [fingerprint]
+    if not complete:
         journal.write_text(fingerprint + "\n", encoding="utf-8", newline="\n")
     if first != fingerprint:
         raise InputError(
             f"{journal}: belongs to other series or settings; give those again, or delete it and the matrix."
         )
-    noted = {}
+    checksums = {}
     for line in squares:
-        # What cannot be read was damaged, and its square is computed again.
+        # A damaged line: its square is computed again.
         with suppress(ValueError):
             a, b, checksum = map(int, line.split())
-            noted[a, b] = checksum
-    return noted
+            checksums[a, b] = checksum
+    return checksums
 
 
 def _fingerprint(series: Sequence[Floats], settings: Settings) -> str:
     digest = hashlib.sha256()
-    for one in series:
-        digest.update(repr(one.shape).encode())
-        digest.update(one.tobytes())
+    for values in series:
+        digest.update(repr(values.shape).encode())
+        digest.update(values.tobytes())
     cost = "squared" if settings.squared else "euclidean"
     return (
         f"cornercase-dtw 2 {digest.hexdigest()} {len(series)} {cost} window={settings.window} "

@@ -1,8 +1,8 @@
-"""How alike two scenarios are: dynamic time warping between all pairs of series.
+"""Dynamic time warping distance between all pairs of series.
 
-The distance of two series is the sum of the local costs along the cheapest path through their table, from
-both first to both last points, by steps 1-1, 1-0 and 0-1 (Sakoe and Chiba, Dynamic programming algorithm
-optimization for spoken word recognition, 1978, without slope constraint and weighting).
+The distance of two series is the sum of the local costs along the cheapest path through their table, from both first
+to both last points, by steps 1-1, 1-0 and 0-1 (Sakoe and Chiba, Dynamic programming algorithm optimization for spoken
+word recognition, 1978, without slope constraint and weighting).
 """
 
 from __future__ import annotations
@@ -43,36 +43,35 @@ def distance_matrix(
     resume: bool = False,
     client: Client | None = None,
 ) -> npt.NDArray[np.floating[Any]]:
-    """Dynamic time warping distance between all pairs of series.
+    """Compute the dynamic time warping distance between all pairs of series.
 
     Parameters
     ----------
     series : sequence of n array_like, shape (T_i,) or (T_i, k)
-        Courses or trajectories of unequal lengths, all of the same number of dimensions k.
+        Time series or trajectories of any lengths, all with the same number of dimensions k.
     local_cost : {"euclidean", "squared"}
-        ``"euclidean"``: the cost of two points is their Euclidean distance, and the result has its unit.
-        ``"squared"``: the cost is the squared distance and the root is taken of the sum, as tslearn and
-        dtaidistance do.
+        ``"euclidean"``: the cost of two points is their Euclidean distance, and the result has its unit. ``"squared"``:
+        the cost is the squared distance and the root is taken of the sum, as tslearn and dtaidistance do.
     window : int, optional
-        Sakoe-Chiba band, at least 1: only points whose instants are less than `window` apart may be matched,
-        so 1 allows no warping. For unequal lengths the band reaches around both diagonals, the one from the
-        first points and the one from the last: ``-(max(T_i - T_j, 0) + window) < t_j - t_i < max(T_j - T_i,
-        0) + window``. This is dtaidistance's `window`, and tslearn's `sakoe_chiba_radius` plus one.
+        Sakoe-Chiba band, at least 1: only points less than `window` instants apart may be matched, so 1 allows no
+        warping. For unequal lengths the band surrounds both diagonals, the one from the first points and the one from
+        the last: ``-(max(T_i - T_j, 0) + window) < t_j - t_i < max(T_j - T_i, 0) + window``. This is dtaidistance's
+        `window`, and tslearn's `sakoe_chiba_radius` plus one.
     dtype : {"float64", "float32"}
-        Of the arithmetic and of the result. In single precision the common mean of all points is taken off
-        first, which changes no distance but keeps digits where coordinates are large.
+        Type of the arithmetic and of the result. In single precision the common mean of all points is subtracted first,
+        which changes no distance but keeps digits if coordinates are large.
     n_jobs : int, optional
-        Number of threads; as many as the process has CPUs if not given. Does not change the result.
+        Number of threads; by default the number of available CPUs. Does not change the result.
     device : {"cpu", "cuda"}
         Where to compute. ``"cuda"`` needs an NVIDIA GPU and the extra `gpu`; the last digits may differ there.
     progress : bool
-        Show a progress bar on standard error, once it takes seconds.
+        Show a progress bar on standard error after a few seconds.
     out : path or numpy.memmap of `dtype`, shape (n, n), optional
-        For a matrix that does not fit in memory: the path of a file to make (NumPy's format, ``numpy.load(path,
-        mmap_mode="r")`` reads it), or a map onto one. A second file, ``.progress``, stands beside it.
+        For a matrix that does not fit in memory: the path of a file to create (NumPy's format, ``numpy.load(path,
+        mmap_mode="r")`` reads it), or a map onto one. A second file, ``.progress``, is created next to it.
     resume : bool
-        Go on with `out` where an earlier call with the same series and options was ended, however it was. What
-        is in the file already is not computed again; nothing there is nothing done.
+        Continue `out` after an earlier call with the same series and options has ended in any way. Squares in the file
+        are not computed again; without a file, start from the beginning.
     client : distributed.Client, optional
         Dask cluster whose workers compute, on all of their cores; with it, `n_jobs` has no effect. The result is the
         same to the bit. Needs the extra `cluster`.
@@ -80,14 +79,14 @@ def distance_matrix(
     Returns
     -------
     ndarray of `dtype`, shape (n, n)
-        Symmetric to the bit, zero on the diagonal. The map where `out` is given.
+        Symmetric to the bit, zero on the diagonal. The map if `out` is given.
 
     Raises
     ------
     InputError
-        A series is empty, not numeric, not finite or of another number of dimensions than the first (the
-        message names its index), an option is not one of those above, a distance is too large for `dtype`, there
-        is no GPU, or `out` does not fit or holds something else.
+        If a series is empty, not numeric, not finite or has another number of dimensions than the first (the message
+        names its index), an option is invalid, a distance is too large for `dtype`, there is no GPU, or `out` does not
+        fit or belongs to something else.
 
     Examples
     --------
@@ -97,19 +96,19 @@ def distance_matrix(
     settings = _settings(local_cost, window, dtype, n_jobs, device, client)
     arrays = _checked(series)
     if resume and out is None:
-        raise InputError("resume is for a matrix on disk; give out.")
+        raise InputError("resume needs a matrix on disk; give out.")
     if len(arrays) < 2 and out is None:
         return np.zeros((len(arrays), len(arrays)), dtype=settings.dtype)
     arrays = _centred(arrays, settings.dtype, len(arrays))
     with _shown(progress, pairs.cells(arrays, None)) as advance:
         if out is None:
-            found = _computed(arrays, None, settings, client, advance)
-            pairs.refuse_infinite(found)
-            return found
+            result = _computed(arrays, None, settings, client, advance)
+            pairs.refuse_infinite(result)
+            return result
         if isinstance(out, np.ndarray) and not isinstance(out, np.memmap):
             raise InputError("out is an array in memory; give a path or a numpy.memmap.")
         if not arrays:
-            raise InputError("There are no series to fill out from.")
+            raise InputError("There are no series to fill out with.")
         return disk.distance_matrix(arrays, out, resume=resume, settings=settings, advance=advance, client=client)
 
 
@@ -125,26 +124,23 @@ def distances_to(
     progress: bool = False,
     client: Client | None = None,
 ) -> npt.NDArray[np.floating[Any]]:
-    """Dynamic time warping distance of each series to each landmark.
+    """Compute the dynamic time warping distance of each series to each landmark.
 
     The options are those of `distance_matrix`.
 
     Parameters
     ----------
     series : sequence of n array_like, shape (T_i,) or (T_i, k)
+        Time series or trajectories.
     landmarks : sequence of m array_like, shape (T_j,) or (T_j, k)
-        Of the same number of dimensions k as the series.
-    local_cost : {"euclidean", "squared"}, default "euclidean"
-    window : int, optional
-    dtype : {"float64", "float32"}, default "float64"
-    n_jobs : int, optional
-    device : {"cpu", "cuda"}, default "cpu"
-    progress : bool, default False
-    client : distributed.Client, optional
+        With the same number of dimensions k as the series.
+    local_cost, window, dtype, n_jobs, device, progress, client
+        As in `distance_matrix`.
 
     Returns
     -------
     ndarray of `dtype`, shape (n, m)
+        Distances.
 
     Raises
     ------
@@ -161,12 +157,12 @@ def distances_to(
     columns = _checked(landmarks, "Landmark", rows[0].shape[1] if rows else None)
     if not rows or not columns:
         return np.zeros((len(rows), len(columns)), dtype=settings.dtype)
-    both = _centred([*rows, *columns], settings.dtype, len(rows))
-    rows, columns = both[: len(rows)], both[len(rows) :]
+    arrays = _centred([*rows, *columns], settings.dtype, len(rows))
+    rows, columns = arrays[: len(rows)], arrays[len(rows) :]
     with _shown(progress, pairs.cells(rows, columns)) as advance:
-        found = _computed(rows, columns, settings, client, advance)
-    pairs.refuse_infinite(found, columns="landmark ")
-    return found
+        result = _computed(rows, columns, settings, client, advance)
+    pairs.refuse_infinite(result, columns="landmark ")
+    return result
 
 
 def kernel_matrix(
@@ -181,19 +177,17 @@ def kernel_matrix(
 ) -> npt.NDArray[np.floating[Any]]:
     """Gaussian (RBF) kernel ``exp(-gamma d²)`` of the dynamic time warping distances d between all pairs.
 
-    Distances that a lower bound proves to be so large that their entry underflows to zero are not computed; the
-    result is the same to the bit as that of `distance_matrix`. The other options are those of `distance_matrix`.
+    If a lower bound proves that an entry underflows to zero, its distance is not computed; the result is the same to
+    the bit as that of `distance_matrix`. The other options are those of `distance_matrix`.
 
     Parameters
     ----------
     series : sequence of n array_like, shape (T_i,) or (T_i, k)
+        Time series or trajectories.
     gamma : float
         Above 0, in one over the unit of the distance squared.
-    local_cost : {"euclidean", "squared"}, default "euclidean"
-    window : int, optional
-    dtype : {"float64", "float32"}, default "float64"
-    n_jobs : int, optional
-    progress : bool, default False
+    local_cost, window, dtype, n_jobs, progress
+        As in `distance_matrix`.
 
     Returns
     -------
@@ -203,7 +197,7 @@ def kernel_matrix(
     Raises
     ------
     InputError
-        As by `distance_matrix`, or `gamma` is not above 0.
+        As by `distance_matrix`, or if `gamma` is not above 0.
 
     Examples
     --------
@@ -218,11 +212,11 @@ def kernel_matrix(
         return np.ones((len(arrays), len(arrays)), dtype=settings.dtype)
     arrays = _centred(arrays, settings.dtype, len(arrays))
     # exp underflows to 0 below the logarithm of half the smallest positive number.
-    vanishes = 1.0 + np.log(2.0) - np.log(float(np.finfo(settings.dtype).smallest_subnormal))
+    max_exponent = 1.0 + np.log(2.0) - np.log(float(np.finfo(settings.dtype).smallest_subnormal))
     with _shown(progress, pairs.cells(arrays, None)) as advance:
-        found = pairs.distances(arrays, None, settings, advance, beyond=float(np.sqrt(vanishes / gamma)))
+        result = pairs.distances(arrays, None, settings, advance, beyond=float(np.sqrt(max_exponent / gamma)))
     with np.errstate(over="ignore", under="ignore"):
-        kernel: npt.NDArray[np.floating[Any]] = np.exp(-settings.dtype.type(gamma) * found**2)
+        kernel: npt.NDArray[np.floating[Any]] = np.exp(-settings.dtype.type(gamma) * result**2)
     return kernel
 
 
@@ -249,30 +243,29 @@ def _settings(
     if client is not None:
         require_client(client)
         if device != "cpu":
-            raise InputError("`client`: its workers compute on their CPUs; leave out `device`, or `client`.")
+            raise InputError("`client` computes on the CPUs of its workers; omit `device` or `client`.")
     if local_cost not in ("euclidean", "squared"):
         raise InputError(f"local_cost is {local_cost!r}; choose 'euclidean' or 'squared'.")
     if device not in ("cpu", "cuda"):
         raise InputError(f"device is {device!r}; choose 'cpu' or 'cuda'.")
     if dtype not in ("float64", "float32", np.float64, np.float32, np.dtype("float64"), np.dtype("float32")):
         raise InputError(f"dtype is {dtype!r}; choose 'float64' or 'float32'.")
-    # Kernels take 64 bits, and no series is as long as this.
+    # Fits 64 bits, and exceeds any length.
     window = None if window is None else min(_positive("window", window), 2**40)
     threads = available_cpus() if n_jobs is None else _positive("n_jobs", n_jobs)
     if device == "cuda":
         pairs.require_gpu()
-        return Settings(local_cost == "squared", window, np.dtype(dtype), threads, "cuda")
-    return Settings(local_cost == "squared", window, np.dtype(dtype), threads, "cpu")
+    return Settings(local_cost == "squared", window, np.dtype(dtype), threads, "cuda" if device == "cuda" else "cpu")
 
 
 def _centred(
     arrays: list[npt.NDArray[np.float64]], dtype: np.dtype[Any], n_series: int
 ) -> list[npt.NDArray[np.float64]]:
-    """Subtract the common mean in single precision; after `n_series` series come landmarks."""
+    """Subtract the common mean in single precision; the first `n_series` arrays are series, the others landmarks."""
     if dtype != np.float32 or not arrays:
         return arrays
     points = np.concatenate(arrays)
-    # A sum of huge numbers must not overflow before the message below can name one of them.
+    # Must not overflow before the message below can name the series.
     mean = (points / len(points)).sum(axis=0)
     arrays = [array - mean for array in arrays]
     sizes = [np.abs(array).max() for array in arrays]
@@ -292,11 +285,11 @@ def _positive(name: str, value: object) -> int:
 def _checked(
     series: Sequence[npt.ArrayLike], name: str = "Series", dims: int | None = None
 ) -> list[npt.NDArray[np.float64]]:
-    """Return the series as finite arrays of shape (T_i, k), `dims` being the k that is known already."""
+    """Return the series as finite arrays of shape (T_i, k); `dims` is k if already known."""
     arrays: list[npt.NDArray[np.float64]] = []
-    for index, one in enumerate(series):
+    for index, values in enumerate(series):
         try:
-            array = np.asarray(one, dtype=np.float64)
+            array = np.asarray(values, dtype=np.float64)
         except (TypeError, ValueError) as error:
             raise InputError(f"{name} {index} is not an array of numbers; give shape (T,) or (T, k).") from error
         if array.ndim not in (1, 2):
@@ -307,7 +300,7 @@ def _checked(
         dims = array.shape[1] if dims is None else dims
         if array.shape[1] != dims:
             raise InputError(
-                f"{name} {index} has {array.shape[1]} dimensions where series 0 has {dims}; give all the same."
+                f"{name} {index} has {array.shape[1]} dimensions, but series 0 has {dims}; use the same number for all."
             )
         if dims > MAX_DIMENSIONS:
             raise InputError(f"{name} {index} has {dims} dimensions; at most {MAX_DIMENSIONS} are supported.")
@@ -318,13 +311,13 @@ def _checked(
     return arrays
 
 
-# Steps of the algorithm that the bar counts as one.
+# Cells per step of the progress bar.
 _SHOWN: Final = 1_000_000
 
 
 @contextmanager
 def _shown(progress: bool, cells: int) -> Iterator[Callable[[int], None]]:
-    """Give the function to call with the number of cells of each finished tile."""
+    """Show a progress bar; yield the function that takes the number of cells of each finished tile."""
     total = max(1, round(cells / _SHOWN))
     done = 0
 

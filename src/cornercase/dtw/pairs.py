@@ -1,4 +1,4 @@
-"""All distances of a set of series in memory: what need not be computed first, then the CPU or the GPU."""
+"""All distances of a set of series in memory, on the CPU or the GPU, without redundant ones."""
 
 from __future__ import annotations
 
@@ -36,23 +36,10 @@ def distances(
     advance: Callable[[int], None],
     beyond: float | None = None,
 ) -> Floats:
-    """Distances of checked series.
+    """Distances of checked series, shape (len(rows), len(columns)); infinite on overflow or if not computed.
 
-    Parameters
-    ----------
-    rows : sequence of ndarray, shape (T_i, k)
-    columns : sequence of ndarray, shape (T_j, k), or None
-        None: the rows again.
-    settings : Settings
-    advance : callable
-        Called with the number of cells that are settled since the last call.
-    beyond : float, optional
-        Distances that surely exceed it need not be computed; for all pairs of the rows on the CPU.
-
-    Returns
-    -------
-    ndarray, shape (len(rows), len(columns))
-        Infinite where a distance is too large for the type, or was not computed.
+    `columns` None means the rows. `report_progress` gets the number of cells done since its last call. Distances that
+    surely exceed `max_distance` need not be computed (for all pairs of the rows on the CPU).
     """
     total = cells(rows, columns)
     distinct_rows, row_of = distinct(rows)
@@ -73,7 +60,7 @@ def distances(
     if settings.device == "cuda":
         from cornercase.dtw import cuda
 
-        found = cuda.distances(
+        result = cuda.distances(
             distinct_rows,
             distinct_columns,
             squared=settings.squared,
@@ -82,7 +69,7 @@ def distances(
             advance=settled,
         )
     else:
-        found = cpu.distances(
+        result = cpu.distances(
             distinct_rows,
             distinct_columns,
             squared=settings.squared,
@@ -93,20 +80,15 @@ def distances(
             needed=needed,
         )
     if len(distinct_rows) < len(rows) or (distinct_columns and columns and len(distinct_columns) < len(columns)):
-        found = found[row_of[:, None], column_of]
-    return found
+        result = result[row_of[:, None], column_of]
+    return result
 
 
 def refuse_infinite(found: Floats, rows_from: int = 0, columns_from: int = 0, columns: str = "") -> None:
-    """Refuse distances that have overflown, and name the first pair.
+    """Raise `InputError` for the first pair whose distance has overflowed.
 
-    Parameters
-    ----------
-    found : ndarray, shape (n, m)
-    rows_from, columns_from : int
-        Index of the first row and column.
-    columns : str
-        What a column is if no series, with a space behind it.
+    `first_row`, `first_column`: index of the first row and column; `column_label`: what a column is, with a trailing
+    space.
     """
     if not np.isfinite(found).all():
         i, j = np.argwhere(~np.isfinite(found))[0] + (rows_from, columns_from)
@@ -116,13 +98,7 @@ def refuse_infinite(found: Floats, rows_from: int = 0, columns_from: int = 0, co
 
 
 def require_gpu() -> None:
-    """Refuse where there is no GPU to use; numba's simulator counts as one.
-
-    Raises
-    ------
-    InputError
-        numba-cuda or the GPU is missing.
-    """
+    """Raise `InputError` if there is no usable GPU; numba's simulator counts as one."""
     if os.environ.get("NUMBA_ENABLE_CUDASIM") == "1":
         return
     if find_spec("numba_cuda") is None:
@@ -130,21 +106,21 @@ def require_gpu() -> None:
     from numba import cuda
 
     if not cuda.is_available():
-        raise InputError("device 'cuda' needs an NVIDIA GPU and its driver, and finds none; choose device 'cpu'.")
+        raise InputError("device 'cuda' needs an NVIDIA GPU and its driver, but none was found; choose device 'cpu'.")
 
 
 def cells(rows: Sequence[Floats], columns: Sequence[Floats] | None) -> int:
-    """Return how many entries the tables of all pairs have together."""
-    lengths = np.array([len(one) for one in rows], dtype=np.float64)
+    """Total number of cells of the tables of all pairs."""
+    lengths = np.array([len(values) for values in rows], dtype=np.float64)
     if columns is None:
         return int((lengths.sum() ** 2 - (lengths**2).sum()) / 2)
-    return int(lengths.sum() * sum(len(one) for one in columns))
+    return int(lengths.sum() * sum(len(values) for values in columns))
 
 
 def distinct(series: Sequence[Floats]) -> tuple[Sequence[Floats], IntArray]:
-    """Return each series that is not the bitwise copy of an earlier one, and for all series which it is."""
-    place: dict[bytes, int] = {}
-    index = np.array([place.setdefault(one.tobytes(), len(place)) for one in series], dtype=np.int64)
+    """Return series without bitwise duplicates, and the index among them for each series."""
+    positions: dict[bytes, int] = {}
+    index = np.array([positions.setdefault(values.tobytes(), len(positions)) for values in series], dtype=np.int64)
     _, first = np.unique(index, return_index=True)
     return [series[i] for i in first], index
 
@@ -152,21 +128,21 @@ def distinct(series: Sequence[Floats]) -> tuple[Sequence[Floats], IntArray]:
 def without_common_rests(
     rows: Sequence[Floats], columns: Sequence[Floats] | None
 ) -> tuple[Sequence[Floats], Sequence[Floats] | None]:
-    """Where all series begin, or end, with a rest at one point, shorten the rest to that point.
+    """Shorten a common constant start, or end, of all series to one point, which changes no distance.
 
-    A course at its cap is such a rest. Without a window the distances stay the same to the bit. Let x begin
-    with p and y with q times the point c. A path that leaves the square of the two rests before both are
-    over, say at ``x[i]`` with ``i < p``, goes on along ``x[i] ... x[p - 1]``, all c, and meets each of the
-    columns on its way at least once. Resting until ``(p - 1, q - 1)`` costs nothing, and meeting each of
-    these columns from ``x[p - 1]`` costs a part of the same terms in the same order; leaving out
-    terms that are not negative raises no rounded sum. So some cheapest path rests, and what it does before
-    ``(p - 1, q - 1)`` can be cut off. The end is the beginning read backwards. A beginning that is common
-    but no rest cannot be cut off: after 0, 3 in both, a path may have left early to meet zeros in the other.
+    A metric's course at its cap is such a rest. Without a window the distances stay the same to the bit. Let x begin
+    with p and y with q times the point c. A path that leaves the square of the two rests before both are over, say at
+    ``x[i]`` with ``i < p``, continues along ``x[i] ... x[p - 1]``, all c, and meets each of the columns on its way at
+    least once. Resting until ``(p - 1, q - 1)`` costs nothing, and meeting each of these columns from ``x[p - 1]``
+    costs a subset of the same terms in the same order; omitting non-negative terms raises no rounded sum. So some
+    cheapest path rests, and its part before ``(p - 1, q - 1)`` can be cut off. The end is the start reversed. A common
+    start that is not constant cannot be cut off: after 0, 3 in both, a path may have left early to meet zeros in the
+    other.
     """
     series = [*rows, *(columns or ())]
-    begins = np.array([one[0] for one in series])
-    ends = np.array([one[-1] for one in series])
-    at_begin, at_end = bool((begins == begins[0]).all()), bool((ends == ends[0]).all())
+    starts = np.array([values[0] for values in series])
+    ends = np.array([values[-1] for values in series])
+    at_begin, at_end = bool((starts == starts[0]).all()), bool((ends == ends[0]).all())
     if not at_begin and not at_end:
         return rows, columns
 
@@ -179,4 +155,6 @@ def without_common_rests(
             one = one[: moving[-1] + 2] if len(moving) else one[:1]
         return one
 
-    return [shortened(one) for one in rows], None if columns is None else [shortened(one) for one in columns]
+    return [shortened(values) for values in rows], None if columns is None else [
+        shortened(values) for values in columns
+    ]

@@ -1,9 +1,8 @@
-"""Vectors of 64 bytes for numba: 8 double or 16 single numbers that go through the same operations.
+"""Vectors of 64 bytes for numba: 8 double or 16 single numbers that undergo the same operations.
 
-Numba leaves it to the compiler whether a loop becomes vector instructions. The recurrence of dynamic time
-warping is one that compilers give up on, so the vectors are spelled out here. Where a machine has narrower
-registers the compiler splits them. No operation reorders or fuses arithmetic: each lane has the bits that
-scalar code has.
+Numba leaves it to the compiler whether a loop becomes vector instructions, and compilers give up on the recurrence of
+dynamic time warping, so the vectors are explicit here. On machines with narrower registers the compiler splits them. No
+operation reorders or fuses arithmetic: each lane has the bits of scalar code.
 """
 
 # Compiled functions have no static types.
@@ -48,9 +47,9 @@ def _pointer(context: Any, builder: Any, array_type: Any, array: Any, index: Any
 
 def _broadcast(builder: Any, scalar: Any, vector: ir.VectorType) -> Any:
     undefined = ir.Constant(vector, ir.Undefined)
-    one = builder.insert_element(undefined, scalar, ir.Constant(ir.IntType(32), 0))
+    first_lane = builder.insert_element(undefined, scalar, ir.Constant(ir.IntType(32), 0))
     mask = ir.Constant(ir.VectorType(ir.IntType(32), vector.count), None)
-    return builder.shuffle_vector(one, undefined, mask)
+    return builder.shuffle_vector(first_lane, undefined, mask)
 
 
 def _call(builder: Any, name: str, value: Any) -> Any:
@@ -62,7 +61,7 @@ def _call(builder: Any, name: str, value: Any) -> Any:
 
 @intrinsic
 def load(typingctx: Any, array: Any, index: Any) -> Any:
-    """Vector of the elements from `index` on of a contiguous one-dimensional array."""
+    """Load a vector from `index` on of a contiguous one-dimensional array."""
     vector = Vector(array.dtype)
 
     def codegen(context: Any, builder: Any, signature: Any, args: Any) -> Any:
@@ -88,7 +87,7 @@ def store(typingctx: Any, array: Any, index: Any, value: Any) -> Any:
 
 @intrinsic(prefer_literal=True)
 def point(typingctx: Any, array: Any, index: Any, dims: Any) -> Any:
-    """Tuple of `dims` vectors: each of the elements from `index` on in every lane. `dims` is a constant."""
+    """Tuple of `dims` (a constant) vectors, each with one element from `index` on in every lane."""
     vector = Vector(array.dtype)
     vectors = types.UniTuple(vector, dims.literal_value)
 
@@ -106,11 +105,13 @@ def point(typingctx: Any, array: Any, index: Any, dims: Any) -> Any:
 
 @intrinsic
 def sum_of_squares(typingctx: Any, point: Any, array: Any, index: Any) -> Any:
-    """Squared distance of a point to the points from `index` on, whose coordinates are vectors one after the other."""
+    """Squared distances of a point to the interleaved points from `index` on."""
 
     def codegen(context: Any, builder: Any, signature: Any, args: Any) -> Any:
-        kind = _ir_type(point.dtype)
-        pointer = builder.bitcast(_pointer(context, builder, signature.args[1], args[1], args[2]), kind.as_pointer())
+        vector_type = _ir_type(point.dtype)
+        pointer = builder.bitcast(
+            _pointer(context, builder, signature.args[1], args[1], args[2]), vector_type.as_pointer()
+        )
         total = None
         for d in range(len(point)):
             other = builder.load(
@@ -146,25 +147,24 @@ def _unary(build: Any) -> Any:
 
 add = _binary(lambda builder, a, b: builder.fadd(a, b))
 subtract = _binary(lambda builder, a, b: builder.fsub(a, b))
-multiply = _binary(lambda builder, a, b: builder.fmul(a, b))
 minimum = _binary(lambda builder, a, b: builder.select(builder.fcmp_ordered("<", a, b), a, b))
 
 
-# AVX-512 has a minimum of whole numbers of either width that runs beside the additions, where the minimum of
-# floating-point numbers competes with them. The bits of non-negative numbers have the order of the numbers.
+# In AVX-512 the integer minimum runs in parallel with additions, and the floating-point minimum competes with them. The
+# bits of non-negative floats sort like integers.
 _INTEGER_MINIMUM = bool(get_host_cpu_features().get("avx512f"))
 
 
 @intrinsic
 def lowest(typingctx: Any, a: Any, b: Any) -> Any:
-    """Minimum of two vectors that are nowhere negative, infinity included."""
+    """Minimum of two vectors of non-negative numbers, including infinity."""
 
     def codegen(context: Any, builder: Any, signature: Any, args: Any) -> Any:
         a, b = args
         if not _INTEGER_MINIMUM:
             return builder.select(builder.fcmp_ordered("<", a, b), a, b)
-        whole = ir.VectorType(ir.IntType(BYTES * 8 // a.type.count), a.type.count)
-        p, q = builder.bitcast(a, whole), builder.bitcast(b, whole)
+        integer_vector = ir.VectorType(ir.IntType(BYTES * 8 // a.type.count), a.type.count)
+        p, q = builder.bitcast(a, integer_vector), builder.bitcast(b, integer_vector)
         return builder.bitcast(builder.select(builder.icmp_signed("<", p, q), p, q), a.type)
 
     return a(a, b), codegen
@@ -176,7 +176,7 @@ root = _unary(lambda builder, a: _call(builder, "sqrt", a))
 
 @intrinsic
 def within(typingctx: Any, value: Any, shift: Any, below: Any, above: Any) -> Any:
-    """`value` in the lanes where ``-below <= shift <= above``, else infinity; `shift` is a scalar."""
+    """`value` in the lanes where ``-below <= shift <= above`` for the scalar `shift`, else infinity."""
 
     def codegen(context: Any, builder: Any, signature: Any, args: Any) -> Any:
         value, shift, below, above = args

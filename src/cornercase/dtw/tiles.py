@@ -1,4 +1,4 @@
-"""Distances by the workers of a Dask cluster, square by square."""
+"""Distances computed by the workers of a Dask cluster, square by square."""
 
 from __future__ import annotations
 
@@ -22,29 +22,21 @@ from cornercase.dtw.pairs import Floats, Settings
 if TYPE_CHECKING:
     from distributed import Client, Future
 
-# So many squares are with each thread of the workers at a time: enough that none waits, and few to be kept.
+# Squares submitted per thread: enough that no thread waits, and few to store.
 _AHEAD: Final = 2
 
-# So often a square is given to the workers again after several of them were lost with it.
+# Retries of a square whose workers were lost.
 _MOST_LOST: Final = 5
 
-# Series along one side of a square in memory, at least and at most, and so many squares at least where that leaves a
-# choice.
+# Minimum and maximum number of series per side of a square in memory, and the preferred number of bands.
 _SIDES: Final = (64, 1024)
 _BANDS: Final = 12
 
 
 class Tiles:
-    """Squares of a matrix of distances, each computed by a worker of a cluster.
+    """Squares of a distance matrix, computed by a cluster; identical to `pairs.distances` to the last bit.
 
-    The series are sent once, in bands; a square needs two of them. What is computed is what `pairs.distances` gives
-    here, to the last bit.
-
-    Parameters
-    ----------
-    client : distributed.Client
-    settings : Settings
-    bands : sequence of sequence of ndarray, shape (T_i, k)
+    The series are sent once, in bands; a square needs two of them.
     """
 
     def __init__(self, client: Client, settings: Settings, bands: Sequence[Sequence[Floats]]) -> None:
@@ -52,24 +44,9 @@ class Tiles:
         self._sent: dict[int, Future[Any]] = {}
 
     def squares(self, wanted: Iterable[tuple[int, int]]) -> Iterator[tuple[int, int, Floats]]:
-        """Compute squares.
+        """Yield (rows, columns, distances) for squares given by the indices of their bands, in the order of completion.
 
-        Parameters
-        ----------
-        wanted : iterable of (int, int)
-            The bands that are the rows and columns of each; the same twice for a square on the diagonal.
-
-        Yields
-        ------
-        rows, columns : int
-            Bands.
-        distances : ndarray
-            In the order in which they are done.
-
-        Raises
-        ------
-        InputError
-            The workers cannot compute them, or the cluster is lost.
+        Raises `InputError` if the workers cannot compute them, or the cluster is lost.
         """
         from distributed.scheduler import KilledWorker
 
@@ -83,9 +60,9 @@ class Tiles:
                     running[self._submit(*square)] = square
                 for future in ended(self._client, list(running)):
                     square = running.pop(future)
-                    found, error = take(self._client, future)
+                    result, error = take(self._client, future)
                     if error is None:
-                        yield *square, found
+                        yield *square, result
                     elif isinstance(error, KilledWorker) and lost.count(square) < _MOST_LOST:
                         lost.append(square)
                         waiting.append(square)
@@ -119,7 +96,7 @@ class Tiles:
     def _band(self, number: int) -> Future[Any]:
         if number not in self._sent or self._sent[number].status not in ("pending", "finished", "lost"):
             with warnings.catch_warnings():
-                # That it is large is known; as the task of itself it can be made again where its worker is lost.
+                # The size is intended; as its own task a band is sent again if its worker is lost.
                 warnings.filterwarnings("ignore", message="Sending large graph")
                 self._sent[number] = self._client.submit(
                     _itself, self._bands[number], key=f"cornercase-band-{uuid.uuid4().hex}", pure=False
@@ -132,7 +109,7 @@ class Tiles:
         words = " ".join(f"{type(error).__name__}: {error}".split())[:300]
         return InputError(
             f"`client` {name_cluster(self._client)}: its workers cannot compute distances ({words}); install the same"
-            " versions on each as here, and run the same again to go on."
+            " package versions there as here, and run the same call again to resume."
         )
 
 
@@ -149,29 +126,13 @@ def compute_square(
 ) -> Floats:
     """Compute a square of distances on a worker.
 
-    Parameters
-    ----------
-    version : str
-        Of the cornercase that asks.
-    settings : Settings
-    machines : dict of str to int
-        How many threads the workers of each machine have together, by its address.
-    rows : sequence of ndarray, shape (T_i, k)
-    columns : sequence of ndarray, shape (T_j, k), or None
-        None: the rows again.
-
-    Returns
-    -------
-    ndarray, shape (len(rows), len(columns))
-
-    Raises
-    ------
-    InputError
-        This process has another version of cornercase.
+    Raises `InputError` if the worker has another `version` of cornercase. `machines`: number of threads of all workers
+    of each machine, by address.
     """
     if version != __version__:
         raise InputError(
-            f"`client`: a worker has cornercase {__version__}, and this is {version}; install the same on each."
+            f"`client`: a worker has cornercase {__version__}, but this process has {version}; install the same"
+            " version everywhere."
         )
     from distributed import get_worker
 
@@ -192,58 +153,28 @@ def distances(
     client: Client,
     advance: Callable[[int], None],
 ) -> Floats:
-    """Distances of checked series, as `pairs.distances` gives them.
-
-    Parameters
-    ----------
-    rows : sequence of ndarray, shape (T_i, k)
-    columns : sequence of ndarray, shape (T_j, k), or None
-        None: the rows again.
-    settings : Settings
-    client : distributed.Client
-    advance : callable
-        Called with the number of cells that are settled since the last call.
-
-    Returns
-    -------
-    ndarray, shape (len(rows), len(columns))
-
-    Raises
-    ------
-    InputError
-        As by `Tiles.squares`.
-    """
-    of_rows = bands_of(len(rows))
-    parts: list[Sequence[Floats]] = [[rows[i] for i in band] for band in of_rows]
+    """Compute distances of checked series on a cluster, like `pairs.distances`."""
+    row_bands = bands_of(len(rows))
+    parts: list[Sequence[Floats]] = [[rows[i] for i in band] for band in row_bands]
     if columns is None:
-        found = np.zeros((len(rows), len(rows)), dtype=settings.dtype)
-        wanted = [(a, b) for a in range(len(parts)) for b in range(a, len(parts))]
+        result = np.zeros((len(rows), len(rows)), dtype=settings.dtype)
+        squares = [(a, b) for a in range(len(parts)) for b in range(a, len(parts))]
     else:
-        found = np.zeros((len(rows), len(columns)), dtype=settings.dtype)
-        wanted = [(a, len(of_rows)) for a in range(len(of_rows))]
+        result = np.zeros((len(rows), len(columns)), dtype=settings.dtype)
+        squares = [(a, len(row_bands)) for a in range(len(row_bands))]
         parts.append(columns)
-    for a, b, square in Tiles(client, settings, parts).squares(wanted):
-        i = slice(of_rows[a].start, of_rows[a].stop)
+    for a, b, square in Tiles(client, settings, parts).squares(squares):
+        i = slice(row_bands[a].start, row_bands[a].stop)
         if columns is None:
-            j = slice(of_rows[b].start, of_rows[b].stop)
-            found[i, j], found[j, i] = square, square.T
+            j = slice(row_bands[b].start, row_bands[b].stop)
+            result[i, j], result[j, i] = square, square.T
         else:
-            found[i] = square
+            result[i] = square
         advance(pairs.cells(parts[a], None if a == b else parts[b]))
-    return found
+    return result
 
 
 def bands_of(size: int) -> list[range]:
-    """Divide series into bands, so that the squares are many and not too small.
-
-    Parameters
-    ----------
-    size : int
-        Number of series.
-
-    Returns
-    -------
-    list of range
-    """
+    """Split series into bands, so that squares are numerous but not too small."""
     side = min(max(-(-size // _BANDS), _SIDES[0]), _SIDES[1])
     return [range(first, min(first + side, size)) for first in range(0, size, side)]

@@ -12,28 +12,27 @@ from cornercase.drivers.base import Driver, Situation
 from cornercase.drivers.references.models import REFERENCES, Reaction
 from cornercase.drivers.references.surroundings import Surroundings
 
-# m/s² at which a speed is reached that the scenario asks for, as long as nothing is unsafe.
+# m/s² towards the scenario's target speed while nothing is unsafe.
 _GAINING, _LOSING = 2.0, 4.0
 
 
 class ReferenceDriver(Driver):
-    """A reference driver of UN Regulation No. 157, of cut-ins, cut-outs and decelerations.
+    """A reference driver of UN Regulation No. 157, defined for cut-ins, cut-outs and decelerations.
 
-    It goes at the speed that the scenario asks for, until it finds somebody unsafe; from then on it brakes, or keeps
-    its speed. It does not steer, does not foresee whose ways will cross, and does not drive off again; see
-    ``docs/drivers.md``.
+    It drives at the scenario's target speed until another vehicle becomes unsafe; from then on it brakes or keeps its
+    speed. It does not steer, does not predict crossing paths, and does not accelerate again; see ``docs/drivers.md``.
 
     Parameters
     ----------
     name : {"cc-human", "fsm", "rss", "reg157"}
         Careful and competent human, fuzzy safety model, Responsibility-Sensitive Safety, reaction time of 5.2.5.2.
     delay : float, optional
-        s from the first unsafe instant to braking, instead of the regulation's.
+        Time in s from the first unsafe instant to braking; the regulation's by default.
 
     Raises
     ------
     InputError
-        There is no such reference driver, or the delay is below 0.
+        If there is no such reference driver, or the delay is below 0.
 
     References
     ----------
@@ -57,23 +56,23 @@ class ReferenceDriver(Driver):
         self.start(0, 0)
 
     def start(self, scenarios: int, others: int) -> None:
-        """Forget everything; what follows is a batch of N `scenarios` with A `others` in each."""
+        """Reset all state for a batch of N `scenarios` with A `others` in each."""
         self._reaction = Reaction(self._reference, scenarios)
         self._surroundings = Surroundings(scenarios, others)
         self._acceleration = np.zeros(scenarios)
 
     def acceleration(self, situation: Situation) -> FloatArray:
-        """Acceleration along the path in m/s², shape (N,); 0 in scenarios that are not active."""
+        """Return the acceleration along the path in m/s², shape (N,); 0 in scenarios that are not active."""
         s, dt = situation, situation.time_step
-        alarm = self._reference.judge(self._surroundings.view(s, self._acceleration))
-        counts = alarm.unsafe & s.active[:, None]
-        wanted = np.where(counts, alarm.deceleration, 0.0).max(axis=1, initial=0.0)
-        unsafe = counts.any(axis=1)
-        reacts = self._reaction.acceleration(unsafe, wanted, dt)
-        # Where the scenario asks for no speed, it is kept.
+        assessment = self._reference.judge(self._surroundings.view(s, self._acceleration))
+        is_unsafe = assessment.unsafe & s.active[:, None]
+        deceleration = np.where(is_unsafe, assessment.deceleration, 0.0).max(axis=1, initial=0.0)
+        unsafe = is_unsafe.any(axis=1)
+        reaction = self._reaction.acceleration(unsafe, deceleration, dt)
+        # Without a target speed, keep the current one.
         target = np.where(np.isfinite(s.target_speed), s.target_speed, s.speed)
-        most = np.where(self._reaction.reacted, 0.0, _GAINING)
-        goes = np.clip((target - s.speed) / dt, -_LOSING, most)
-        a = np.maximum(np.where(unsafe, reacts, goes), -s.speed / dt)
+        max_acceleration = np.where(self._reaction.reacted, 0.0, _GAINING)
+        free = np.clip((target - s.speed) / dt, -_LOSING, max_acceleration)
+        a = np.maximum(np.where(unsafe, reaction, free), -s.speed / dt)
         self._acceleration[s.active] = a[s.active]
         return np.where(s.active, a, 0.0)

@@ -1,4 +1,4 @@
-"""Reference drivers in the three encounters that the regulation defines them for, at 10 Hz, without a file."""
+"""Reference drivers in the three scenarios of the regulation, at 10 Hz, without a scenario file."""
 
 from __future__ import annotations
 
@@ -13,36 +13,36 @@ TIME_STEP: Final = 0.1
 """s."""
 
 STEPS: Final = 350
-"""Time steps of a run at most."""
+"""Maximum number of time steps of a run."""
 
 LENGTH, WIDTH = 4.3, 1.9
-"""m of a car."""
+"""Length and width of a car in m."""
 
 STANDING_LENGTH: Final = 5.0
-"""m of the car that stands behind the one that cuts out."""
+"""Length in m of the standing car in a cut-out."""
 
 LANE: Final = 3.5
-"""m between the centres of two lanes."""
+"""Lane width in m."""
 
 WANDERING: Final = 0.375
-"""m that a car is off the middle of its lane before it counts as cutting in or out; Annex 4, Appendix 3."""
+"""Offset in m from the lane centre from which a car counts as cutting in or out; Annex 4, Appendix 3."""
 
-# m/s by which the lateral speed rises in a time step, with 1.5 m/s².
+# Increase of the lateral speed in m/s per time step, at 1.5 m/s².
 _RISE = 0.15
 
 
 class EncounterOutcome(NamedTuple):
-    """What comes of N encounters.
+    """Results of N encounters.
 
     Attributes
     ----------
     crash : ndarray of bool, shape (N,)
-        Whether the ego and another touch.
+        Whether the ego touches another vehicle.
     proactive, critical : ndarray of float64, shape (N,)
-        Fuzzy surrogate safety metrics of `fsm`, else 0: the largest of the run, and in a cut-out those to the standing
-        car when the one ahead leaves the middle of its lane, or 0 where that crashes.
+        Fuzzy surrogate safety metrics of `fsm`, 0 for other models: the maximum of the run; in a cut-out, the values
+        with respect to the standing car when the car ahead leaves the middle of its lane, or 0 if that car crashes.
     gap : ndarray of float64, shape (N,)
-        m to the one ahead at the start.
+        Initial gap in m to the car ahead.
     """
 
     crash: BoolArray
@@ -54,77 +54,92 @@ class EncounterOutcome(NamedTuple):
 def drive_cut_in(
     name: str, speed: FloatArray, other_speed: FloatArray, gap: FloatArray, lateral_speed: FloatArray
 ) -> EncounterOutcome:
-    """Let a reference driver meet cars that cut in from the next lane.
+    """Simulate a reference driver while a car cuts in from the next lane.
 
-    The other comes from the middle of the next lane to that of the ego's. Before that, its lateral speed rises with
-    1.5 m/s².
+    The other car moves from the middle of the next lane to the middle of the ego's lane. Before that, its lateral speed
+    rises with 1.5 m/s².
 
     Parameters
     ----------
     name : str
-        Of a reference driver.
+        Name of a reference driver.
     speed, other_speed : ndarray of float64, shape (N,)
-        m/s.
+        In m/s.
     gap : ndarray of float64, shape (N,)
-        m between the bumpers when the other has its lateral speed, and is still a lane's width aside.
+        Bumper-to-bumper gap in m when the other has reached its lateral speed, still one lane width aside.
     lateral_speed : ndarray of float64, shape (N,)
-        m/s.
+        In m/s.
 
     Returns
     -------
     EncounterOutcome
-        A run of `cc-human` ends without a crash where it finds the time to collision above 2 s at the intrusion.
+        A run of `cc-human` ends without a crash if the time to collision at the intrusion is above 2 s.
 
     References
     ----------
     UN Regulation No. 157, Annex 4, Appendix 3.
     """
     reference, n = REFERENCES[name], len(speed)
-    rising, behind = _rise(lateral_speed)
+    rising, ramp_distance = _rise(lateral_speed)
     x, v, a = np.zeros(n), speed.copy(), np.zeros(n)
     other_x = gap + LENGTH + (speed - other_speed) * TIME_STEP * rising.sum(axis=0)
-    aside = LANE + behind
-    reaction, never = Reaction(reference, n), np.zeros(n, dtype=np.bool_)
-    crash, over, intruded = never.copy(), never.copy(), never.copy()
+    lateral_distance = LANE + ramp_distance
+    reaction, false = Reaction(reference, n), np.zeros(n, dtype=np.bool_)
+    crash, over, intruded = false.copy(), false.copy(), false.copy()
     proactive, critical, start = np.zeros(n), np.zeros(n), other_x - LENGTH
     for i in range(STEPS):
-        u = np.where(rising[i], i * _RISE, lateral_speed) if i < len(rising) else lateral_speed
-        u = np.where(aside <= 0.0, 0.0, u)
-        touches = (np.abs(other_x - x) < LENGTH) & (np.abs(aside) < WIDTH) & ~over
+        current_lateral_speed = np.where(rising[i], i * _RISE, lateral_speed) if i < len(rising) else lateral_speed
+        current_lateral_speed = np.where(lateral_distance <= 0.0, 0.0, current_lateral_speed)
+        touches = (np.abs(other_x - x) < LENGTH) & (np.abs(lateral_distance) < WIDTH) & ~over
         crash, over = crash | touches, over | touches
-        now = (other_x - LENGTH / 2) - (x + LENGTH / 2)
-        view = View(now, aside - WIDTH, u, v, other_speed, a, np.full(n, 2 * LENGTH), never)
+        current_gap = (other_x - LENGTH / 2) - (x + LENGTH / 2)
+        view = View(
+            current_gap,
+            lateral_distance - WIDTH,
+            current_lateral_speed,
+            v,
+            other_speed,
+            a,
+            np.full(n, 2 * LENGTH),
+            false,
+        )
         if name == "cc-human":
             begins = (view.lateral_gap < 0.0) & ~intruded
             intruded |= begins
             over |= begins & (time_to_collision(view) > URGENT)
-        alarm = reference.judge(view)
-        proactive = np.where(over, proactive, np.maximum(proactive, alarm.proactive))
-        critical = np.where(over, critical, np.maximum(critical, alarm.critical))
-        v, a = _next_speed(v, reaction.acceleration(alarm.unsafe, alarm.deceleration, TIME_STEP))
-        x, other_x, aside = x + v * TIME_STEP, other_x + other_speed * TIME_STEP, aside - u * TIME_STEP
+        assessment = reference.judge(view)
+        proactive = np.where(over, proactive, np.maximum(proactive, assessment.proactive))
+        critical = np.where(over, critical, np.maximum(critical, assessment.critical))
+        v, a = _next_speed(v, reaction.acceleration(assessment.unsafe, assessment.deceleration, TIME_STEP))
+        x, other_x, lateral_distance = (
+            x + v * TIME_STEP,
+            other_x + other_speed * TIME_STEP,
+            lateral_distance - current_lateral_speed * TIME_STEP,
+        )
     return EncounterOutcome(crash, proactive, critical, start)
 
 
 def drive_cut_out(name: str, speed: FloatArray, front_gap: FloatArray, lateral_speed: FloatArray) -> EncounterOutcome:
-    """Let a reference driver follow cars that leave the lane in front of a standing car.
+    """Simulate a reference driver behind a car that leaves the lane in front of a standing car.
 
-    Where the one that cuts out hits the standing car, it stops dead.
+    If the car that cuts out hits the standing car, it stops immediately.
 
     Parameters
     ----------
     name : str
-        Of a reference driver.
+        Name of a reference driver.
     speed : ndarray of float64, shape (N,)
-        m/s of the ego and of the car that it follows.
+        Speed in m/s of the ego and of the car that it follows.
     front_gap : ndarray of float64, shape (N,)
-        m from that to the standing car, if that were 4.3 m long; its middle stands so, but it is 5 m long.
+        Gap in m from that car to the standing car, as if the standing car were 4.3 m long; it is 5 m long, with the
+        same middle.
     lateral_speed : ndarray of float64, shape (N,)
-        m/s at which it cuts out, from the start.
+        Lateral speed in m/s of the cut-out, from the start.
 
     Returns
     -------
     EncounterOutcome
+        Results by encounter.
 
     References
     ----------
@@ -133,49 +148,50 @@ def drive_cut_out(name: str, speed: FloatArray, front_gap: FloatArray, lateral_s
     reference, n = REFERENCES[name], len(speed)
     start = reference.following(speed)
     x, v, a, other_v, none = np.zeros(n), speed.copy(), np.zeros(n), speed.copy(), np.zeros(n)
-    other_x, aside = start + LENGTH, np.zeros(n)
-    # The gap is laid out for a car of the usual length, in whose place a longer one stands.
+    other_x, lateral_distance = start + LENGTH, np.zeros(n)
+    # The gap is defined for a car of the usual length; the standing car is longer.
     standing_x, half = other_x + LENGTH + front_gap, (LENGTH + STANDING_LENGTH) / 2
     always, in_lane = np.ones(n, dtype=np.bool_), np.full(n, -WIDTH)
-    reaction, crash, hit, shown = Reaction(reference, n), ~always, ~always, ~always
+    reaction, crash, hit, is_recorded = Reaction(reference, n), ~always, ~always, ~always
     proactive, critical = np.zeros(n), np.zeros(n)
     for _ in range(STEPS):
-        hit = hit | ((standing_x - other_x < half) & (aside < WIDTH))
-        crash = crash | (standing_x - x < half) | (hit & (other_x - x < LENGTH) & (aside < WIDTH))
+        hit = hit | ((standing_x - other_x < half) & (lateral_distance < WIDTH))
+        crash = crash | (standing_x - x < half) | (hit & (other_x - x < LENGTH) & (lateral_distance < WIDTH))
         other_v = np.where(hit, 0.0, other_v)
-        leaves = (aside > WANDERING) | hit
+        leaves = (lateral_distance > WANDERING) | hit
         lengths = np.full(n, 2 * half)
         view = View((standing_x - STANDING_LENGTH / 2) - (x + LENGTH / 2), in_lane, none, v, none, a, lengths, always)
         to_standing = reference.judge(view)
         gap = (other_x - LENGTH / 2) - (x + LENGTH / 2)
-        view = View(gap, aside - WIDTH, none, v, other_v, a, np.full(n, 2 * LENGTH), always)
+        view = View(gap, lateral_distance - WIDTH, none, v, other_v, a, np.full(n, 2 * LENGTH), always)
         to_other = reference.judge(view)
-        first = leaves & ~shown & ~hit
+        first = leaves & ~is_recorded & ~hit
         proactive[first], critical[first] = to_standing.proactive[first], to_standing.critical[first]
-        shown |= leaves
+        is_recorded |= leaves
         unsafe = np.where(hit, to_other.unsafe, to_standing.unsafe & leaves)
-        wanted = np.where(hit, to_other.deceleration, to_standing.deceleration)
-        v, a = _next_speed(v, reaction.acceleration(unsafe, wanted, TIME_STEP))
+        deceleration = np.where(hit, to_other.deceleration, to_standing.deceleration)
+        v, a = _next_speed(v, reaction.acceleration(unsafe, deceleration, TIME_STEP))
         x, other_x = x + v * TIME_STEP, other_x + other_v * TIME_STEP
-        aside = aside + np.where(hit, 0.0, lateral_speed) * TIME_STEP
+        lateral_distance = lateral_distance + np.where(hit, 0.0, lateral_speed) * TIME_STEP
     return EncounterOutcome(crash, np.where(hit, 0.0, proactive), np.where(hit, 0.0, critical), start)
 
 
 def drive_deceleration(name: str, speed: FloatArray, deceleration: FloatArray) -> EncounterOutcome:
-    """Let a reference driver follow cars that brake at once, and constantly, to a standstill.
+    """Simulate a reference driver behind a car that brakes at a constant rate to a standstill.
 
     Parameters
     ----------
     name : str
-        Of a reference driver.
+        Name of a reference driver.
     speed : ndarray of float64, shape (N,)
-        m/s of both.
+        Speed in m/s of both.
     deceleration : ndarray of float64, shape (N,)
         In units of 9.81 m/s².
 
     Returns
     -------
     EncounterOutcome
+        Results by encounter.
 
     References
     ----------
@@ -190,17 +206,17 @@ def drive_deceleration(name: str, speed: FloatArray, deceleration: FloatArray) -
         crash = crash | (other_x - x < LENGTH)
         gap = (other_x - LENGTH / 2) - (x + LENGTH / 2)
         view = View(gap, np.full(n, -WIDTH), np.zeros(n), v, other_v, a, np.full(n, 2 * LENGTH), always)
-        alarm = reference.judge(view)
-        proactive = np.where(crash, proactive, np.maximum(proactive, alarm.proactive))
-        critical = np.where(crash, critical, np.maximum(critical, alarm.critical))
-        v, a = _next_speed(v, reaction.acceleration(alarm.unsafe, alarm.deceleration, TIME_STEP))
+        assessment = reference.judge(view)
+        proactive = np.where(crash, proactive, np.maximum(proactive, assessment.proactive))
+        critical = np.where(crash, critical, np.maximum(critical, assessment.critical))
+        v, a = _next_speed(v, reaction.acceleration(assessment.unsafe, assessment.deceleration, TIME_STEP))
         other_v = np.maximum(other_v - deceleration * GRAVITY * TIME_STEP, 0.0)
         x, other_x = x + v * TIME_STEP, other_x + other_v * TIME_STEP
     return EncounterOutcome(crash, proactive, critical, start)
 
 
 def _rise(lateral_speed: FloatArray) -> tuple[BoolArray, FloatArray]:
-    """Time steps before a lateral speed is reached, shape (steps, N), and the way across meanwhile in m, shape (N,)."""
+    """Time steps in which the lateral speed rises, bool (steps, N), and the lateral distance covered in m, (N,)."""
     steps = np.ceil(lateral_speed / _RISE)
     instants = np.arange(max(int(steps.max(initial=0.0)), 1))[:, None]
     rising = instants < steps
@@ -208,6 +224,6 @@ def _rise(lateral_speed: FloatArray) -> tuple[BoolArray, FloatArray]:
 
 
 def _next_speed(speed: FloatArray, acceleration: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Speed after a time step, not below 0, and the acceleration that it took."""
+    """Speed after a time step, not below 0, and the resulting acceleration."""
     risen = np.maximum(speed + acceleration * TIME_STEP, 0.0)
     return risen, (risen - speed) / TIME_STEP

@@ -1,6 +1,6 @@
-"""The reference drivers of UN Regulation No. 157: what each of them takes for unsafe, and how it reacts.
+"""The reference drivers of UN Regulation No. 157: what they consider unsafe, and how they react.
 
-What they judge is how another stands and moves along and across the path, whatever scenario or set-up that comes from.
+They depend only on the relative motion along and across the path, whatever scenario or simulator it comes from.
 """
 
 from __future__ import annotations
@@ -31,47 +31,35 @@ FULL_BRAKING: Final = 0.774 * GRAVITY
 """m/s²; UN Regulation No. 157, Annex 4, Appendix 3."""
 
 JERK: Final = 12.65
-"""m/s³ at which the deceleration rises: to full braking within 0.6 s."""
+"""m/s³; reaches full braking within 0.6 s."""
 
 URGENT: Final = 2.0
-"""Time to collision in s from which on the careful and competent human brakes for who cuts in."""
+"""Time to collision in s at or below which the careful and competent human brakes for a cut-in."""
 
 HUMAN_HEADWAY: Final = 2.0
-"""s at which the careful and competent human follows."""
+"""Time headway in s of the careful and competent human."""
 
 RSS_TIME, RSS_ACCELERATION, RSS_BRAKING = 0.75, 3.0, 6.0
 """Response time in s, acceleration during it and braking after it in m/s², of Responsibility-Sensitive Safety."""
 
-# Of Responsibility-Sensitive Safety across the path: margin in m, acceleration and braking in m/s².
+# Lateral Responsibility-Sensitive Safety: margin in m, acceleration and braking in m/s².
 _RSS_MARGIN, _RSS_ASIDE = 0.3, 1.0
-# Of the regulation's 5.2.5.2: lateral gap in m from which on a cut-in counts, braking in m/s², times in s.
+# Regulation 5.2.5.2: lateral gap in m at which a cut-in starts, braking in m/s², times in s.
 _CUTTING_IN, _BRAKING_157, _DELAY_157, _RESERVE_157 = 0.5, 6.0, 0.35, 0.1
-# The careful and competent human takes its foot off the accelerator while it decides to brake.
+# Deceleration in m/s² of the careful and competent human with its foot off the accelerator, before it brakes.
 _ENGINE_BRAKING = 0.4
-# Rounding of time steps must not make the delay one step longer.
+# Rounding errors must not extend the delay by one step.
 _HAIR = 1e-9
 
 
 class View(NamedTuple):
-    """How others stand and move along and across the path of a driver.
+    """Motion of others relative to the path of a driver; arrays of equal shape.
 
-    Attributes
-    ----------
-    gap : ndarray of float64, shape (...)
-        m between the boxes along the path, negative where they are side by side or the other is behind.
-    lateral_gap : ndarray of float64, shape (...)
-        m between the boxes across the path, negative where they overlap.
-    inward : ndarray of float64, shape (...)
-        Speed of the other towards the path in m/s.
-    speed, other_speed : ndarray of float64, shape (...)
-        m/s along the path, of the driver and of the other.
-    acceleration : ndarray of float64, shape (...)
-        Of the driver in m/s².
-    lengths : ndarray of float64, shape (...)
-        m of both boxes together, along the path.
-    ahead : ndarray of bool, shape (...)
-        The other has been in the way since it was first seen, or came into it with time to spare, rather than cutting
-        in.
+    `gap` and `lateral_gap`: m between the boxes along and across the path; `gap` is negative if the other is beside or
+    behind, `lateral_gap` if they overlap. `approach_speed`: speed of the other towards the path in m/s. `speed`,
+    `other_speed`: m/s along the path. `acceleration`: of the driver in m/s². `total_length`: both box lengths together
+    in m. `was_ahead`: the other has been in the corridor since it was first seen, or entered it early enough not to be
+    a cut-in.
     """
 
     gap: FloatArray
@@ -85,15 +73,10 @@ class View(NamedTuple):
 
 
 class Alarm(NamedTuple):
-    """What a reference driver makes of a `View`.
+    """Assessment of a `RelativeMotion` by a reference driver; arrays of the same shape.
 
-    Attributes
-    ----------
-    unsafe : ndarray of bool, shape (...)
-    deceleration : ndarray of float64, shape (...)
-        m/s² that it wants, once it brakes.
-    proactive, critical : ndarray of float64, shape (...)
-        Fuzzy surrogate safety metrics; 0 for the others than the fuzzy safety model.
+    `deceleration`: wanted once it brakes, in m/s². `proactive`, `critical`: fuzzy metrics; 0 for other models than
+    `fsm`.
     """
 
     unsafe: BoolArray
@@ -106,19 +89,8 @@ class Alarm(NamedTuple):
 class Reference:
     """A reference driver.
 
-    Attributes
-    ----------
-    title : str
-    judge : callable
-        Makes an `Alarm` of a `View`.
-    following : callable
-        Gap in m at which it follows one of the same speed in m/s.
-    delay : float
-        s from the first unsafe instant to braking.
-    delayed_deceleration : float
-        m/s² meanwhile.
-    jerk : float
-        m/s³ at which its deceleration rises.
+    `assess` assesses a `RelativeMotion`. `following_gap` gives the gap in m at which it follows a leader of equal speed
+    in m/s. `delay`: s from the first unsafe instant to braking; `delayed_deceleration`: m/s² meanwhile; `jerk`: m/s³.
     """
 
     title: str
@@ -130,21 +102,10 @@ class Reference:
 
 
 class Reaction:
-    """How far a reference driver is in its reaction, in N runs.
+    """Progress of a reference driver's reaction in a number of runs.
 
-    A delay begins with the first unsafe instant and goes on in unsafe ones only; it does not begin a second time. While
-    it is safe again, the speed is kept.
-
-    Parameters
-    ----------
-    reference : Reference
-    runs : int
-        N.
-
-    Attributes
-    ----------
-    reacted : ndarray of bool, shape (N,)
-        Whether it ever was unsafe.
+    The delay starts at the first unsafe instant, elapses in unsafe instants only, and never restarts. While it is safe
+    again, the speed is kept. `reacted`: whether it ever was unsafe, shape (N,).
     """
 
     def __init__(self, reference: Reference, runs: int) -> None:
@@ -154,48 +115,25 @@ class Reaction:
         self.reacted = np.zeros(runs, dtype=np.bool_)
 
     def acceleration(self, unsafe: BoolArray, deceleration: FloatArray, time_step: float) -> FloatArray:
-        """Go on by a time step.
+        """Advance by a time step; return the acceleration in m/s², 0 if it is safe.
 
-        Parameters
-        ----------
-        unsafe : ndarray of bool, shape (N,)
-            Where it is not, nothing changes.
-        deceleration : ndarray of float64, shape (N,)
-            m/s² that it wants, once it brakes.
-        time_step : float
-            s.
-
-        Returns
-        -------
-        ndarray of float64, shape (N,)
-            m/s²; 0 where it is safe.
+        `deceleration` in m/s² is what the driver wants once it brakes. Safe runs do not change.
         """
-        of = self._reference
+        model = self._reference
         brakes = unsafe & (self._delay <= _HAIR)
         waits = unsafe & ~brakes
         self.reacted |= unsafe
         self._delay[waits] -= time_step
-        risen = np.minimum(self._braking + of.jerk * time_step, deceleration)
+        risen = np.minimum(self._braking + model.jerk * time_step, deceleration)
         self._braking[brakes] = risen[brakes]
-        return np.where(brakes, -self._braking, np.where(waits, -of.delayed_deceleration, 0.0))
+        return np.where(brakes, -self._braking, np.where(waits, -model.delayed_deceleration, 0.0))
 
 
 def rss_distance(speed: FloatArray, other_speed: FloatArray) -> FloatArray:
-    """Safe longitudinal distance of Responsibility-Sensitive Safety, for two of the same direction.
+    """Safe longitudinal distance in m of Responsibility-Sensitive Safety, for the same direction.
 
-    Parameters
-    ----------
-    speed, other_speed : ndarray of float64, shape (...)
-        m/s of the one behind and the one ahead.
-
-    Returns
-    -------
-    ndarray of float64, shape (...)
-        m: v τ + a τ²/2 + (v + a τ)²/(2 b) - v_other²/(2 b), with τ 0.75 s, a 3 m/s² and b 6 m/s².
-
-    References
-    ----------
-    Shalev-Shwartz, Shammah, Shashua, On a Formal Model of Safe and Scalable Self-driving Cars, 2017, Definition 1.
+    v τ + a τ²/2 + (v + a τ)²/(2 b) - v_other²/(2 b), with τ 0.75 s, a 3 m/s² and b 6 m/s². Shalev-Shwartz, Shammah,
+    Shashua, On a Formal Model of Safe and Scalable Self-driving Cars, 2017, Definition 1.
     """
     risen = speed + RSS_ACCELERATION * RSS_TIME
     meanwhile = speed * RSS_TIME + RSS_ACCELERATION * RSS_TIME**2 / 2.0
@@ -203,20 +141,9 @@ def rss_distance(speed: FloatArray, other_speed: FloatArray) -> FloatArray:
 
 
 def rss_lateral_distance(inward: FloatArray) -> FloatArray:
-    """Safe lateral distance of Responsibility-Sensitive Safety to one who comes in, of a driver that keeps its path.
+    """Safe lateral distance in m of Responsibility-Sensitive Safety, for a driver that keeps its path.
 
-    Parameters
-    ----------
-    inward : ndarray of float64, shape (...)
-        Speed of the other towards the path in m/s.
-
-    Returns
-    -------
-    ndarray of float64, shape (...)
-        m: 0.3 + (2 u + a τ) τ/2 + (u + a τ)²/(2 a), with τ 0.75 s and a 1 m/s².
-
-    References
-    ----------
+    0.3 + (2 u + a τ) τ/2 + (u + a τ)²/(2 a), with the other's speed towards the path u, τ 0.75 s and a 1 m/s².
     Shalev-Shwartz, Shammah, Shashua (2017), Definition 6.
     """
     risen = inward + _RSS_ASIDE * RSS_TIME
@@ -224,7 +151,7 @@ def rss_lateral_distance(inward: FloatArray) -> FloatArray:
 
 
 def time_to_collision(view: View) -> FloatArray:
-    """Seconds until the gap is closed if both keep their speeds; infinite where it does not close, or is none."""
+    """Time in s until the gap closes at constant speeds; infinite if it does not."""
     closing = view.speed - view.other_speed
     closes = (closing > 0.0) & (view.gap > 0.0)
     return np.where(closes, view.gap / np.where(closes, closing, 1.0), np.inf)
@@ -237,30 +164,30 @@ def _human_judges(view: View) -> Alarm:
 
 
 def _rss_judges(view: View) -> Alarm:
-    # Until its middle has passed the other's, the driver is the one behind.
-    behind = view.gap + 0.5 * view.lengths > 0.0
-    near = view.gap < np.maximum(rss_distance(view.speed, np.maximum(view.other_speed, 0.0)), 0.0)
-    beside = view.lateral_gap < rss_lateral_distance(np.maximum(view.inward, 0.0))
-    return _alarm(behind & near & beside, FULL_BRAKING)
+    # The driver is behind until its centre has passed the other's.
+    is_behind = view.gap + 0.5 * view.lengths > 0.0
+    is_near = view.gap < np.maximum(rss_distance(view.speed, np.maximum(view.other_speed, 0.0)), 0.0)
+    is_laterally_near = view.lateral_gap < rss_lateral_distance(np.maximum(view.inward, 0.0))
+    return _alarm(is_behind & is_near & is_laterally_near, FULL_BRAKING)
 
 
 def _regulation_judges(view: View) -> Alarm:
-    enough = (view.speed - view.other_speed) / (2.0 * _BRAKING_157) + _DELAY_157 + _RESERVE_157
-    return _alarm((view.lateral_gap <= _CUTTING_IN) & (time_to_collision(view) <= enough), _BRAKING_157)
+    min_time = (view.speed - view.other_speed) / (2.0 * _BRAKING_157) + _DELAY_157 + _RESERVE_157
+    return _alarm((view.lateral_gap <= _CUTTING_IN) & (time_to_collision(view) <= min_time), _BRAKING_157)
 
 
 def _fuzzy_judges(view: View) -> Alarm:
     closing, other_speed = view.speed - view.other_speed, np.maximum(view.other_speed, 0.0)
-    clear = passes_clear(view.gap, view.lateral_gap, view.inward, closing, view.lengths) | (view.gap <= 0.0)
-    proactive = np.where(clear, 0.0, proactive_metric(view.gap, view.speed, other_speed))
-    critical = np.where(clear, 0.0, critical_metric(view.gap, view.speed, other_speed, view.acceleration))
-    wanted = np.where(critical > 0.0, critical * (HARD - COMFORTABLE) + COMFORTABLE, proactive * COMFORTABLE)
-    return Alarm(proactive + critical > 0.0, wanted, proactive, critical)
+    is_clear = passes_clear(view.gap, view.lateral_gap, view.inward, closing, view.lengths) | (view.gap <= 0.0)
+    proactive = np.where(is_clear, 0.0, proactive_metric(view.gap, view.speed, other_speed))
+    critical = np.where(is_clear, 0.0, critical_metric(view.gap, view.speed, other_speed, view.acceleration))
+    deceleration = np.where(critical > 0.0, critical * (HARD - COMFORTABLE) + COMFORTABLE, proactive * COMFORTABLE)
+    return Alarm(proactive + critical > 0.0, deceleration, proactive, critical)
 
 
 def _alarm(unsafe: BoolArray, deceleration: float) -> Alarm:
-    nothing = np.zeros(unsafe.shape)
-    return Alarm(unsafe, nothing + deceleration, nothing, nothing)
+    zeros = np.zeros(unsafe.shape)
+    return Alarm(unsafe, zeros + deceleration, zeros, zeros)
 
 
 def _human_follows(speed: FloatArray) -> FloatArray:
@@ -268,13 +195,13 @@ def _human_follows(speed: FloatArray) -> FloatArray:
 
 
 def _fuzzy_follows(speed: FloatArray) -> FloatArray:
-    """So far that it is just safe when the one ahead brakes as hard as it can, with both margins."""
+    """Gap that is just safe if the leader brakes as hard as it can, with both margins."""
     stops, other_stops = speed**2 / (2.0 * COMFORTABLE), speed**2 / (2.0 * OF_THE_OTHER)
     return np.asarray(speed * REACTION_TIME + stops - other_stops + 2.0 * SAFETY_MARGIN)
 
 
 def _rss_follows(speed: FloatArray) -> FloatArray:
-    """So far that it is still safe when the one ahead has braked during the response time, and how far it closed."""
+    """Gap that is still safe if the leader brakes during the response time."""
     braked = np.maximum(speed - RSS_BRAKING * RSS_TIME, 0.0)
     return RSS_BRAKING * RSS_TIME**2 / 2.0 + rss_distance(speed, braked)
 

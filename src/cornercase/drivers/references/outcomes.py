@@ -1,4 +1,4 @@
-"""What a run of a reference driver says: whether who drove instead of it could have prevented a collision."""
+"""Preventability: whether the reference driver would have avoided the collision."""
 
 from __future__ import annotations
 
@@ -14,48 +14,37 @@ from cornercase.drivers.references.models import REFERENCES, URGENT, time_to_col
 from cornercase.drivers.references.surroundings import Surroundings
 from cornercase.recordings import Collision, Recording
 
-# The models of the regulation know traffic of motorways, which goes in about one direction: angle between directions in
-# rad, and for how long before they meet, in s.
+# The regulation's models cover motorway traffic in about one direction: largest angle between directions in rad, and
+# the time before contact for which it has to hold, in s.
 _ALONG: Final = np.pi / 4
 _BEFORE: Final = 3.0
-# Who is slower in m/s goes in no direction.
+# Below this speed in m/s, the direction is ignored.
 _MOVING: Final = 0.5
 _NO_MOTORWAY: Final = frozenset({"pedestrian", "wheelchair", "animal", "bicycle", "tram", "train"})
-# m that a driven path goes on straight.
+# Straight extension of a driven path in m.
 _BEYOND: Final = 500.0
 _CLOCK: Final = 1e-9
 
 
 @dataclass(frozen=True)
 class ReferenceOutcome:
-    """What came of a scenario with a reference at the wheel.
+    """Outcome of a scenario with a reference driver in control of the ego.
 
     Attributes
     ----------
     collides : bool or None
-        None where the reference says nothing of such a scenario.
+        None if the reference is not defined for such a scenario.
     time : float or None
-        Instant of its collision in s; None without one.
+        Time of its collision in s; None without one.
     """
 
     collides: bool | None
     time: float | None = None
 
     def tell(self, driver: str) -> str:
-        """Say what the reference shows.
-
-        Parameters
-        ----------
-        driver : str
-            Its name.
-
-        Returns
-        -------
-        str
-            A part of a sentence.
-        """
+        """Describe the outcome of the named reference driver as part of a sentence."""
         if self.collides is None:
-            return f"{driver} says nothing of it, as it knows only vehicles ahead that go in about its own direction"
+            return f"{driver} does not cover this scenario, only vehicles ahead that move in about its own direction"
         if not self.collides:
             return f"{driver} prevents it"
         when = "" if self.time is None else f", and collides at {self.time:.6g} s"
@@ -65,52 +54,38 @@ class ReferenceOutcome:
 def judge_reference(
     driver: str, run: Recording, original: Recording, ego: str, other: str | Sequence[str]
 ) -> ReferenceOutcome:
-    """Judge a scenario that was run a second time, with a reference at the wheel of the ego.
+    """Assess a scenario that was run again with a reference driver in control of the ego.
 
-    A reference of UN Regulation No. 157 says nothing where whom the ego met, or whom the reference collides with, is
-    no vehicle of a motorway, comes from behind, or goes in a direction more than 45° from the ego's within the last 3 s
-    before they meet. Who comes from behind is behind the ego with all of its box just before they touch.
-    The encounter of `cc-human` is over, and it is no danger, where somebody cuts in with a time to collision of more
-    than 2 s at the intrusion; what it collides with later does not count.
+    A reference of UN Regulation No. 157 is not defined if the entity that the ego meets, or that the reference collides
+    with, is not a motorway vehicle, comes from behind, or moves in a direction more than 45° from the ego's within the
+    last 3 s before they meet. It comes from behind if its whole box is behind the ego just before contact. For
+    `cc-human` the encounter is over, without danger, after a cut-in with a time to collision above 2 s at the
+    intrusion; later collisions with that vehicle do not count (Annex 4, Appendix 3).
 
-    Parameters
-    ----------
-    driver : str
-        Name of the reference; any driver can be one.
-    run : Recording
-        With the reference.
-    original : Recording
-        With who drove the ego before.
-    ego : str
-        Name of the entity under test.
-    other : str or sequence of str
-        Whom it is measured against; where it collides with nobody, the one of several that comes nearest counts.
-
-    Returns
-    -------
-    ReferenceOutcome
-
-    References
-    ----------
-    UN Regulation No. 157, Annex 4, Appendix 3.
+    `run` is the recording with the reference, `original` the one with the original driver; `other` is the entity that
+    it is measured against. If the ego collides with nobody, the nearest one of several counts.
     """
     name = driver.partition(":")[0]
-    hit = _first_collision(run, ego)
+    collision = _first_collision(run, ego)
     if name in REFERENCES:
-        met = _first_collision(original, ego)
+        original_collision = _first_collision(original, ego)
         others = (other,) if isinstance(other, str) else other
-        whom, at = _nearest(original, ego, others) if met is None else (_partner(met, ego), met.time)
-        if not _is_known(original, ego, whom, at):
+        partner, time = (
+            _nearest(original, ego, others)
+            if original_collision is None
+            else (_partner(original_collision, ego), original_collision.time)
+        )
+        if not _is_known(original, ego, partner, time):
             return ReferenceOutcome(None)
-        if hit is not None and not _is_known(run, ego, _partner(hit, ego), hit.time):
+        if collision is not None and not _is_known(run, ego, _partner(collision, ego), collision.time):
             return ReferenceOutcome(None)
-    if hit is None or (name == "cc-human" and _is_over_before(run, ego, hit)):
+    if collision is None or (name == "cc-human" and _is_over_before(run, ego, collision)):
         return ReferenceOutcome(False)
-    return ReferenceOutcome(True, float(hit.time))
+    return ReferenceOutcome(True, float(collision.time))
 
 
 def _first_collision(recording: Recording, ego: str) -> Collision | None:
-    return next((one for one in recording.collisions if ego in one.entities), None)
+    return next((collision for collision in recording.collisions if ego in collision.entities), None)
 
 
 def _partner(collision: Collision, ego: str) -> str:
@@ -119,50 +94,50 @@ def _partner(collision: Collision, ego: str) -> str:
 
 
 def _nearest(recording: Recording, ego: str, others: Sequence[str]) -> tuple[str, float]:
-    """The one that comes nearest and the instant in s; the first of both where none is ever there with the ego."""
-    apart = np.stack([np.hypot(*(recording.center(one) - recording.center(ego)).T) for one in others])
-    whom, at = np.unravel_index(np.where(np.isnan(apart), np.inf, apart).argmin(), apart.shape)
-    return others[int(whom)], float(recording.time[int(at)])
+    """Name of the nearest entity and the time in s of the smallest distance; the first ones if none coexists."""
+    distances = np.stack([np.hypot(*(recording.center(name) - recording.center(ego)).T) for name in others])
+    row, column = np.unravel_index(np.where(np.isnan(distances), np.inf, distances).argmin(), distances.shape)
+    return others[int(row)], float(recording.time[int(column)])
 
 
 def _is_known(recording: Recording, ego: str, other: str, at: float) -> bool:
-    """Whether two meet as the models of the regulation know it."""
+    """Check whether the encounter of two entities is one that the regulation's models cover."""
     i, j = recording.index(ego), recording.index(other)
     if recording.kinds[j] in _NO_MOTORWAY:
         return False
-    before = max(int(np.abs(recording.time - at).argmin()) - 1, 0)
-    heading = recording.heading[i, before]
-    x, y = recording.center(other)[before] - recording.center(ego)[before]
+    sample = max(int(np.abs(recording.time - at).argmin()) - 1, 0)
+    heading = recording.heading[i, sample]
+    x, y = recording.center(other)[sample] - recording.center(ego)[sample]
     if x * np.cos(heading) + y * np.sin(heading) < -0.5 * (recording.length[i] + recording.length[j]):
         return False
     moving = (recording.time >= at - _BEFORE) & (recording.time <= at + _CLOCK) & (recording.speed[j] > _MOVING)
-    turned = (recording.heading[j, moving] - recording.heading[i, moving] + np.pi) % (2.0 * np.pi) - np.pi
-    return not (np.abs(turned) > _ALONG).any()
+    angle = (recording.heading[j, moving] - recording.heading[i, moving] + np.pi) % (2.0 * np.pi) - np.pi
+    return not (np.abs(angle) > _ALONG).any()
 
 
 def _is_over_before(run: Recording, ego: str, hit: Collision) -> bool:
-    """Whether the one that is hit cut in before that, with time to spare."""
-    i, others = run.index(ego), [k for k, name in enumerate(run.names) if name != ego]
-    there = np.isfinite(run.x[i]) & (run.time <= hit.time + _CLOCK)
-    situation = _all_instants(run, i, others, there)
-    view = Surroundings(int(there.sum()), len(others)).view(situation, run.acceleration[i, there])
-    k = others.index(run.index(_partner(hit, ego)))
-    in_the_way, beside = view.lateral_gap[:, k] < 0.0, view.lateral_gap[:, k] >= 0.0
-    cuts_in = np.flatnonzero(in_the_way[1:] & beside[:-1]) + 1
-    if not len(cuts_in) or cuts_in[-1] == len(in_the_way) - 1:
+    """Check whether the vehicle that is hit had cut in earlier, with time to spare."""
+    i, other_rows = run.index(ego), [k for k, name in enumerate(run.names) if name != ego]
+    valid = np.isfinite(run.x[i]) & (run.time <= hit.time + _CLOCK)
+    situation = _all_instants(run, i, other_rows, valid)
+    view = Surroundings(int(valid.sum()), len(other_rows)).view(situation, run.acceleration[i, valid])
+    k = other_rows.index(run.index(_partner(hit, ego)))
+    in_corridor, is_beside = view.lateral_gap[:, k] < 0.0, view.lateral_gap[:, k] >= 0.0
+    cuts_in = np.flatnonzero(in_corridor[1:] & is_beside[:-1]) + 1
+    if not len(cuts_in) or cuts_in[-1] == len(in_corridor) - 1:
         return False
     return bool(time_to_collision(view)[cuts_in[-1], k] > URGENT)
 
 
 def _all_instants(run: Recording, i: int, others: list[int], there: BoolArray) -> Situation:
-    """What a driver is told at each instant, as scenarios beside each other; its path is the one that it drove."""
+    """The situation at each instant, as parallel scenarios; the path is the driven one."""
     x, y, heading = run.x[i, there], run.y[i, there], run.heading[i, there]
-    none = np.zeros(len(x))
+    zeros = np.zeros(len(x))
     return Situation(
         time=0.0,
         time_step=float(run.time[1] - run.time[0]),
         path=_driven(x, y, heading),
-        distance=none,
+        distance=zeros,
         x=x,
         y=y,
         heading=heading,
@@ -171,7 +146,7 @@ def _all_instants(run: Recording, i: int, others: list[int], there: BoolArray) -
         length=float(run.length[i]),
         width=float(run.width[i]),
         center_x=float(run.center_x[i]),
-        target_speed=none,
+        target_speed=zeros,
         others_x=run.x[others][:, there].T,
         others_y=run.y[others][:, there].T,
         others_heading=run.heading[others][:, there].T,

@@ -1,4 +1,4 @@
-"""What all actions have in common."""
+"""Base class of actions."""
 
 from __future__ import annotations
 
@@ -8,19 +8,11 @@ from cornercase.simulators.builtin.world.state import World
 
 
 class Action:
-    """What an event does to an entity: runs in some of the scenarios of a batch until it has ended there.
+    """What an event does to an entity, in some scenarios of a batch, until it has ended there.
 
-    Without a `step` of its own it ends at once.
-
-    Attributes
-    ----------
-    domains : tuple of str
-        What of the entity's motion it decides: ``"longitudinal"``, ``"lateral"``. When an action of an event starts,
-        all actions of the same entity end that decide some of the same.
-    remembered : tuple of str
-        Names of arrays (N,) that it shares with compiled code.
-    keeps_time : bool
-        Whether it ends at a time of its own.
+    Without its own `step` it ends immediately. `domains`: ``"longitudinal"`` and ``"lateral"`` parts of the motion that
+    it controls; when an action starts, it ends those of the same entity with a common domain. `shared_arrays`: names of
+    arrays (N,) shared with kernels. `has_own_timing`: whether it ends at a time of its own.
     """
 
     domains: tuple[str, ...] = ()
@@ -28,11 +20,11 @@ class Action:
     keeps_time: bool = False
 
     def options(self) -> tuple[int, ...]:
-        """What compiled code is told of it: its kind, its entity, and so on; it has to know no action."""
+        """Kind, entity and options for the kernels, which need not know every action."""
         return (UNKNOWN,)
 
     def start(self, world: World, where: BoolArray) -> None:
-        """Begin in the scenarios of the mask."""
+        """Start in the scenarios of the mask."""
         raise NotImplementedError
 
     def step(self, world: World, dt: float, where: BoolArray) -> BoolArray:
@@ -40,7 +32,7 @@ class Action:
         return where.copy()
 
     def look_up(self, world: World, where: BoolArray) -> None:
-        """Look up what compiled code cannot before it acts in the coming frame, in the scenarios of a mask."""
+        """Look up what kernels cannot before the coming frame, in the scenarios of a mask."""
 
     def leave(self, world: World, where: BoolArray) -> None:
-        """Leave the entity to another action, or to nobody, in the scenarios in which it is ended early."""
+        """Release the entity when the action is ended early, in the scenarios of a mask."""

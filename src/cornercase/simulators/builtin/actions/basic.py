@@ -1,4 +1,4 @@
-"""Actions: what events do to entities, in the scenarios in which they happen."""
+"""Read actions, and the actions that take effect immediately."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ from cornercase.simulators.builtin.world.signals import (
 )
 from cornercase.simulators.builtin.world.state import LATERAL, LONGITUDINAL, World
 
-# Actions that change nothing that a criticality metric measures.
+# Actions without influence on criticality metrics.
 WITHOUT_EFFECT: Final = (
     "EnvironmentAction", "AppearanceAction", "UserDefinedAction",
     "OverrideControllerValueAction", "SetMonitorAction",
@@ -48,27 +48,7 @@ _HOLDERS: Final = (
 
 
 def read_action(element: etree._Element, scope: Scope, world: World, entity: int | None) -> Action | None:
-    """Read a ``PrivateAction`` or ``GlobalAction`` for one entity.
-
-    Parameters
-    ----------
-    element : lxml element
-    scope : Scope
-        Values of the parameters there.
-    world : World
-    entity : int, optional
-        Row of the entity that acts; a global action has none.
-
-    Returns
-    -------
-    Action or None
-        None for one that has no effect here.
-
-    Raises
-    ------
-    InputError
-        The action is not supported, or is malformed.
-    """
+    """Read a ``PrivateAction`` of an entity (by row) or a ``GlobalAction``; None if it has no effect."""
     inner = inner_action(element)
     if element.tag in WITHOUT_EFFECT:
         return None
@@ -90,7 +70,7 @@ def read_action(element: etree._Element, scope: Scope, world: World, entity: int
 
 
 def inner_action(element: etree._Element) -> etree._Element:
-    """What a ``PrivateAction`` or ``GlobalAction`` holds, below the elements that group actions; itself where none."""
+    """Find the action inside its grouping elements; the element itself if there is none."""
     inner = next(iter(element.iterchildren("*")), None)
     while inner is not None and inner.tag in _HOLDERS:
         inner = next(iter(inner.iterchildren("*")), None)
@@ -98,7 +78,7 @@ def inner_action(element: etree._Element) -> etree._Element:
 
 
 class TeleportAction(Action):
-    """Moves an entity to a position at once."""
+    """Moves an entity to a position immediately."""
 
     domains = (LONGITUDINAL, LATERAL)
 
@@ -107,7 +87,7 @@ class TeleportAction(Action):
         self._position = read_position(child(element, "Position", scope), scope, world)
 
     def start(self, world: World, where: BoolArray) -> None:
-        # Relative positions follow the route of the entity that is placed.
+        # Relative positions follow the route of the placed entity.
         world.actor = self._entity
         pose = self._position(world)
         world.actor = None
@@ -115,7 +95,7 @@ class TeleportAction(Action):
 
 
 class AssignRouteAction(Action):
-    """Tells an entity which way to go at junctions."""
+    """Sets which roads an entity takes at junctions."""
 
     def __init__(self, element: etree._Element, scope: Scope, world: World, entity: int) -> None:
         self._entity = entity
@@ -123,13 +103,13 @@ class AssignRouteAction(Action):
 
     def start(self, world: World, where: BoolArray) -> None:
         roads = np.stack([pose.road for pose in self._route(world) if pose.road is not None])
-        for one in np.unique(roads[:, where], axis=1).T:
-            rows = where & (roads == one[:, None]).all(axis=0)
-            assign_route(world, self._entity, tuple(int(road) for road in one), rows)
+        for route in np.unique(roads[:, where], axis=1).T:
+            rows = where & (roads == route[:, None]).all(axis=0)
+            assign_route(world, self._entity, tuple(int(road) for road in route), rows)
 
 
 class AcquirePositionAction(Action):
-    """Makes an entity take the way to a place."""
+    """Makes an entity drive to a position."""
 
     domains = (LONGITUDINAL,)
 
@@ -146,7 +126,7 @@ class AcquirePositionAction(Action):
 
 
 class PresenceAction(Action):
-    """Adds an entity to the traffic or takes it out."""
+    """Adds an entity to the traffic or removes it."""
 
     def __init__(self, element: etree._Element, scope: Scope, world: World, entity: int | None) -> None:
         self._entity = entity_index(element, scope, world)
@@ -163,20 +143,20 @@ class PresenceAction(Action):
         else:
             added = where & ~world.present[self._entity]
             place_entity(world, self._entity, self._position(world), added)
-            # Unlike after a jump, it moves in the same step.
+            # Unlike a teleported entity, it moves in the same step.
             world.moved[self._entity][added] = False
 
 
 class ValueAction(Action):
-    """Sets or modifies a variable or, as files before 1.2 did, a parameter."""
+    """Sets or modifies a variable or, in files before 1.2, a parameter."""
 
     def __init__(self, element: etree._Element, scope: Scope, values: dict[str, Any], name: str) -> None:
         self._name, self._values = name, values
         where = f"{scope.source}, line {element.sourceline}: <{element.tag}>"
         self._operation: Callable[[Any, Any], Any] = np.add
-        change, given = element.find("SetAction"), None
+        change, source = element.find("SetAction"), None
         if change is not None:
-            given = change
+            source = change
             self._set = True
         else:
             self._set = False
@@ -184,37 +164,37 @@ class ValueAction(Action):
             inner = None if rule is None else next(iter(rule.iterchildren("*")), None)
             if inner is None or inner.tag not in ("AddValue", "MultiplyByValue"):
                 raise InputError(f"{where} neither sets, adds nor multiplies.")
-            given = inner
+            source = inner
             self._operation = np.multiply if inner.tag == "MultiplyByValue" else np.add
         numeric = values[self._name].dtype.kind == "f"
-        text = "" if numeric else as_held(given, scope, values[self._name])
-        self._value = scope.number(given, "value") if numeric else np.full(scope.scenarios, text)
+        text = "" if numeric else as_held(source, scope, values[self._name])
+        self._value = scope.number(source, "value") if numeric else np.full(scope.scenarios, text)
         if not numeric and not self._set:
             raise InputError(f"{where}: '{self._name}' is not a number and can only be set.")
 
     def start(self, world: World, where: BoolArray) -> None:
         values = self._values[self._name]
         new = self._value if self._set else self._operation(values, self._value)
-        # A new array, since the old one has no room for longer texts.
+        # A new array, as longer texts need a wider dtype.
         self._values[self._name] = np.where(where, new, values)
 
 
 def _read_value(element: etree._Element, scope: Scope, world: World, entity: int | None) -> Action | None:
-    kind = "variableRef" if element.tag == "VariableAction" else "parameterRef"
-    what, values = kind.removesuffix("Ref"), world.variables if kind == "variableRef" else world.parameters
-    name = element.get(kind, "").lstrip("$")
+    attribute = "variableRef" if element.tag == "VariableAction" else "parameterRef"
+    noun, values = attribute.removesuffix("Ref"), world.variables if attribute == "variableRef" else world.parameters
+    name = element.get(attribute, "").lstrip("$")
     if name in values:
         return ValueAction(element, scope, values, name)
-    if nobody_asks(element, f"{what.capitalize()}Condition"):
-        why = f"is skipped, as there is no {what} '{name}', and no condition asks for one"
-        adapt(element, f"<{element.tag}>", why, f"{kind} names a {what} that is declared")
+    if nobody_asks(element, f"{noun.capitalize()}Condition"):
+        why = f"is skipped, as there is no {noun} '{name}', and no condition uses it"
+        adapt(element, f"<{element.tag}>", why, f"{attribute} names a {noun} that is declared")
         return None
     where = f"{scope.source}, line {element.sourceline}: <{element.tag}>"
-    raise InputError(f"{where}: there is no {what} '{name}'; {suggestion(name, values)}")
+    raise InputError(f"{where}: there is no {noun} '{name}'; {suggestion(name, values)}")
 
 
 class SignalControllerAction(Action):
-    """Begins a phase of a controller of traffic signals, which goes on from there."""
+    """Starts a phase of a traffic signal controller, which continues from there."""
 
     def __init__(self, controller: SignalController, phase: int) -> None:
         self._controller, self._phase = controller, phase
@@ -231,7 +211,7 @@ def _read_signal_controller(element: etree._Element, scope: Scope, world: World,
     controller = world.signal_controllers.get(name)
     if (controller is None or phase not in controller.names) and nobody_asks(element, *SIGNAL_CONDITIONS):
         lacking = f"signal controller '{name}'" if controller is None else f"phase '{phase}' of '{name}'"
-        why = f"is skipped, as there is no {lacking}, and no condition asks for signals"
+        why = f"is skipped, as there is no {lacking}, and no condition uses signals"
         adapt(element, f"<{element.tag}>", why, "it names a signal controller of the file, and a phase of it")
         return None
     controller = named_controller(world.signal_controllers, name, where)
@@ -239,7 +219,7 @@ def _read_signal_controller(element: etree._Element, scope: Scope, world: World,
 
 
 class SignalAction(Action):
-    """Switches a traffic signal, which conditions can ask for."""
+    """Switches a traffic signal; only conditions read it."""
 
     def __init__(self, element: etree._Element, scope: Scope, world: World, entity: int | None) -> None:
         self._name, self._state = scope.text(element, "name"), scope.text(element, "state")

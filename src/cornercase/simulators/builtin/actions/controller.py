@@ -1,4 +1,4 @@
-"""How a driver's decisions move an entity, and who is in charge of it."""
+"""Drivers in control of entities, and the actions that assign them."""
 
 from __future__ import annotations
 
@@ -22,25 +22,20 @@ from cornercase.simulators.builtin.tracks.lane import LaneTrack
 from cornercase.simulators.builtin.tracks.track import Track, Trajectory
 from cornercase.simulators.builtin.world.state import World
 
-# A driver is given trajectories as samples, in m: their spacing, how far they go straight on beyond the end, and how
-# much of a closed trajectory is given.
+# Trajectories for drivers, in m: sample spacing, straight extension beyond the end, and longest length.
 _SPACING, _BEYOND, _LONGEST = 0.5, 200.0, 2000.0
 
-# m/s² beyond a limit that come of rounding.
+# Excess in m/s² that may come from rounding.
 _ROUNDING = 1e-9
 
 _DRIVEN: WeakKeyDictionary[LanePath, DrivenPath] = WeakKeyDictionary()
 
 
 class DriverError(Exception):
-    """A driver raised an exception, or gave no acceleration, for several scenarios at once.
+    """A driver raised an exception, or returned no acceleration, for several scenarios at once.
 
-    Parameters
-    ----------
-    error : SimulationError
-        What becomes of the scenario that is at fault.
-    splits : bool
-        Whether half of the scenarios alone tell which half is at fault; otherwise only each one alone does.
+    `error` is for the scenario at fault. `can_bisect`: whether a run with half of the scenarios shows which half is at
+    fault; otherwise only single runs do.
     """
 
     def __init__(self, error: SimulationError, splits: bool) -> None:
@@ -49,27 +44,11 @@ class DriverError(Exception):
 
 
 class Driving:
-    """One entity of a batch, and the driver that decides its speed along lanes and trajectories while in charge.
+    """One entity of a batch and the driver that decides its speed along lanes and trajectories while active.
 
-    A trajectory with times leaves the driver nothing to decide.
-
-    Parameters
-    ----------
-    world : World
-        It becomes one of its drivers.
-    entity : int
-        Row of the entity.
-    driver : Driver
-
-    Attributes
-    ----------
-    number : int
-        Of the driver in the world.
-    in_fleet : bool
-        Whether compiled code decides for it.
-    exceeded : dict of str to str
-        By limit of the vehicle beyond which the driver went: a sentence, without a full stop, for a notice. What tells
-        the notices of one limit apart stands behind a semicolon.
+    A trajectory with times leaves the driver nothing to decide. `number` is its index in `World.drivers`; `in_fleet`
+    says whether kernels decide for it. `limit_notices`: by limit of the vehicle that the driver exceeded, a sentence
+    without a full stop for a notice; what distinguishes notices of one limit follows a semicolon.
     """
 
     def __init__(self, world: World, entity: int, driver: Driver) -> None:
@@ -86,37 +65,39 @@ class Driving:
             self._join_fleet()
 
     def _join_fleet(self) -> None:
-        driver, own = self.driver, self._world.entities[self.entity]
+        driver, entity = self.driver, self._world.entities[self.entity]
         assert decides_in_fleet(driver)
         try:
             self._start()
         except DriverError as failure:
-            # The fleet needs one that is started.
+            # The fleet needs a started driver.
             self._failure = failure
-            built_in = next(one for one in type(driver).__mro__ if is_built_in(one) and issubclass(one, Driver))
+            built_in = next(base for base in type(driver).__mro__ if is_built_in(base) and issubclass(base, Driver))
             built_in.start(driver, self._world.scenarios, len(self._others))
-        for limit, value in limit_driver(driver, own.max_acceleration, own.max_deceleration).items():
+        for limit, value in limit_driver(driver, entity.max_acceleration, entity.max_deceleration).items():
             self._note(limit, f"it would go up to {value:.6g} m/s²")
 
     def begin(self) -> None:
-        """Let the driver forget everything, as the batch is run: it may be somebody's, and fail or end the process."""
+        """Reset the driver when the batch starts; user code may fail or end the process here."""
         if self._failure is not None:
             raise self._failure
         if not self.in_fleet:
             self._start()
 
     def _start(self) -> None:
-        heard = requests_heard()
+        requests = requests_heard()
         try:
             self.driver.start(self._world.scenarios, len(self._others))
         except BaseException as error:
-            raise DriverError(failure_of(self._name, error, heard, 0.0), splits=True) from error
+            raise DriverError(failure_of(self._name, error, requests, 0.0), splits=True) from error
 
     @property
     def _name(self) -> str:
-        """The driver as failures and notices name it."""
-        own, entity = type(self.driver), quoted_name(self._world.names[self.entity])
-        return f"the driver of {entity}" + ("" if is_built_in(own) else f" ({own.__module__}:{own.__qualname__})")
+        """Name of the driver in errors and notices."""
+        driver_class, entity = type(self.driver), quoted_name(self._world.names[self.entity])
+        return f"the driver of {entity}" + (
+            "" if is_built_in(driver_class) else f" ({driver_class.__module__}:{driver_class.__qualname__})"
+        )
 
     def step(self, dt: float) -> None:
         """Decide the entity's speed at the end of the coming time step."""
@@ -132,7 +113,7 @@ class Driving:
                 acceleration = self._decided(situation)
                 for i in np.flatnonzero(rows & ~np.isfinite(acceleration)).tolist():
                     instant = format_instant(situation.time)
-                    why = f"{self._name} gave {acceleration[i]:g}{instant}, which is no acceleration in m/s²"
+                    why = f"{self._name} returned {acceleration[i]:g}{instant}, which is not an acceleration in m/s²"
                     world.fail(np.arange(world.scenarios) == i, PartError(why))
                 if not self.in_fleet:
                     acceleration = self._possible(acceleration, rows & np.isfinite(acceleration), situation.time)
@@ -140,48 +121,48 @@ class Driving:
                 world.speed[e][rows] = np.minimum(speed, world.entities[e].max_speed)[rows]
 
     def _decided(self, situation: Situation) -> FloatArray:
-        """What the driver gives, which may be a class of anybody."""
-        expected, heard = self._world.scenarios, requests_heard()
+        """Call the driver, which may be user code, and check its accelerations."""
+        expected, requests = self._world.scenarios, requests_heard()
         try:
-            given = self.driver.acceleration(situation)
+            returned = self.driver.acceleration(situation)
         except BaseException as error:
-            raise DriverError(failure_of(self._name, error, heard, situation.time), splits=True) from error
+            raise DriverError(failure_of(self._name, error, requests, situation.time), splits=True) from error
         try:
-            acceleration: FloatArray = np.asarray(given).astype(np.float64, casting="same_kind")
-            # One number would be that of the first scenario for all others, too.
+            acceleration: FloatArray = np.asarray(returned).astype(np.float64, casting="same_kind")
+            # A single number would be broadcast to all scenarios.
             if acceleration.shape != (expected,):
                 raise ValueError
             return acceleration
         except BaseException as error:
-            raise_if_request(error, heard)
-            each = "for the scenario" if expected == 1 else f"for each of {expected} scenarios"
+            raise_if_request(error, requests)
+            expectation = "for the scenario" if expected == 1 else f"for each of {expected} scenarios"
             instant = format_instant(situation.time)
-            why = f"{self._name} gave no acceleration {each}{instant}, but {_shown(given)}"
+            why = f"{self._name} returned no acceleration {expectation}{instant}, but {_shown(returned)}"
             raise DriverError(PartError(why), splits=False) from error
 
     def _possible(self, acceleration: FloatArray, rows: BoolArray, time: float) -> FloatArray:
-        """What of an acceleration the vehicle can do."""
-        own = self._world.entities[self.entity]
-        most, least = own.max_acceleration, -own.max_deceleration
-        for limit, beyond in (("acceleration", acceleration - most), ("deceleration", least - acceleration)):
-            worst = float(beyond[rows].max(initial=0.0))
+        """Clip accelerations to what the vehicle can do."""
+        entity = self._world.entities[self.entity]
+        highest, lowest = entity.max_acceleration, -entity.max_deceleration
+        for limit, excess in (("acceleration", acceleration - highest), ("deceleration", lowest - acceleration)):
+            worst = float(excess[rows].max(initial=0.0))
             if limit not in self.exceeded and worst > _ROUNDING:
-                asked = worst + (own.max_acceleration if limit == "acceleration" else own.max_deceleration)
-                self._note(limit, f"first {asked:.6g} m/s²{format_instant(time)}")
-        return np.clip(acceleration, least, most)
+                requested = worst + (entity.max_acceleration if limit == "acceleration" else entity.max_deceleration)
+                self._note(limit, f"first {requested:.6g} m/s²{format_instant(time)}")
+        return np.clip(acceleration, lowest, highest)
 
     def _note(self, limit: str, asked: str) -> None:
-        own = self._world.entities[self.entity]
-        bound = own.max_acceleration if limit == "acceleration" else own.max_deceleration
+        entity = self._world.entities[self.entity]
+        bound = entity.max_acceleration if limit == "acceleration" else entity.max_deceleration
         self.exceeded[limit] = (
-            f"{self._name} asks for more {limit} than the {bound:.6g} m/s² of <Performance>, and gets that; {asked}"
+            f"{self._name} exceeds the {limit} of {bound:.6g} m/s² in <Performance>, and is limited to it; {asked}"
         )
 
     def _situation(self, k: int, track: Track, dt: float, rows: BoolArray) -> Situation:
         world, e, others = self._world, self.entity, self._others
         box, boxes = world.entities[e], [world.entities[a] for a in others]
-        there = (world.present & world.visible)[others].T
-        # A driver may keep what it is told, or write into it.
+        is_visible = (world.present & world.visible)[others].T
+        # A driver may store or modify its input: pass copies.
         return Situation(
             time=float(world.time[rows].max()),
             time_step=dt,
@@ -196,24 +177,24 @@ class Driving:
             width=box.width,
             center_x=box.center_x,
             target_speed=world.target_speed[e].copy(),
-            others_x=np.where(there, world.x[others].T, np.nan),
-            others_y=np.where(there, world.y[others].T, np.nan),
-            others_heading=np.where(there, world.heading[others].T, np.nan),
-            others_speed=np.where(there, world.speed[others].T, np.nan),
-            others_length=np.array([one.length for one in boxes]),
-            others_width=np.array([one.width for one in boxes]),
-            others_center_x=np.array([one.center_x for one in boxes]),
-            others_kind=tuple(one.kind for one in boxes),
+            others_x=np.where(is_visible, world.x[others].T, np.nan),
+            others_y=np.where(is_visible, world.y[others].T, np.nan),
+            others_heading=np.where(is_visible, world.heading[others].T, np.nan),
+            others_speed=np.where(is_visible, world.speed[others].T, np.nan),
+            others_length=np.array([other.length for other in boxes]),
+            others_width=np.array([other.width for other in boxes]),
+            others_center_x=np.array([other.center_x for other in boxes]),
+            others_kind=tuple(other.kind for other in boxes),
             active=rows.copy(),
         )
 
     def path(self, k: int, track: Track) -> DrivenPath:
-        """What a driver is given of one of its entity's tracks, by its number."""
+        """Path for the driver of one of its entity's tracks."""
         if isinstance(track, LaneTrack):
             if k not in self._paths:
                 self._paths[k] = _along_lane(track.path)
         elif isinstance(track, Trajectory) and self._begun.get(k) != track.version:
-            # A trajectory that is begun again may run elsewhere.
+            # A restarted trajectory may have another shape.
             self._paths[k], self._begun[k] = _sampled(track), track.version
         return self._paths[k]
 
@@ -226,34 +207,34 @@ def _shown(given: object) -> str:
 
 
 def _along_lane(line: LanePath) -> DrivenPath:
-    """The same object for the same line, so that what is planned along it serves all batches."""
+    """Path along a lane, cached so that plans along it serve all batches."""
     if line not in _DRIVEN:
         _DRIVEN[line] = DrivenPath(line.distance, line.x, line.y, line.heading, line.curvature)
     return _DRIVEN[line]
 
 
 def _sampled(track: Trajectory) -> DrivenPath:
-    """Samples of a trajectory that may run otherwise in each scenario.
+    """Samples of a trajectory that may differ between scenarios.
 
-    They are at the same distances in each, and go on further than a driver looks, so that what a driver sees in one
-    scenario does not depend on the others.
+    Distances are the same in all scenarios and extend further than a driver looks, so that what it sees in one scenario
+    does not depend on the others.
     """
     ends = np.minimum(track.lengths, _LONGEST)
-    places = _SPACING * np.arange(int(np.ceil((ends.max() + _BEYOND) / _SPACING)) + 1)
-    every = np.arange(len(ends))
-    x, y, heading, curvature = (np.empty((len(ends), len(places))) for _ in range(4))
-    for k, place in enumerate(places):
-        at = np.full(len(ends), place)
-        x[:, k], y[:, k], heading[:, k] = track.at(at, np.zeros(len(ends)), every)
-        curvature[:, k] = np.where(at <= ends, track.curvature(at, every), 0.0)
-    return DrivenPath(np.tile(places, (len(ends), 1)), x, y, np.unwrap(heading, axis=1), curvature)
+    distances = _SPACING * np.arange(int(np.ceil((ends.max() + _BEYOND) / _SPACING)) + 1)
+    scenarios = np.arange(len(ends))
+    x, y, heading, curvature = (np.empty((len(ends), len(distances))) for _ in range(4))
+    for k, distance in enumerate(distances):
+        at = np.full(len(ends), distance)
+        x[:, k], y[:, k], heading[:, k] = track.at(at, np.zeros(len(ends)), scenarios)
+        curvature[:, k] = np.where(at <= ends, track.curvature(at, scenarios), 0.0)
+    return DrivenPath(np.tile(distances, (len(ends), 1)), x, y, np.unwrap(heading, axis=1), curvature)
 
 
 class ControllerAction(Action):
-    """Assigns a controller to an entity, or activates the one that it has.
+    """Assigns a controller to an entity, or activates the assigned one.
 
-    Of controllers those with the property ``cornercase.driver`` act; any other leaves the entity to the
-    storyboard. A driver that was chosen by who runs the file stays in charge.
+    Only controllers with the property ``cornercase.driver`` act; any other leaves the entity to the storyboard. A
+    driver chosen by the user who runs the file stays in control.
     """
 
     def __init__(self, element: etree._Element, scope: Scope, world: World, entity: int) -> None:
@@ -272,7 +253,7 @@ class ControllerAction(Action):
             world.control(self._entity, where, self._driver, self._activated)
 
     def _assigned(self, assign: etree._Element, scope: Scope, world: World) -> int:
-        # Of other programs' controllers is said that they have no effect, so that they do not count as read.
+        # Other programs' controllers are reported as having no effect, so they must not count as read.
         holder = next(iter(unrecorded(assign, "ObjectController")), assign)
         controller = next(iter(unrecorded(holder, "Controller")), None)
         reference = holder.find("CatalogReference")
@@ -280,15 +261,15 @@ class ControllerAction(Action):
             controller, scope = scope.from_catalog(reference, "Controller")
         if controller is None:
             return -1
-        item = named(unrecorded(controller, "Properties", "Property"), DRIVER_PROPERTY)
-        if item is None:
+        property_element = named(unrecorded(controller, "Properties", "Property"), DRIVER_PROPERTY)
+        if property_element is None:
             return -1
-        driver = registered_driver(scope.text(item, "value"), scope.source)
+        driver = registered_driver(scope.text(property_element, "value"), scope.source)
         return Driving(world, self._entity, driver).number
 
 
 class VisibilityAction(Action):
-    """Hides an entity from the others in the traffic, or shows it again."""
+    """Hides an entity from others in the traffic, or shows it again."""
 
     def __init__(self, element: etree._Element, scope: Scope, world: World, entity: int) -> None:
         self._entity, self._seen = entity, scope.flag(element, "traffic", True)
@@ -298,23 +279,7 @@ class VisibilityAction(Action):
 
 
 def registered_driver(name: str, where: str) -> Driver:
-    """Build a driver that a file asks for by its registered name.
-
-    Parameters
-    ----------
-    name : str
-    where : str
-        Who asks, for messages.
-
-    Returns
-    -------
-    Driver
-
-    Raises
-    ------
-    InputError
-        There is none; a file cannot name a class to load.
-    """
+    """Create the registered driver that a file names; `location` starts the error message."""
     try:
         return driver_of_file(name)
     except InputError as error:

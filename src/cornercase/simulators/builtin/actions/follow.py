@@ -1,4 +1,4 @@
-"""Following a trajectory."""
+"""The action that follows a trajectory."""
 
 from __future__ import annotations
 
@@ -18,9 +18,9 @@ from cornercase.simulators.builtin.world.lanes import attach_to_lane, follow_tra
 from cornercase.simulators.builtin.world.motion import settle_on_track
 from cornercase.simulators.builtin.world.state import LATERAL, LONGITUDINAL, World
 
-# Places and instants that differ by less, in m and s, are the same.
+# Tolerance of distances and times in m and s.
 _TINY: Final = 1e-6
-# Lanes are sampled: what lies further beside one than this, in m, does so in the road file.
+# A larger lateral gap to a sampled lane, in m, exists in the road file too.
 _SEAM: Final = 0.01
 
 
@@ -36,22 +36,22 @@ class FollowTrajectoryAction(Action):
         self._shape = read_trajectory(element if holder is None else holder, scope, world, read_position)
         mode = element.find("TrajectoryFollowingMode")
         reference = element.find("TimeReference")
-        kind = None if reference is None else next(reference.iterchildren("*"), None)
-        timing = kind if kind is not None and kind.tag == "Timing" else None
+        timing_element = None if reference is None else next(reference.iterchildren("*"), None)
+        timing = timing_element if timing_element is not None and timing_element.tag == "Timing" else None
         self._smooth = mode is None or scope.text(mode, "followingMode", "follow") == "follow"
         self._absolute = False
         self._clock: Clock | None = None
-        # Times that do not pass are none.
+        # Constant times are ignored.
         if timing is not None and takes_time(element if holder is None else holder, scope):
             self._absolute = scope.text(timing, "domainAbsoluteRelative", "relative") == "absolute"
             self._clock = Clock(scope.number(timing, "scale", 1.0), scope.number(timing, "offset", 0.0))
             self.domains = (LATERAL, LONGITUDINAL)
             self.keeps_time = True
         self._skip = scope.number(element, "initialDistanceOffset", 0.0)
-        # What the trajectory's clock shows when the simulation time is 0.
+        # Time of the trajectory's clock at simulation time 0.
         self._ahead = np.zeros(scope.scenarios)
         self._track: Trajectory | None = None
-        # -1 where the entity is turned against the line, so that driving forwards leads back along it.
+        # -1 if the entity points against the line, so that driving forwards leads back along it.
         self._sign = np.ones(scope.scenarios)
         self._was_oriented = np.zeros(scope.scenarios)
 
@@ -59,9 +59,9 @@ class FollowTrajectoryAction(Action):
         return TRAJECTORY_ACTION, self._entity, self._clock is not None
 
     def start(self, world: World, where: BoolArray) -> None:
-        e, every = self._entity, np.arange(world.scenarios)
+        e, scenarios = self._entity, np.arange(world.scenarios)
         track = self._shape(world, self._smooth, self._clock, e)
-        # All scenarios share one track, whenever each starts it, since each step loops over an entity's tracks.
+        # All scenarios share one track, as each step loops over an entity's tracks.
         if self._track is None:
             self._track = track
         else:
@@ -71,22 +71,22 @@ class FollowTrajectoryAction(Action):
         follow_track(world, e, track, self._skip, where)
         world.offset[e][where] = world.turn[e][where] = 0.0
         world.stranded[e][where] = False
-        x, y, heading = track.at(self._skip, np.zeros(world.scenarios), every)
-        line, oriented = track.direction(self._skip, every), track.oriented(self._skip, every)
+        x, y, heading = track.at(self._skip, np.zeros(world.scenarios), scenarios)
+        line, oriented = track.direction(self._skip, scenarios), track.oriented(self._skip, scenarios)
         backwards = world.speed[e] < 0.0
         if track.time is not None:
-            back = (np.diff(track.time) < -_TINY).any(axis=1)
-            world.fail(where & back, f"the times of a trajectory of {world.names[e]} go back")
+            decreases = (np.diff(track.time) < -_TINY).any(axis=1)
+            world.fail(where & decreases, f"the times of a trajectory of {world.names[e]} must not decrease")
         if self._clock is not None:
             clock, speed = track.clock_at(self._skip)
-            ahead = np.zeros_like(clock) if self._absolute else clock - self._clock.shift - world.time
-            self._ahead[where] = ahead[where]
+            clock_offset = np.zeros_like(clock) if self._absolute else clock - self._clock.shift - world.time
+            self._ahead[where] = clock_offset[where]
             backwards = oriented & _against(heading, line)
             world.speed[e][where] = np.where(backwards, -speed, speed)[where]
-        # Without a heading of its own, an entity that drives backwards is turned round.
+        # Without a prescribed heading, an entity that drives backwards is turned around.
         heading = np.where(oriented, heading, line + np.where(backwards, np.pi, 0.0))
-        turned = _against(heading, line) & ~(oriented & world.entities[e].slides)
-        self._sign[where] = np.where(turned, -1.0, 1.0)[where]
+        is_reversed = _against(heading, line) & ~(oriented & world.entities[e].slides)
+        self._sign[where] = np.where(is_reversed, -1.0, 1.0)[where]
         self._was_oriented[where] = oriented[where]
         world.x[e][where], world.y[e][where], world.heading[e][where] = x[where], y[where], heading[where]
 
@@ -104,42 +104,44 @@ class FollowTrajectoryAction(Action):
         e, before = self._entity, world.distance[self._entity].copy()
         assert track.time is not None
         time, last = world.time + dt + self._ahead, track.time[:, -1]
-        over = rows & (time > last - _TINY)
-        along = track.distance_at(time)
+        is_over = rows & (time > last - _TINY)
+        distance = track.distance_at(time)
         if dt > 0:
-            # An entity turned against the line drives backwards.
+            # An entity that points against the line drives backwards.
             against = _against(world.heading[e], track.direction(before, np.arange(world.scenarios)))
-            gone = np.where(along < before, -1.0, 1.0) * np.where(against, -1.0, 1.0) * np.abs(along - before) / dt
-            going = rows & (time < last + _TINY)
-            world.speed[e][going] = gone[going]
-        self._put(world, track, along, rows)
-        if over.any():
-            self._leave(world, track, (time - last) * world.speed[e], over)
-        return over
+            signed_speed = (
+                np.where(distance < before, -1.0, 1.0) * np.where(against, -1.0, 1.0) * np.abs(distance - before) / dt
+            )
+            moves = rows & (time < last + _TINY)
+            world.speed[e][moves] = signed_speed[moves]
+        self._put(world, track, distance, rows)
+        if is_over.any():
+            self._leave(world, track, (time - last) * world.speed[e], is_over)
+        return is_over
 
     def _go(self, world: World, track: Trajectory, dt: float, rows: BoolArray) -> BoolArray:
         e, before = self._entity, world.distance[self._entity].copy()
-        way = world.speed[e] * self._sign * dt
-        along = np.clip(before + way, 0.0, track.lengths)
-        self._put(world, track, along, rows)
-        reached = rows & (along > track.lengths - _TINY) & (way > 0)
-        begun = rows & (along < _TINY) & (way < 0)
-        if (reached | begun).any():
-            # Back at the start, the rest of the step is lost, as in esmini.
-            rest = np.where(reached, np.maximum(np.abs(way) - np.abs(along - before), 0.0), 0.0)
-            self._leave(world, track, rest, reached | begun)
-        return np.asarray(reached | begun)
+        step = world.speed[e] * self._sign * dt
+        distance = np.clip(before + step, 0.0, track.lengths)
+        self._put(world, track, distance, rows)
+        reached = rows & (distance > track.lengths - _TINY) & (step > 0)
+        at_start = rows & (distance < _TINY) & (step < 0)
+        if (reached | at_start).any():
+            # At the start, the rest of the step is dropped, as in esmini.
+            remaining = np.where(reached, np.maximum(np.abs(step) - np.abs(distance - before), 0.0), 0.0)
+            self._leave(world, track, remaining, reached | at_start)
+        return np.asarray(reached | at_start)
 
     def _put(self, world: World, track: Trajectory, along: FloatArray, rows: BoolArray) -> None:
-        """Move the entity to a distance along the trajectory, with the heading that it has there."""
-        e, every = self._entity, np.arange(world.scenarios)
-        oriented = track.oriented(along, every)
-        loose = rows & ~oriented & (self._was_oriented > 0.0)
-        if loose.any():
-            # From here on the line alone gives the heading: the entity keeps to the side that it is turned to.
-            heading = track.at(along, np.zeros(world.scenarios), every)[2]
-            against = _against(heading, track.direction(along, every))
-            self._sign[loose] = np.where(against, -1.0, 1.0)[loose]
+        """Move the entity to a distance along the trajectory, with the heading there."""
+        e, scenarios = self._entity, np.arange(world.scenarios)
+        oriented = track.oriented(along, scenarios)
+        loses_heading = rows & ~oriented & (self._was_oriented > 0.0)
+        if loses_heading.any():
+            # From here on the line determines the heading: keep the current direction.
+            heading = track.at(along, np.zeros(world.scenarios), scenarios)[2]
+            against = _against(heading, track.direction(along, scenarios))
+            self._sign[loses_heading] = np.where(against, -1.0, 1.0)[loses_heading]
         self._was_oriented[rows] = oriented[rows]
         world.turn[e][rows] = np.where(oriented | (self._sign > 0.0), 0.0, np.pi)[rows]
         world.distance[e][rows] = along[rows]
@@ -147,22 +149,22 @@ class FollowTrajectoryAction(Action):
         settle_on_track(world, e, rows)
 
     def _leave(self, world: World, track: Trajectory, beyond: FloatArray, where: BoolArray) -> None:
-        """Go the rest of the step as the trajectory points, and from there along the road, turned from it as now."""
+        """Move the rest of the step beyond the trajectory's end, then follow the road at the same relative heading."""
         e, rows = self._entity, np.flatnonzero(where)
         heading = world.heading[e][rows] - world.turn[e][rows]
         world.x[e][rows] += beyond[rows] * np.cos(heading)
         world.y[e][rows] += beyond[rows] * np.sin(heading)
         attach_to_lane(world, e, where)
         for _, lane, at in world.followed(e, where):
-            # Where roads do not quite meet, the lane may be a little beside; the way onto it is no motion.
+            # If roads have a small gap, the shift onto the lane does not count as motion.
             x, y, _ = lane.at(world.distance[e][at], world.offset[e][at], at)
             dx, dy = x - world.x[e][at], y - world.y[e][at]
-            apart = np.hypot(dx, dy) > _SEAM
+            has_gap = np.hypot(dx, dy) > _SEAM
             for state, shift in ((world.x, dx), (world.y, dy), (world.from_x, dx), (world.from_y, dy)):
-                state[e][at] += np.where(apart, shift, 0.0)
+                state[e][at] += np.where(has_gap, shift, 0.0)
         world.stranded[e][where] = (world.track[e] == FREE)[where]
 
 
 def _against(heading: FloatArray, line: FloatArray) -> BoolArray:
-    """Whether a heading points back along a line."""
+    """Check whether a heading points backwards along a line."""
     return np.asarray(np.cos(heading - line) < -_TINY)

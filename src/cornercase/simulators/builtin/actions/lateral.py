@@ -29,22 +29,22 @@ from cornercase.simulators.builtin.world.motion import move_at_once, settle_on_t
 from cornercase.simulators.builtin.world.state import LATERAL, World
 from cornercase.simulators.builtin.world.whereabouts import lane_of, looks_along
 
-# rad; who moves only sideways is turned by a little less than a quarter, and still looks the way that it came: on a
-# bend, too, where headings of lanes are known to a part of this.
+# rad; purely lateral motion turns the entity by slightly less than 90°, so that it still points along its lane, also in
+# bends, where lane headings are accurate to a fraction of the difference.
 _SIDEWAYS: Final = 0.5 * np.pi - 1e-3
 
-# m/s²; esmini's figure for a lane offset without one.
+# m/s²; esmini's default for lane offsets.
 _GENTLE: Final = 0.5
 
-# Tolerances in m or s within which an offset, and a distance, is reached.
+# Tolerances in m or s of offsets and distances.
 _THERE: Final = 1e-6
 _REACHED: Final = 0.01
-# Offsets from a lane's middle are known to some 1e-5 m, and so is how long a change takes, in s or m.
+# Lane offsets, and the duration of a change in s or m, are accurate to about 1e-5.
 _SHORT: Final = 1e-4
 
 
 class LaneChangeAction(Action):
-    """Moves an entity to another lane; part of its speed goes into the motion sideways."""
+    """Moves an entity to another lane; part of its speed becomes lateral motion."""
 
     domains = (LATERAL,)
     remembered = ("_from", "_to", "_done", "_extent")
@@ -77,74 +77,73 @@ class LaneChangeAction(Action):
             world.fail(where, f"{world.names[e]} cannot change lanes, as there are no roads")
             return
         lane = self._lane(world)
-        done = change_lane(world, e, lane, where)
-        if not done[where].all():
-            # As in esmini, it ends in its own lane; there it jumps aside first.
-            self._stay(world, where & ~done)
+        exists = change_lane(world, e, lane, where)
+        if not exists[where].all():
+            # Ends in its own lane, as in esmini (which jumps sideways first).
+            self._stay(world, where & ~exists)
         pose = lane_of(world, e)
         forward = np.where(looks_along(world, pose), 1.0, -1.0)
         self._from[where] = world.offset[e][where]
         self._to[where] = (forward * self._target_offset)[where]
         self._extent[where] = self._transition.extent(self._from, self._to)[where]
         self._done[where] = 0.0
-        # With a route it counts as on its new lane from the start.
+        # With a route it counts as being on the new lane from the start.
         world.changes_lanes[e][where] = (world.route[e] == 0)[where]
-        # It begins along its lane, whatever an earlier action has turned it by.
+        # It starts parallel to its lane, whatever its previous heading.
         world.turn[e][where] = 0.0
         settle_on_track(world, e, where)
 
     def step(self, world: World, dt: float, where: BoolArray) -> BoolArray:
         e, change = self._entity, self._to - self._from
-        way = ahead = np.abs(world.speed[e]) * dt
+        step_length = longitudinal = np.abs(world.speed[e]) * dt
         moves = where & (np.abs(world.speed[e]) > 1e-6)
         abrupt = self._extent <= 1e-6
         extent = np.where(abrupt, 1.0, self._extent)
         rate = change / extent * self._transition.slope(self._done / extent)
         if self._transition.dimension == "distance":
-            ahead = way / np.sqrt(1.0 + rate**2)
-            done = self._done + ahead
-            part = self._transition.at(done / extent)
-            # As in esmini, the heading is that of driving forwards even where the entity drives backwards.
+            longitudinal = step_length / np.sqrt(1.0 + rate**2)
+            progress = self._done + longitudinal
+            share = self._transition.at(progress / extent)
+            # As in esmini, the heading is that of driving forwards even if the entity drives backwards.
             turn = np.arctan(rate)
         else:
-            across = np.minimum(dt * np.abs(rate), way)
+            lateral = np.minimum(dt * np.abs(rate), step_length)
             # An entity that is too slow for the change moves only sideways, at constant speed.
-            slow = dt * np.abs(rate) > way + 1e-6
+            slow = dt * np.abs(rate) > step_length + 1e-6
             with np.errstate(divide="ignore", invalid="ignore"):
-                done = self._done + np.where(slow, way * extent / np.abs(change), dt)
-            part = np.where(slow, np.clip(done / extent, 0.0, 1.0), self._transition.at(done / extent))
-            ahead = np.sqrt(np.maximum(way**2 - across**2, 0.0))
-            turn = np.arctan2(np.sign(rate) * across, ahead)
+                progress = self._done + np.where(slow, step_length * extent / np.abs(change), dt)
+            share = np.where(slow, np.clip(progress / extent, 0.0, 1.0), self._transition.at(progress / extent))
+            longitudinal = np.sqrt(np.maximum(step_length**2 - lateral**2, 0.0))
+            turn = np.arctan2(np.sign(rate) * lateral, longitudinal)
             turn = np.sign(world.speed[e]) * np.where(slow, np.sign(rate) * _SIDEWAYS, turn)
-        offset = np.where(abrupt, self._to, self._from + part * change)
-        arrived = abrupt | (done > self._extent - _SHORT) | (np.abs(offset - self._to) < _THERE)
-        self._done[moves] = done[moves]
+        offset = np.where(abrupt, self._to, self._from + share * change)
+        arrived = abrupt | (progress > self._extent - _SHORT) | (np.abs(offset - self._to) < _THERE)
+        self._done[moves] = progress[moves]
         world.offset[e][moves] = offset[moves]
         world.turn[e][moves] = np.where(arrived, 0.0, turn)[moves]
         world.changes_lanes[e][moves & arrived] = False
-        # It moves even where it was just put somewhere; a speed that another action sets in this frame counts from
-        # the next, for one that stands too.
+        # It moves even if it was just placed; a speed set by another action in this frame applies from the next frame.
         world.pace[e][where] = world.speed[e][where]
-        way = np.sign(world.speed[e]) * np.where(abrupt, way, ahead)
-        move_at_once(world, e, where, np.where(moves, way, 0.0))
-        # At the end of the road it is over, wherever between the lanes that is.
+        step_length = np.sign(world.speed[e]) * np.where(abrupt, step_length, longitudinal)
+        move_at_once(world, e, where, np.where(moves, step_length, 0.0))
+        # It ends at the end of the road, even between lanes.
         stuck = moves & ~arrived & np.isfinite(world.at_end_since[e])
         self.leave(world, stuck)
         return np.asarray(moves & arrived | stuck)
 
     def leave(self, world: World, where: BoolArray) -> None:
-        """Leave the entity in the lane that it is in by now, or in that of the change where it follows a route."""
+        """Leave the entity in its current lane, or in the target lane if it follows a route."""
         world.changes_lanes[self._entity][where] = False
         attach_to_lane(world, self._entity, where & (world.route[self._entity] == 0))
 
     def _stay(self, world: World, where: BoolArray) -> None:
-        """Take the lane that the entity is in for that of the change, in the scenarios of a mask."""
-        e, own = self._entity, lane_of(world, self._entity).lane
-        assert own is not None
-        why = f"{world.names[e]} is to change to a lane that is not there, and stays in its own"
+        """Take the entity's current lane as the target lane, in the scenarios of a mask."""
+        e, own_lane = self._entity, lane_of(world, self._entity).lane
+        assert own_lane is not None
+        why = f"{world.names[e]} is to change to a lane that does not exist, and stays in its own lane"
         world.remark(self._place, "<LaneChangeAction>", why, where)
-        stays = change_lane(world, e, own, where)
-        world.fail(where & ~stays, f"{world.names[e]} is to change lanes, and is in none ({self._place})")
+        stays = change_lane(world, e, own_lane, where)
+        world.fail(where & ~stays, f"{world.names[e]} cannot change lanes, as it is in none ({self._place})")
 
     def _lane(self, world: World) -> IntArray:
         if self._reference is None:
@@ -156,7 +155,7 @@ class LaneChangeAction(Action):
 
 
 class LaneOffsetAction(Action):
-    """Moves an entity within its lane; the motion sideways does not slow it down."""
+    """Moves an entity within its lane; the lateral motion does not slow it down."""
 
     domains = (LATERAL,)
     remembered = ("_from", "_to", "_elapsed", "_duration")
@@ -193,11 +192,11 @@ class LaneOffsetAction(Action):
             pose = lane_of(world, e)
             target = np.where(looks_along(world, pose), self._value, -self._value)
         else:
-            # Its left is the left of the entity that it refers to.
+            # Left is relative to the reference entity.
             pose = lane_of(world, e)
             along = looks_along(world, replace(pose, heading=world.heading[e] - world.turn[e]))
-            same = looks_along(world, lane_of(world, self._reference)) == along
-            side = np.where(same, self._value, -self._value)
+            same_direction = looks_along(world, lane_of(world, self._reference)) == along
+            side = np.where(same_direction, self._value, -self._value)
             target = offset_from(world, e, self._reference) + side
         self._to[where] = target[where]
         self._duration[where] = time_by_acceleration(self._shape, self._to - self._from, self._most)[where]
@@ -206,17 +205,17 @@ class LaneOffsetAction(Action):
     def step(self, world: World, dt: float, where: BoolArray) -> BoolArray:
         e, change = self._entity, self._to - self._from
         duration = np.where(self._duration > 0, self._duration, 1.0)
-        part = np.where(self._duration > 0, self._elapsed / duration, 1.0)
-        offset = self._from + shaped(self._shape, part) * change
+        share = np.where(self._duration > 0, self._elapsed / duration, 1.0)
+        offset = self._from + shaped(self._shape, share) * change
         arrived = (self._elapsed > self._duration - _THERE) | (np.abs(offset - self._to) < _THERE)
         offset = np.where(arrived, self._to, offset)
-        slope = change / duration * steepness(self._shape, part)
+        slope = change / duration * steepness(self._shape, share)
         world.offset[e][where] = offset[where]
         speed = world.speed[e]
         turn = np.arctan(slope / np.where(np.abs(speed) > 1e-6, speed, 1e-6))
         world.turn[e][where] = np.where(arrived, 0.0, turn)[where]
         self._elapsed[where] += dt
-        # The other actions of the frame see it there.
+        # Later actions of the frame see the new position.
         settle_on_track(world, e, where)
         return np.asarray(where & arrived)
 
@@ -251,37 +250,39 @@ class LateralDistanceAction(Action):
 
     def step(self, world: World, dt: float, where: BoolArray) -> BoolArray:
         e = self._entity
-        # In its first frame the action only measures.
+        # No motion in the first frame.
         moves = where & ~self._first & (dt > 0)
         self._first[where] = False
         error = self._wanted - (world.offset[e] - offset_from(world, e, self._other))
         reached = moves & (np.abs(error) < _REACHED)
-        across = self._velocity(world, error, dt, moves)
+        lateral_speed = self._velocity(world, error, dt, moves)
         rigid = np.isinf(self._most) & np.isinf(self._fastest)
-        shift = np.where(rigid, error, across * dt)
-        ahead = np.sqrt(np.maximum((world.speed[e] * dt) ** 2 - np.where(rigid, 0.0, shift) ** 2, 0.0))
+        shift = np.where(rigid, error, lateral_speed * dt)
+        longitudinal = np.sqrt(np.maximum((world.speed[e] * dt) ** 2 - np.where(rigid, 0.0, shift) ** 2, 0.0))
         world.offset[e][moves] += shift[moves]
         world.sideways[e][moves] = np.where(rigid, 0.0, np.abs(shift))[moves]
         world.pace[e][moves] = world.speed[e][moves]
-        world.turn[e][moves] = np.arctan2(shift, np.maximum(ahead, 1e-9))[moves]
+        world.turn[e][moves] = np.arctan2(shift, np.maximum(longitudinal, 1e-9))[moves]
         return np.asarray(where & reached & (not self._continuous))
 
     def _velocity(self, world: World, error: FloatArray, dt: float, moves: BoolArray) -> FloatArray:
-        """Lateral speed with which to go on in m/s, shape (N,)."""
+        """Lateral speed for the coming step in m/s, shape (N,)."""
         fastest = np.maximum(np.minimum(self._fastest, np.abs(world.speed[self._entity])) - 1e-6, 0.0)
         springy = np.isfinite(self._most)
         stiffness = 0.4 * np.where(springy, self._most, 0.0)
-        # As in esmini, what the other one moves across its own heading, which on a lane change is nearly nothing.
+        # As in esmini, the other's speed across its own heading, which is almost 0 in a lane change.
         heading = world.heading[self._other]
-        theirs = world.gone[1][self._other] * np.cos(heading) - world.gone[0][self._other] * np.sin(heading)
-        wanted = stiffness * error - 2.0 * np.sqrt(stiffness) * (self._speed - theirs)
+        other_lateral_speed = world.gone[1][self._other] * np.cos(heading) - world.gone[0][self._other] * np.sin(
+            heading
+        )
+        acceleration = stiffness * error - 2.0 * np.sqrt(stiffness) * (self._speed - other_lateral_speed)
         step = np.where(np.isfinite(self._jerk), self._jerk * dt, np.inf)
-        wanted = self._acceleration + np.clip(wanted - self._acceleration, -step, step)
-        wanted = np.clip(wanted, -self._most, self._most)
-        sprung = np.clip(self._speed + wanted * dt, -fastest, fastest)
-        even = np.sign(error) * fastest
+        acceleration = self._acceleration + np.clip(acceleration - self._acceleration, -step, step)
+        acceleration = np.clip(acceleration, -self._most, self._most)
+        sprung = np.clip(self._speed + acceleration * dt, -fastest, fastest)
+        constant_speed = np.sign(error) * fastest
         if dt > 0:
-            even = np.where(np.abs(even) * dt > np.abs(error), error / dt, even)
-        self._acceleration[moves & springy] = wanted[moves & springy]
-        self._speed[moves] = np.where(springy, sprung, even)[moves]
+            constant_speed = np.where(np.abs(constant_speed) * dt > np.abs(error), error / dt, constant_speed)
+        self._acceleration[moves & springy] = acceleration[moves & springy]
+        self._speed[moves] = np.where(springy, sprung, constant_speed)[moves]
         return self._speed

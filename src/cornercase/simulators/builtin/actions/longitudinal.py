@@ -20,7 +20,7 @@ from cornercase.simulators.builtin.world.motion import put_ahead
 from cornercase.simulators.builtin.world.state import LONGITUDINAL, World
 from cornercase.simulators.builtin.world.whereabouts import ahead_on_road, lane_of
 
-# Speeds and times that differ by less, in m/s and s, are the same.
+# Tolerance of speeds and times in m/s and s.
 _TINY: Final = 1e-6
 
 # Larger than all limits.
@@ -28,7 +28,7 @@ _UNLIMITED: Final = 1e10
 
 
 class SpeedAction(Action):
-    """Brings an entity to a speed; where it has a driver, tells the driver which speed to aim for."""
+    """Brings an entity to a speed; if it has a driver, sets the driver's target speed."""
 
     domains = (LONGITUDINAL,)
     remembered = ("_from", "_to", "_parameter", "_span", "_stretch", "_reached", "_value", "_rate")
@@ -50,7 +50,7 @@ class SpeedAction(Action):
         else:
             raise InputError(f"{scope.source}, line {element.sourceline}: <SpeedActionTarget> holds no target.")
         n = scope.scenarios
-        # The transition goes from one speed to another while its parameter grows from 0 to its span, in s.
+        # The speed changes while the parameter grows from 0 to the span, in s.
         self._from, self._to, self._parameter, self._span = (np.zeros(n) for _ in range(4))
         self._stretch = np.ones(n)
         self._reached, self._rate = np.zeros(n), self._transition.value
@@ -62,10 +62,10 @@ class SpeedAction(Action):
 
     def start(self, world: World, where: BoolArray) -> None:
         e, entity = self._entity, world.entities[self._entity]
-        start, asked = world.speed[e], self._target(world)
-        target = np.clip(asked, -entity.max_speed, entity.max_speed)
+        start, requested = world.speed[e], self._target(world)
+        target = np.clip(requested, -entity.max_speed, entity.max_speed)
         limit = np.where(target > start, entity.max_acceleration, entity.max_deceleration)
-        span, stretch = self._transition.time_span(start, target, asked, limit)
+        span, stretch = self._transition.time_span(start, target, requested, limit)
         for state, value in ((self._from, start), (self._to, target), (self._span, span), (self._stretch, stretch)):
             state[where] = value[where]
         self._parameter[where] = 0.0
@@ -80,20 +80,20 @@ class SpeedAction(Action):
             self._to[where] = np.clip(self._target(world), -entity.max_speed, entity.max_speed)[where]
             if self._transition.dimension == "rate":
                 self._span[where] = self._transition.time_by_rate(self._to - self._from)[where]
-        now, driven = world.speed[e], world.driven[e]
-        most, least = now + entity.max_acceleration * dt, now - entity.max_deceleration * dt
-        # A change that the vehicle is too slow for takes longer: the parameter falls back behind the time.
+        current, driven = world.speed[e], world.driven[e]
+        highest, lowest = current + entity.max_acceleration * dt, current - entity.max_deceleration * dt
+        # If the change exceeds the vehicle's limits, it takes longer: the parameter lags behind the time.
         settled = (self._span > 0.0) & (self._parameter > self._span - _TINY)
         parameter = np.clip(self._parameter + dt / self._stretch, 0.0, self._span)
-        wanted = self._transition.between(self._from, self._to, parameter, self._span)
-        asked = np.where(settled, self._to, wanted)
-        speed = np.clip(asked, least, most) if dt > 0 else np.where(settled, now, wanted)
-        speed = np.where(driven, asked, speed)
-        late = (np.abs(speed - asked) > _TINY * dt) & ~settled & (dt > 0)
+        planned = self._transition.between(self._from, self._to, parameter, self._span)
+        requested = np.where(settled, self._to, planned)
+        speed = np.clip(requested, lowest, highest) if dt > 0 else np.where(settled, current, planned)
+        speed = np.where(driven, requested, speed)
+        late = (np.abs(speed - requested) > _TINY * dt) & ~settled & (dt > 0)
         with np.errstate(divide="ignore", invalid="ignore"):
-            share = np.where(late, (speed - now) / (wanted - now), 1.0)
+            share = np.where(late, (speed - current) / (planned - current), 1.0)
         behind = np.clip(parameter - dt * (1.0 - share) / self._stretch, 0.0, self._span)
-        speed = np.where(late | settled, speed, asked)
+        speed = np.where(late | settled, speed, requested)
         parameter = np.where(settled, self._parameter, np.where(late, behind, parameter))
         self._parameter[where] = parameter[where]
         arrived = (parameter > self._span - _TINY) & (np.abs(speed - self._to) < _TINY)
@@ -115,11 +115,11 @@ class SpeedAction(Action):
 class LongitudinalDistanceAction(Action):
     """Keeps a distance or a time gap to another entity, like a critically damped spring.
 
-    A limit that its constraints do not give is the vehicle's own; without constraints it jumps to its place.
+    Missing limits are the vehicle's own; without any constraints the entity jumps to its position.
     """
 
     domains = (LONGITUDINAL,)
-    # The order is that of the names in `frames.synchronising`.
+    # The kernels use the same order.
     remembered = ("_acceleration", "_behind", "_wanted", "_up", "_down", "_fastest", "_jerk_up", "_jerk_down")
 
     def __init__(self, element: etree._Element, scope: Scope, world: World, entity: int) -> None:
@@ -133,16 +133,16 @@ class LongitudinalDistanceAction(Action):
         distance, self._timed = scope.number(element, "distance", 0.0), element.get("timeGap") is not None
         # A time in s, or a distance in m.
         self._wanted = scope.number(element, "timeGap") if self._timed else distance
-        n, own = scope.scenarios, world.entities[entity]
+        n, vehicle = scope.scenarios, world.entities[entity]
         limits = element.find("DynamicConstraints")
         self._rigid = limits is None
-        self._up = _limit(limits, "maxAcceleration", own.max_acceleration, 5.0, scope)
-        self._down = _limit(limits, "maxDeceleration", own.max_deceleration, 10.0, scope)
-        self._fastest = _limit(limits, "maxSpeed", own.max_speed, 250.0 / 3.6, scope)
+        self._up = _limit(limits, "maxAcceleration", vehicle.max_acceleration, 5.0, scope)
+        self._down = _limit(limits, "maxDeceleration", vehicle.max_deceleration, 10.0, scope)
+        self._fastest = _limit(limits, "maxSpeed", vehicle.max_speed, 250.0 / 3.6, scope)
         self._jerk_up = _limit(limits, "maxAccelerationRate", np.inf, _UNLIMITED, scope)
         self._jerk_down = _limit(limits, "maxDecelerationRate", np.inf, _UNLIMITED, scope)
         self._behind = np.full(n, 1.0 if side != "leadingReferencedEntity" else 0.0)
-        # Where the entity is first, ahead or behind, it stays.
+        # With "any", the entity stays on the side where it starts.
         self._undecided = np.full(n, side == "any")
         self._acceleration = np.zeros(n)
 
@@ -154,18 +154,18 @@ class LongitudinalDistanceAction(Action):
     def start(self, world: World, where: BoolArray) -> None:
         new = where & self._undecided
         if new.any():
-            ahead = longitudinal_gap if self._free else distance_ahead
-            self._behind[new] = np.where(ahead(world, self._entity, self._other) >= 0.0, 1.0, 0.0)[new]
+            measure = longitudinal_gap if self._free else distance_ahead
+            self._behind[new] = np.where(measure(world, self._entity, self._other) >= 0.0, 1.0, 0.0)[new]
             self._undecided[new] = False
 
     def step(self, world: World, dt: float, where: BoolArray) -> BoolArray:
         e, o = self._entity, self._other
         speed, other = world.speed[e], world.speed[o]
-        wanted = np.abs(np.abs(other) * self._wanted if self._timed else self._wanted)
-        way = self._measure(world)
-        # To who drives on roads that do not connect there is no distance: the entity keeps its speed.
-        where = where & np.isfinite(way)
-        error = np.where(np.isfinite(way), way, 0.0) - np.where(self._behind > 0.0, wanted, -wanted)
+        target = np.abs(np.abs(other) * self._wanted if self._timed else self._wanted)
+        distance = self._measure(world)
+        # Without a connecting road there is no distance: keep the speed.
+        where = where & np.isfinite(distance)
+        error = np.where(np.isfinite(distance), distance, 0.0) - np.where(self._behind > 0.0, target, -target)
         if self._rigid:
             put_ahead(world, e, where, error)
             world.set_speed(e, where, other)
@@ -177,7 +177,7 @@ class LongitudinalDistanceAction(Action):
         return np.asarray(where & reached)
 
     def _spring(self, error: FloatArray, closing: FloatArray, dt: float) -> FloatArray:
-        """Acceleration in m/s², shape (N,), within the limits."""
+        """Acceleration within the limits in m/s², shape (N,)."""
         stiffness = SPRING * np.where(error < 0, self._up, self._down)
         a = np.clip(error * stiffness - 2.0 * np.sqrt(stiffness) * closing, -self._down, self._up)
         before = self._acceleration
@@ -186,37 +186,25 @@ class LongitudinalDistanceAction(Action):
         return np.where(sinks, np.maximum(a, lowest), np.where(rises, np.minimum(a, highest), a))
 
     def _measure(self, world: World) -> FloatArray:
-        """Signed distance ahead to the other, shape (N,)."""
+        """Signed distance ahead to the other entity, shape (N,)."""
         if self._free:
             return longitudinal_gap(world, self._entity, self._other)
         if self._on_roads:
-            place = lane_of(world, self._other)
-            return ahead_on_road(world, self._entity, place, along_roads(world, self._entity, place))
+            other_pose = lane_of(world, self._other)
+            return ahead_on_road(world, self._entity, other_pose, along_roads(world, self._entity, other_pose))
         return distance_ahead(world, self._entity, self._other)
 
 
 def _limit(limits: etree._Element | None, name: str, own: float, usual: float, scope: Scope) -> FloatArray:
-    """Limit of dynamic constraints, shape (N,); what is missing, too large or no limit at all is the vehicle's own."""
+    """Limit of dynamic constraints, shape (N,); the vehicle's own if missing or too large, a usual one if 0."""
     own = min(own, _UNLIMITED)
-    given = np.full(scope.scenarios, own) if limits is None else scope.number(limits, name, own)
-    return np.where(given < _TINY, min(own, usual), np.minimum(given, own))
+    limit = np.full(scope.scenarios, own) if limits is None else scope.number(limits, name, own)
+    return np.where(limit < _TINY, min(own, usual), np.minimum(limit, own))
 
 
 def child(element: etree._Element, tag: str, scope: Scope) -> etree._Element:
-    """Child element of a name; raises an `InputError` where there is none.
-
-    Parameters
-    ----------
-    element : lxml element
-    tag : str
-    scope : Scope
-        Values of the parameters there.
-
-    Returns
-    -------
-    lxml element
-    """
-    found = element.find(tag)
-    if found is None:
+    """Return the child element with a tag; raise `InputError` if there is none."""
+    result = element.find(tag)
+    if result is None:
         raise InputError(f"{scope.source}, line {element.sourceline}: <{element.tag}> has no <{tag}>.")
-    return found
+    return result

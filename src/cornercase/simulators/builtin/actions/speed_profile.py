@@ -1,4 +1,4 @@
-"""Speeds at given times, with or without a bound on the jerk between them."""
+"""Speed profiles, with or without a limit on the jerk."""
 
 from __future__ import annotations
 
@@ -15,15 +15,15 @@ from cornercase.simulators.builtin.paths.positions import entity_index
 from cornercase.simulators.builtin.world.motion import acceleration_ahead
 from cornercase.simulators.builtin.world.state import LONGITUDINAL, World
 
-# Speeds, times and accelerations that differ by less, in m/s, s and m/s², are the same.
+# Tolerance of speeds, times and accelerations in m/s, s and m/s².
 _TINY: Final = 1e-6
 
-# A profile that has not come to its end so long after it, in s, keeps the speed that it has come to; esmini's figure.
+# Time in s after the end of a profile from which an unfinished one keeps its speed; as in esmini.
 _PATIENCE: Final = 10.0
 
 
 class Limits(NamedTuple):
-    """Bounds on speed, and on acceleration and jerk upwards and downwards, each (N,) and not negative."""
+    """Limits of speed, and of acceleration and jerk up and down; not negative, each of shape (N,)."""
 
     fastest: FloatArray
     up: FloatArray
@@ -33,7 +33,7 @@ class Limits(NamedTuple):
 
 
 class Phase(NamedTuple):
-    """A piece of a profile, each (N,): when it begins, and speed, acceleration and jerk there."""
+    """Start of a piece of a profile: time, speed, acceleration and jerk, each of shape (N,)."""
 
     time: FloatArray
     speed: FloatArray
@@ -44,9 +44,9 @@ class Phase(NamedTuple):
 class SpeedProfileAction(Action):
     """Takes an entity through speeds at given times.
 
-    Followed by ``position``, the acceleration is constant between them; by ``follow``, it changes with the jerk that
-    is allowed, so that several speeds are only come near to. Where the limits leave no room for that, the rest of the
-    profile is followed by ``position``, and so is all of it when the action runs again.
+    With ``position`` the acceleration between them is constant; with ``follow`` it changes with the allowed jerk, so
+    intermediate speeds are only approached. Where limits leave no room for that, the rest of the profile uses
+    ``position``, and so does the whole profile when the action runs again.
     """
 
     domains = (LONGITUDINAL,)
@@ -56,18 +56,18 @@ class SpeedProfileAction(Action):
         self._reference = None if element.get("entityRef") is None else entity_index(element, scope, world)
         constraints = element.find("DynamicConstraints")
         names = ("maxSpeed", "maxAcceleration", "maxDeceleration", "maxAccelerationRate", "maxDecelerationRate")
-        n, own = scope.scenarios, world.entities[entity]
+        n, vehicle = scope.scenarios, world.entities[entity]
         unlimited = np.full(n, np.inf)
-        given = [unlimited if constraints is None else scope.number(constraints, name, np.inf) for name in names]
-        of_vehicle = (own.max_speed, own.max_acceleration, own.max_deceleration, np.inf, np.inf)
-        self._limits = Limits(*(np.minimum(bound, one) for bound, one in zip(given, of_vehicle, strict=True)))
+        bounds = [unlimited if constraints is None else scope.number(constraints, name, np.inf) for name in names]
+        of_vehicle = (vehicle.max_speed, vehicle.max_acceleration, vehicle.max_deceleration, np.inf, np.inf)
+        self._limits = Limits(*(np.minimum(bound, limit) for bound, limit in zip(bounds, of_vehicle, strict=True)))
         follow = scope.text(element, "followingMode", "position") == "follow"
-        self._smooth = np.isfinite(given[3]) & np.isfinite(given[4]) & follow
+        self._smooth = np.isfinite(bounds[3]) & np.isfinite(bounds[4]) & follow
         entries = list(element.iterfind("SpeedProfileEntry"))
         if not entries:
             raise InputError(f"{scope.source}, line {element.sourceline}: <SpeedProfileAction> has no entries.")
-        self._speeds = [scope.number(one, "speed") for one in entries]
-        self._spans = [scope.number(one, "time", -1.0) for one in entries]
+        self._speeds = [scope.number(limit, "speed") for limit in entries]
+        self._spans = [scope.number(limit, "time", -1.0) for limit in entries]
         if len(np.unique(np.abs(self._spans[0]) < _TINY)) > 1:
             raise VariesError(scope.origins(entries[0].get("time", "")))
         self._mine = np.full(n, -1)
@@ -81,56 +81,58 @@ class SpeedProfileAction(Action):
             rows = where & (self._smooth == smooth)
             if not rows.any():
                 continue
-            profile, kept = self._lines(world, base, smooth), rows
+            profile, within_limits = self._lines(world, base, smooth), rows
             if smooth and len(profile) == 2:
-                profile, kept = _one_target(profile[0], profile[1], rate, self._limits)
+                profile, within_limits = _one_target(profile[0], profile[1], rate, self._limits)
             elif smooth:
-                profile, kept = _smoothed(profile, rate, self._limits)
+                profile, within_limits = _smoothed(profile, rate, self._limits)
             self._profiles.append(profile)
             self._mine[rows] = len(self._profiles) - 1
-            self._smooth[rows & ~kept] = False
+            self._smooth[rows & ~within_limits] = False
 
     def step(self, world: World, dt: float, where: BoolArray) -> BoolArray:
         e = self._entity
-        wanted, over = world.speed[e].copy(), np.zeros_like(where)
+        target, is_over = world.speed[e].copy(), np.zeros_like(where)
         for k, profile in enumerate(self._profiles):
             rows = where & (self._mine == k)
             if rows.any():
                 speed, passed = _at(profile, world.time + dt)
                 rows &= world.time + dt < profile[-1].time + _PATIENCE
-                wanted[rows] = speed[rows]
-                # With the speed of the last target, and all targets before it passed, it is over.
-                there = np.abs(speed - profile[-1].speed) < _TINY
-                over[rows] = (there & (passed >= len(self._speeds) - 1))[rows]
-        world.set_speed(e, where, wanted)
-        return where & over
+                target[rows] = speed[rows]
+                # It ends at the speed of the last target after passing all others.
+                at_target = np.abs(speed - profile[-1].speed) < _TINY
+                is_over[rows] = (at_target & (passed >= len(self._speeds) - 1))[rows]
+        world.set_speed(e, where, target)
+        return where & is_over
 
     def _lines(self, world: World, base: FloatArray, smooth: bool) -> list[Phase]:
-        """Phases of constant acceleration from target to target, and a last one that keeps the speed."""
-        now, time = world.speed[self._entity].copy(), world.time.copy()
+        """Phases of constant acceleration between targets, and a last one of constant speed."""
+        current, time = world.speed[self._entity].copy(), world.time.copy()
         targets = list(zip(self._speeds, self._spans, strict=True))
-        still = np.zeros(world.scenarios)
+        zeros = np.zeros(world.scenarios)
         if (np.abs(self._spans[0]) < _TINY).all():
             first, _ = targets.pop(0)
-            # A smooth profile begins at the present speed.
-            now = now if smooth else base + first
+            # A smooth profile starts at the current speed.
+            current = current if smooth else base + first
         lines = []
         for speed, span in targets:
-            change = base + speed - now
+            change = base + speed - current
             limit = np.where(change < 0, self._limits.down, self._limits.up)
             fastest = np.where(np.isfinite(limit), np.abs(change) / np.maximum(limit, 1e-9), 0.0)
             needed = np.where(span < -_TINY, fastest, np.maximum(span, fastest))
-            lines.append(Phase(time, now, np.where(needed > 0, change / np.where(needed > 0, needed, 1.0), 0.0), still))
-            time, now = time + needed, now + change
-        return [*lines, Phase(time, now, still, still)]
+            lines.append(
+                Phase(time, current, np.where(needed > 0, change / np.where(needed > 0, needed, 1.0), 0.0), zeros)
+            )
+            time, current = time + needed, current + change
+        return [*lines, Phase(time, current, zeros, zeros)]
 
 
 def _at(profile: list[Phase], time: FloatArray) -> tuple[FloatArray, IntArray]:
-    """Speed at a time, and how many phases have passed by then, each (N,)."""
+    """Speed at a time, and the number of phases passed by then, each of shape (N,)."""
     speed = profile[0].speed
     passed, reached = np.zeros(speed.shape, dtype=np.int64), np.ones(speed.shape, dtype=np.bool_)
     for number, phase in enumerate(profile):
-        # A phase that would begin earlier than the one before it begins with that.
+        # A phase never begins before the previous one.
         reached &= time > phase.time - _TINY
         since = time - phase.time
         speed = np.where(reached, phase.speed + phase.rate * since + 0.5 * phase.jerk * since**2, speed)
@@ -143,81 +145,58 @@ def _jerk(change: FloatArray, limits: Limits) -> FloatArray:
 
 
 def _allowed(phase: Phase, limits: Limits) -> BoolArray:
-    """Where a phase begins within the limits on speed and acceleration, shape (N,)."""
+    """Check whether a phase starts within the limits on speed and acceleration, shape (N,)."""
     slow = np.abs(phase.speed) <= limits.fastest + _TINY
     return np.asarray(slow & (phase.rate <= limits.up + _TINY) & (phase.rate >= -limits.down - _TINY))
 
 
 def _either(where: BoolArray, one: Phase, other: Phase) -> Phase:
-    """Phase that is one in the scenarios of a mask, and the other elsewhere."""
+    """Select one phase in the scenarios of a mask, and the other one in the rest."""
     return Phase(*(np.where(where, a, b) for a, b in zip(one, other, strict=True)))
 
 
 def _smoothed(lines: list[Phase], rate: FloatArray, limits: Limits) -> tuple[list[Phase], BoolArray]:
-    """Turn the corners between lines of constant acceleration into arcs of constant jerk that touch both.
+    """Replace corners between constant accelerations by arcs of constant jerk tangent to both.
 
-    Where an arc would begin before the last one has ended, or a limit is exceeded, the lines are kept from there on.
-
-    Parameters
-    ----------
-    lines : list of Phase
-    rate : ndarray of float64, shape (N,)
-        Acceleration in m/s² at the start.
-    limits : Limits
-
-    Returns
-    -------
-    phases : list of Phase
-    kept : ndarray of bool, shape (N,)
-        Where all of it is smooth.
+    `acceleration` (N,) is the initial acceleration in m/s². If an arc would begin before the last one ends, or a limit
+    is exceeded, the lines are kept from there on. Returns the phases, and where all of them are smooth, shape (N,).
     """
-    first, still = lines[0], np.zeros_like(rate)
+    first, zeros = lines[0], np.zeros_like(rate)
     jerk = _jerk(first.rate - rate, limits)
-    # A profile that begins level does so at once.
+    # A profile that starts at constant speed has no initial arc.
     span = np.where(np.abs(first.rate) > _TINY, (first.rate - rate) / jerk, 0.0)
     arc = Phase(first.time, first.speed, rate, jerk)
-    now = Phase(first.time + span, first.speed + rate * span + 0.5 * jerk * span**2, first.rate, still)
-    kept = (_allowed(arc, limits) | (span == 0.0)) & _allowed(now, limits)
-    plain = Phase(now.time, first.speed + first.rate * span, first.rate, still)
-    now = _either(kept, now, plain)
-    phases = [arc, now]
+    current = Phase(first.time + span, first.speed + rate * span + 0.5 * jerk * span**2, first.rate, zeros)
+    is_smooth = (_allowed(arc, limits) | (span == 0.0)) & _allowed(current, limits)
+    plain = Phase(current.time, first.speed + first.rate * span, first.rate, zeros)
+    current = _either(is_smooth, current, plain)
+    phases = [arc, current]
     # Lines as speed = rate * time + level.
-    level = now.speed - now.rate * now.time
+    level = current.speed - current.rate * current.time
     for line in lines[1:]:
-        change = line.rate - now.rate
+        change = line.rate - current.rate
         jerk, bends = _jerk(change, limits), np.abs(change) > _TINY
         # The arc begins where it touches both lines.
         new = line.speed - line.rate * line.time
         with np.errstate(divide="ignore", invalid="ignore"):
-            begin = np.where(bends, (change**2 - 2.0 * jerk * (level - new)) / (-2.0 * jerk * change), now.time)
-        kept &= begin >= now.time
+            begin = np.where(bends, (change**2 - 2.0 * jerk * (level - new)) / (-2.0 * jerk * change), current.time)
+        is_smooth &= begin >= current.time
         span = np.where(bends, change / jerk, 0.0)
-        arc = Phase(begin, now.speed + now.rate * (begin - now.time), now.rate, np.where(bends, jerk, 0.0))
-        after = Phase(begin + span, arc.speed + now.rate * span + 0.5 * jerk * span**2, line.rate, still)
-        phases += [_either(kept, arc, now), _either(kept, after, line)]
-        now, level = phases[-1], new
-        kept &= _allowed(arc, limits) & _allowed(after, limits)
-    return phases, kept
+        arc = Phase(
+            begin, current.speed + current.rate * (begin - current.time), current.rate, np.where(bends, jerk, 0.0)
+        )
+        after = Phase(begin + span, arc.speed + current.rate * span + 0.5 * jerk * span**2, line.rate, zeros)
+        phases += [_either(is_smooth, arc, current), _either(is_smooth, after, line)]
+        current, level = phases[-1], new
+        is_smooth &= _allowed(arc, limits) & _allowed(after, limits)
+    return phases, is_smooth
 
 
 def _one_target(line: Phase, end: Phase, rate: FloatArray, limits: Limits) -> tuple[list[Phase], BoolArray]:
-    """Reach one speed at a time, or as soon as it can be, with an acceleration that begins at `rate` and ends at 0.
+    """Reach one speed at a given time, or as early as possible, with final acceleration 0.
 
-    Parameters
-    ----------
-    line : Phase
-        Constant acceleration to the target.
-    end : Phase
-        The target.
-    rate : ndarray of float64, shape (N,)
-        Acceleration in m/s² at the start.
-    limits : Limits
-
-    Returns
-    -------
-    phases : list of Phase
-    kept : ndarray of bool, shape (N,)
-        Where all of it is within the limits.
+    `line` is the constant acceleration to the target `end`; `acceleration` (N,) the initial acceleration in m/s².
+    Returns the phases, and where all of them are within the limits, shape (N,).
     """
     j0 = _jerk(line.rate - rate, limits)
     j1 = np.where(line.rate < 0, limits.jerk_up, -limits.jerk_down)
@@ -228,24 +207,24 @@ def _one_target(line: Phase, end: Phase, rate: FloatArray, limits: Limits) -> tu
     root = b**2 - 4.0 * a * c
     with np.errstate(divide="ignore", invalid="ignore"):
         # Of the two solutions, the peak nearer to 0 leaves time between the two phases of jerk.
-        whole = np.sqrt(np.maximum(root, 0.0))
-        peak = np.where(a == 0.0, -c / b, np.where(b > 0.0, -2.0 * c / (b + whole), 0.5 * (whole - b) / a))
-        # If there is no such time, the acceleration falls as soon as it has risen.
+        square_root = np.sqrt(np.maximum(root, 0.0))
+        peak = np.where(a == 0.0, -c / b, np.where(b > 0.0, -2.0 * c / (b + square_root), 0.5 * (square_root - b) / a))
+        # Without such a phase, the acceleration falls as soon as it has risen.
         sharp = np.sign(j0) * np.sqrt(np.maximum((change + 0.5 * rate**2 / j0) / (0.5 / j0 - 0.5 / j1), 0.0))
     peak = np.where(root >= 0.0, peak, sharp)
     peak = np.clip(peak, -limits.down, limits.up)
     rise, fall = (peak - rate) / j0, -peak / j1
-    done = (peak**2 - rate**2) / (2.0 * j0) - peak**2 / (2.0 * j1)
+    ramps_change = (peak**2 - rate**2) / (2.0 * j0) - peak**2 / (2.0 * j1)
     with np.errstate(divide="ignore", invalid="ignore"):
-        even = np.where(np.abs(peak) > 1e-9, (change - done) / peak, 0.0)
+        constant_time = np.where(np.abs(peak) > 1e-9, (change - ramps_change) / peak, 0.0)
     t1 = line.time + rise
     v1 = line.speed + rate * rise + 0.5 * j0 * rise**2
-    t2, v2 = t1 + even, v1 + peak * even
-    still = np.zeros_like(peak)
+    t2, v2 = t1 + constant_time, v1 + peak * constant_time
+    zeros = np.zeros_like(peak)
     phases = [
         Phase(line.time, line.speed, rate, j0),
-        Phase(t1, v1, peak, still),
+        Phase(t1, v1, peak, zeros),
         Phase(t2, v2, peak, j1),
-        Phase(t2 + fall, end.speed, still, still),
+        Phase(t2 + fall, end.speed, zeros, zeros),
     ]
     return phases, np.logical_and.reduce([_allowed(phase, limits) for phase in phases])

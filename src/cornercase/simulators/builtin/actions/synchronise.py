@@ -1,4 +1,4 @@
-"""Arriving at a place when another entity arrives at another."""
+"""The action that makes an entity arrive at its target when a master arrives at its own."""
 
 from __future__ import annotations
 
@@ -40,15 +40,15 @@ _TINY: Final = 1e-6
 
 
 class SynchronizeAction(Action):
-    """Steers an entity's speed so that it is at its place when the master is at its own.
+    """Controls an entity's speed so that it reaches its target when the master reaches its own.
 
-    With a final speed its speed has two phases of constant acceleration, the last of which ends at the place with that
-    speed; where this would mean to drive backwards, it stops in between. With a steady state it reaches the final
-    speed before the place, by a distance or a time. Without a final speed it has one constant acceleration.
+    With a final speed, two phases of constant acceleration end at the target with that speed; the entity stops in
+    between rather than driving backwards. With a steady state it reaches the final speed a distance or a time before
+    the target. Without a final speed its acceleration is constant.
     """
 
     domains = (LONGITUDINAL,)
-    # The order is that of the names in `frames.synchronising`.
+    # The kernels use the same order.
     remembered = (
         "_mode", "_convex", "_last", "_last_master",
         "_x", "_y", "_road", "_s", "_track", "_place", "_tolerance",
@@ -118,7 +118,7 @@ class SynchronizeAction(Action):
             world.road_speed[self._entity][where] = speed_along_road(world, self._entity, where)[where]
 
     def _ways(self, world: World, where: BoolArray) -> tuple[FloatArray, FloatArray]:
-        """Distances of the entity and of its master to their places in m, negative once passed, each (N,)."""
+        """Distances of the entity and its master to their targets in m, negative once passed, each (N,)."""
         target = Pose(self._x, self._y, np.zeros(world.scenarios), road=self._road, s=self._s)
         master = Pose(self._x_master, self._y_master, target.heading, road=self._road_master, s=self._s_master)
         signed = _way(world, self._master, master, KnownPlaces(self._track_master, self._place_master), where)
@@ -126,34 +126,34 @@ class SynchronizeAction(Action):
 
     def step(self, world: World, dt: float, where: BoolArray) -> BoolArray:
         e, m = self._entity, self._master
-        way, signed = self._ways(world, where)
-        way = np.abs(way)
-        way_master = np.abs(signed)
-        done = (way < self._tolerance + _TINY) | (way_master < self._tolerance_master + _TINY)
-        done |= (way > self._last + AWAY) | (way_master > self._last_master + AWAY)
-        self._last[where], self._last_master[where] = way[where], way_master[where]
-        way = np.maximum(way - self._tolerance, _TINY)
-        way_master = np.maximum(way_master - self._tolerance_master, _TINY)
-        # Of the master's speed, the part along its road and towards its target counts.
-        ahead = _sign(world.speed[m]) * np.sign(signed * np.cos(world.turn[m]))
-        speed_master = ahead * speed_along_road(world, m, where)
-        comes = (speed_master > _TINY) & (dt > 0)
-        time = np.where(comes, way_master / np.where(comes, speed_master, 1.0), NEVER)
-        done |= comes & (time < dt)
+        distance, signed = self._ways(world, where)
+        distance = np.abs(distance)
+        master_distance = np.abs(signed)
+        is_done = (distance < self._tolerance + _TINY) | (master_distance < self._tolerance_master + _TINY)
+        is_done |= (distance > self._last + AWAY) | (master_distance > self._last_master + AWAY)
+        self._last[where], self._last_master[where] = distance[where], master_distance[where]
+        distance = np.maximum(distance - self._tolerance, _TINY)
+        master_distance = np.maximum(master_distance - self._tolerance_master, _TINY)
+        # Component of the master's speed along its road towards its target.
+        direction = _sign(world.speed[m]) * np.sign(signed * np.cos(world.turn[m]))
+        speed_master = direction * speed_along_road(world, m, where)
+        approaches = (speed_master > _TINY) & (dt > 0)
+        time = np.where(approaches, master_distance / np.where(approaches, speed_master, 1.0), NEVER)
+        is_done |= approaches & (time < dt)
 
         final, waited = self._final_speed(world), self._mode == WAITING
         if self._of_final == NO_FINAL_SPEED:
-            wanted = self._arrive(world, dt, way, time, comes, where)
+            target = self._arrive(world, dt, distance, time, approaches, where)
         else:
-            wanted = self._arrive_with(world, dt, way, time, final, comes, where & ~done)
-            wanted = np.where(done, final, wanted)
-        # An entity with a driver is asked for a speed that it can reach.
-        speed = np.clip(wanted, 0.0, world.entities[e].max_speed)
-        # Who arrives without a final speed keeps its own, unless its master has just stopped coming.
-        change = where & ~(done & (comes | waited)) if self._of_final == NO_FINAL_SPEED else where
-        own = np.where(np.isfinite(wanted), wanted, world.speed[e])
-        world.set_speed(e, change, np.where(world.driven[e], speed, own))
-        return where & done
+            target = self._arrive_with(world, dt, distance, time, final, approaches, where & ~is_done)
+            target = np.where(is_done, final, target)
+        # A driver's target speed must be reachable.
+        speed = np.clip(target, 0.0, world.entities[e].max_speed)
+        # Without a final speed, an arriving entity keeps its speed, unless its master has just stopped approaching.
+        change = where & ~(is_done & (approaches | waited)) if self._of_final == NO_FINAL_SPEED else where
+        own_speed = np.where(np.isfinite(target), target, world.speed[e])
+        world.set_speed(e, change, np.where(world.driven[e], speed, own_speed))
+        return where & is_done
 
     def _final_speed(self, world: World) -> FloatArray:
         master = world.speed[self._master]
@@ -164,13 +164,13 @@ class SynchronizeAction(Action):
     def _arrive(
         self, world: World, dt: float, way: FloatArray, time: FloatArray, comes: BoolArray, where: BoolArray
     ) -> FloatArray:
-        """Speed at the end of the step, with one constant acceleration."""
+        """Speed at the end of the step without a final speed: one constant acceleration."""
         speed, mean, driven = world.speed[self._entity], way / time, world.driven[self._entity]
-        even = speed + 2.0 * (mean - speed) / time * dt
+        linear = speed + 2.0 * (mean - speed) / time * dt
         waits = ~comes & (self._mode != WAITING)
         free = where & ~driven
         self._mode[free] = np.where(comes, LAST, WAITING)[free]
-        return np.where(driven, mean, np.where(comes, even, np.where(waits, 0.0, speed)))
+        return np.where(driven, mean, np.where(comes, linear, np.where(waits, 0.0, speed)))
 
     def _arrive_with(
         self,
@@ -182,9 +182,9 @@ class SynchronizeAction(Action):
         comes: BoolArray,
         acting: BoolArray,
     ) -> FloatArray:
-        """Speed at the end of the step, with a final speed."""
+        """Speed at the end of the step with a final speed."""
         v0, mode = world.speed[self._entity], self._mode.copy()
-        shown = _sign(v0) * speed_along_road(world, self._entity, acting)
+        road_speed = _sign(v0) * speed_along_road(world, self._entity, acting)
         safe = np.maximum(np.abs(final), 1e-9)
         steady_way = np.where(self._steady_time > 0, self._steady_time * final, self._steady_distance)
         steady_time = steady_way / safe
@@ -208,7 +208,7 @@ class SynchronizeAction(Action):
         result[stands & (mode != WAITING)] = 0.0
         mode[stands] = WAITING
         left &= ~stands
-        # An entity that waited begins anew; with a steady state the last phase comes next, as in esmini.
+        # An entity that waited starts again; with a steady state the last phase comes next, as in esmini.
         released = left & (mode == WAITING)
         mode[released] = np.where((v0 > 0) | (steady_way <= 0), NEW, LAST)[released]
         settle(released & (mode == LAST), 0.0)
@@ -228,19 +228,19 @@ class SynchronizeAction(Action):
         mode[new] = FIRST
         self._convex[new] = ((final + v0) / 2.0 < way / time)[new]
 
-        rate, apex = _first_phase(shown, final, way, time)
-        turned = left & (mode == FIRST) & np.where(self._convex > 0.0, rate < 0, rate > 0)
-        mode[turned] = LAST
-        rate = np.where(turned, 0.0, rate)
+        rate, apex = _first_phase(road_speed, final, way, time)
+        has_wrong_sign = left & (mode == FIRST) & np.where(self._convex > 0.0, rate < 0, rate > 0)
+        mode[has_wrong_sign] = LAST
+        rate = np.where(has_wrong_sign, 0.0, rate)
         # Instead of driving backwards it stops, waits, and continues in time.
-        back = left & (mode == FIRST) & (apex < 0)
+        would_reverse = left & (mode == FIRST) & (apex < 0)
         with np.errstate(divide="ignore", invalid="ignore"):
-            stop_time = 2.0 * shown * way / (shown**2 + final**2)
-            gentle = np.where(stop_time > _TINY, -shown / stop_time, 0.0)
-        hard = back & (stop_time * shown / 2.0 > way / 2.0)
-        rate = np.where(back, np.where(hard, -HARDEST, gentle), rate)
+            stop_time = 2.0 * road_speed * way / (road_speed**2 + final**2)
+            gentle = np.where(stop_time > _TINY, -road_speed / stop_time, 0.0)
+        hard = would_reverse & (stop_time * road_speed / 2.0 > way / 2.0)
+        rate = np.where(would_reverse, np.where(hard, -HARDEST, gentle), rate)
         mode[hard] = BRAKING
-        stopped = back & (shown + rate * dt < 0)
+        stopped = would_reverse & (road_speed + rate * dt < 0)
         mode[stopped] = STANDING
         settle(stopped, 0.0)
         settle(left, v0 + rate * dt)
@@ -249,28 +249,28 @@ class SynchronizeAction(Action):
 
 
 def _way(world: World, entity: int, target: Pose, known: KnownPlaces, where: BoolArray) -> FloatArray:
-    """Distance to a target along the entity's trajectory, else along its road's reference line, in m, shape (N,)."""
-    way = remaining(world, entity, target, known, where)
+    """Distance to a target along the trajectory, else along the road's reference line, in m, shape (N,)."""
+    distance = remaining(world, entity, target, known, where)
     follows = on_lane(world, entity)
-    return np.where(follows, ahead_on_road(world, entity, target, way), way) if follows.any() else way
+    return np.where(follows, ahead_on_road(world, entity, target, distance), distance) if follows.any() else distance
 
 
 def _sign(speed: FloatArray) -> FloatArray:
-    """1 for driving forwards, and for who has just been stopped; -1 for driving backwards, shape (N,)."""
+    """-1 for driving backwards, otherwise 1, also at rest, shape (N,)."""
     return np.where(speed < 0.0, -1.0, 1.0)
 
 
 def _first_phase(v0: FloatArray, v1: FloatArray, way: FloatArray, time: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Acceleration of the first of two phases, and the speed at which it ends, each (N,).
+    """Acceleration of the first of two phases, and the speed at its end, each (N,).
 
-    The phases have accelerations a and -a, cover `way` in `time`, begin with v0 and end with v1. With vx between them
-    after the time x: way = x (v0 + vx) / 2 + (time - x) (v1 + vx) / 2 and (vx - v0) / x = (vx - v1) / (time - x).
+    The phases have accelerations a and -a, cover `distance` in `time`, begin with v0 and end with v1. With vx between
+    them after the time x: way = x (v0 + vx) / 2 + (time - x) (v1 + vx) / 2 and (vx - v0) / x = (vx - v1) / (time - x).
     """
     mean = way / time
     root = np.sqrt(np.maximum(2.0 * (2.0 * mean**2 - 2.0 * (v0 + v1) * mean + v0**2 + v1**2), 0.0))
     rate, apex = np.zeros_like(v0), np.zeros_like(v0)
-    same = np.abs(v1 - v0) < _TINY
-    open_ = ~same
+    is_equal = np.abs(v1 - v0) < _TINY
+    open_ = ~is_equal
     with np.errstate(divide="ignore", invalid="ignore"):
         for sign in (-1.0, 1.0):
             vx = mean + 0.5 * sign * root
@@ -278,6 +278,6 @@ def _first_phase(v0: FloatArray, v1: FloatArray, way: FloatArray, time: FloatArr
             good = open_ & (x > 0) & (x < time)
             rate, apex = np.where(good, (vx - v0) / x, rate), np.where(good, vx, apex)
             open_ &= ~good
-        apex = np.where(same, 2.0 * mean - v0, apex)
-        rate = np.where(same, 2.0 * (apex - v0) / time, rate)
+        apex = np.where(is_equal, 2.0 * mean - v0, apex)
+        rate = np.where(is_equal, 2.0 * (apex - v0) / time, rate)
     return rate, apex

@@ -1,4 +1,4 @@
-"""Vehicles that take up trailers, and leave them."""
+"""Actions that connect and disconnect trailers."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from cornercase.simulators.builtin.world.towing import front_first, read_tow
 
 
 class ConnectTrailerAction(Action):
-    """Makes a vehicle pull a trailer from now on, and leave another one that it pulls."""
+    """Connects a trailer to a vehicle, and disconnects the one that it pulls."""
 
     def __init__(self, vehicle: int, trailer: int) -> None:
         self._vehicle, self._trailer = vehicle, trailer
@@ -29,7 +29,7 @@ class ConnectTrailerAction(Action):
 
 
 class DisconnectTrailerAction(Action):
-    """Makes a vehicle leave the trailer that it pulls, which rolls on along its lane."""
+    """Disconnects the trailer of a vehicle, which rolls on along its lane."""
 
     def __init__(self, vehicle: int) -> None:
         self._vehicle = vehicle
@@ -39,27 +39,7 @@ class DisconnectTrailerAction(Action):
 
 
 def read_trailer_action(element: etree._Element, scope: Scope, world: World, entity: int) -> Action | None:
-    """Read a ``TrailerAction``.
-
-    Parameters
-    ----------
-    element : lxml element
-    scope : Scope
-        Values of the parameters there.
-    world : World
-    entity : int
-        Row of the vehicle.
-
-    Returns
-    -------
-    Action or None
-        None for one that has no effect: the vehicle has no hitch, or the trailer no coupler.
-
-    Raises
-    ------
-    InputError
-        It neither connects nor disconnects, or names no entity.
-    """
+    """Read a ``TrailerAction`` of a vehicle (by row); None if the vehicle has no hitch or the trailer no coupler."""
     connects, leaves = element.find("ConnectTrailerAction"), element.find("DisconnectTrailerAction")
     if leaves is not None:
         return DisconnectTrailerAction(entity)
@@ -68,7 +48,7 @@ def read_trailer_action(element: etree._Element, scope: Scope, world: World, ent
         return None
     trailer = entity_index(connects, scope, world, "trailerRef")
     if trailer == entity:
-        raise InputError(f"{scope.source}, line {connects.sourceline}: '{world.names[entity]}' is to pull itself.")
+        raise InputError(f"{scope.source}, line {connects.sourceline}: '{world.names[entity]}' cannot pull itself.")
     if not any((tow.vehicle, tow.trailer) == (entity, trailer) for tow in world.tows):
         try:
             world.tows = front_first([*world.tows, read_tow(entity, trailer, world.entities)])
@@ -80,11 +60,11 @@ def read_trailer_action(element: etree._Element, scope: Scope, world: World, ent
 
 
 def _leave(world: World, vehicle: int, where: BoolArray) -> None:
-    """Let what a vehicle pulls go its own way."""
+    """Disconnect the trailer of a vehicle."""
     for tow in world.tows:
-        left = where & (world.pulled_by[tow.trailer] == vehicle)
-        if tow.vehicle == vehicle and left.any():
-            world.pulled_by[tow.trailer][left] = -1
-            attach_to_lane(world, tow.trailer, left)
-            # As in esmini, one that is on no road stays where it is.
-            world.speed[tow.trailer][left & (world.track[tow.trailer] == FREE)] = 0.0
+        released = where & (world.pulled_by[tow.trailer] == vehicle)
+        if tow.vehicle == vehicle and released.any():
+            world.pulled_by[tow.trailer][released] = -1
+            attach_to_lane(world, tow.trailer, released)
+            # As in esmini, a trailer off the road stops.
+            world.speed[tow.trailer][released & (world.track[tow.trailer] == FREE)] = 0.0

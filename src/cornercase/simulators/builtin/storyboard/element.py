@@ -1,4 +1,4 @@
-"""States of a storyboard element, and how it goes from one to another."""
+"""Storyboard elements, their states and transitions."""
 
 from __future__ import annotations
 
@@ -25,19 +25,10 @@ _TRANSITIONS: Final = {
 
 
 class Watch:
-    """What a condition sees of an element: its state, or what became of it since the condition was last asked.
+    """State of an element as a condition sees it, or its transition since the condition was last evaluated.
 
-    A change is seen once, by the next evaluation, however late that comes; as in esmini, one that is forgotten before
-    is not seen at all.
-
-    Parameters
-    ----------
-    state : str
-        State or transition that is waited for: ``"runningState"``.
-    scenarios : int
-        N.
-    where : str
-        File and line, for messages.
+    A change is seen once, by the next evaluation, however late; as in esmini, one that is cleared before is never seen.
+    `state` is the awaited state or transition, such as ``"runningState"``; `where` starts error messages.
     """
 
     def __init__(self, state: str, scenarios: int, where: str) -> None:
@@ -45,12 +36,12 @@ class Watch:
             states = (*_STATES, *_TRANSITIONS)
             raise InputError(f"{where}: '{state}' is not a state of a storyboard element; {suggestion(state, states)}")
         self._state, self._transition = _STATES.get(state), _TRANSITIONS.get(state)
-        # The element's state, and that which the condition knows of.
+        # Current state, and state at the last evaluation.
         self._latest, self._known = (np.full(scenarios, INIT, dtype=np.int8) for _ in range(2))
         self._changed, self._seen = (np.zeros(scenarios, dtype=np.bool_) for _ in range(2))
 
     def __call__(self, world: World, where: BoolArray) -> BoolArray:
-        """Whether the element is, or was since the last time, as waited for, shape (N,)."""
+        """Check the element's state, or its transition since the last call, shape (N,)."""
         result = self._seen if self._state is None else np.where(self._changed, self._seen, self._known == self._state)
         result = np.asarray(result & where)
         world.stirred |= where & self._changed
@@ -59,31 +50,31 @@ class Watch:
         return result
 
     def note(self, where: BoolArray, state: int, transition: int) -> None:
-        """Take notice of a change in the scenarios of a mask."""
+        """Record a change in the scenarios of a mask."""
         self._latest[where] = state
         self._changed |= where
         if state == self._state or transition == self._transition:
             self._seen |= where
 
     def forget(self, where: BoolArray) -> None:
-        """Forget what has changed in the scenarios of a mask."""
+        """Clear recorded changes in the scenarios of a mask."""
         self._changed &= ~where
         self._seen &= ~where
 
 
 class Starter(Protocol):
-    """A trigger, as an element uses it."""
+    """Interface of triggers for elements."""
 
     def fires(self, world: World, where: BoolArray) -> BoolArray:
         """Scenarios of the mask in which it fires, shape (N,)."""
         ...
 
     def reset(self, where: BoolArray) -> None:
-        """Begin anew in the scenarios of the mask."""
+        """Reset in the scenarios of the mask."""
         ...
 
     def may_fire(self, world: World) -> BoolArray:
-        """Scenarios in which it is not certain that it never fires, shape (N,)."""
+        """Scenarios in which it may ever fire, shape (N,)."""
         ...
 
     @property
@@ -93,26 +84,11 @@ class Starter(Protocol):
 
 
 class Element:
-    """A storyboard element.
+    """A storyboard element with a state in every scenario, ndarray of int8 (N,).
 
-    A change of state takes effect at once: elements later in the file see it in the same frame, the others in the next.
-
-    Parameters
-    ----------
-    kind : str
-        As in ``storyboardElementType``: ``"event"``.
-    name : str
-    scenarios : int
-        N.
-    children : sequence of Element
-    start, stop : Starter, optional
-        Triggers. Without a start trigger it starts as soon as it can.
-    times : int, optional
-        How often it runs before it is complete; None for an element that is complete once it has ended.
-
-    Attributes
-    ----------
-    state : ndarray of int8, shape (N,)
+    A state change takes effect immediately: elements later in the file see it in the same frame, the others in the
+    next. `kind` is as in ``storyboardElementType``. Without a start trigger the element starts as soon as it can.
+    `times` is the number of executions until it is complete; None if it is complete once it has ended.
     """
 
     def __init__(
@@ -135,11 +111,11 @@ class Element:
             child._parent = self
 
     def watch(self, watch: Watch) -> None:
-        """Tell of all changes from now on."""
+        """Report all changes to a condition from now on."""
         self._watches.append(watch)
 
     def waits(self) -> Iterator[tuple[Starter, BoolArray]]:
-        """Triggers of the element, and where each of them may fire in the next frame."""
+        """Yield the element's triggers, and where each may fire in the next frame."""
         if self._start is not None:
             yield self._start, self.state == STANDBY
         if self._stop is not None:
@@ -147,18 +123,18 @@ class Element:
 
     @property
     def starts_by_itself(self) -> bool:
-        """Whether no trigger starts it."""
+        """Whether it has no start trigger."""
         return self._start is None
 
     def move(self, where: BoolArray, state: int, transition: int) -> None:
-        """Go to a state in the scenarios of a mask."""
+        """Change the state in the scenarios of a mask."""
         if anywhere(where):
             for watch in self._watches:
                 watch.note(where, state, transition)
             self.state[where] = state
 
     def end(self, where: BoolArray) -> None:
-        """End the element, and what of it runs, in the scenarios of a mask; then its parent, if that was the last."""
+        """End the element and its running children in the scenarios of a mask; the last child ends its parent."""
         where = where & (self.state != COMPLETE)
         if not anywhere(where):
             return
@@ -166,17 +142,17 @@ class Element:
             child.end(where & (child.state == RUNNING))
         # The last child that ends ends its parent.
         ending = where & ((self.state == RUNNING) | (self.state == STANDBY))
-        left = ending & (self._executions < self._times) if self._times is not None else np.zeros_like(ending)
-        self.move(ending & ~left, COMPLETE, END)
-        if anywhere(left):
-            self._forget_triggers(left)
-            self.move(left, STANDBY, END)
+        runs_again = ending & (self._executions < self._times) if self._times is not None else np.zeros_like(ending)
+        self.move(ending & ~runs_again, COMPLETE, END)
+        if anywhere(runs_again):
+            self._forget_triggers(runs_again)
+            self.move(runs_again, STANDBY, END)
             for child in self.children:
-                child.reset(left)
+                child.reset(runs_again)
         self._tell_parent(ending)
 
     def stop(self, where: BoolArray) -> None:
-        """Stop the element and all below it in the scenarios of a mask."""
+        """Stop the element and its descendants in the scenarios of a mask."""
         if not anywhere(where):
             return
         for child in self.children:
@@ -186,7 +162,7 @@ class Element:
         self._tell_parent(stopped)
 
     def reset(self, where: BoolArray) -> None:
-        """Put the element, and all below it, back to where they were before they were ready."""
+        """Reset the element and its descendants to their initial state."""
         for child in self.children:
             child.reset(where)
         self.state[where] = INIT

@@ -1,8 +1,8 @@
-"""Conditions on one entity: a boolean for every scenario of a batch."""
+"""Conditions on one entity, evaluated for every scenario of a batch."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 from typing import Any, Final
 
@@ -13,6 +13,7 @@ from cornercase._common.errors import InputError, suggestion
 from cornercase._common.geometry import within_half_turn
 from cornercase._common.typing import BoolArray, FloatArray
 from cornercase.scenario import Scope
+from cornercase.simulators.builtin.actions.longitudinal import child
 from cornercase.simulators.builtin.frames import gaps, leaves
 from cornercase.simulators.builtin.frames.gaps import TOLERANCE
 from cornercase.simulators.builtin.frames.leaves import ALIGNED, Leaf
@@ -33,19 +34,13 @@ EntityTest = Callable[[World, int], BoolArray]
 
 
 class Known:
-    """A test that compiled code knows as well: one leaf for each other entity that it asks about.
-
-    Parameters
-    ----------
-    test : EntityTest
-    *found : Leaf
-    """
+    """A test that kernels can evaluate too: one leaf for each other entity involved."""
 
     def __init__(self, test: EntityTest, *found: Leaf) -> None:
         self._test, self.leaves = test, found
 
     def __call__(self, world: World, e: int) -> BoolArray:
-        """Whether it holds of an entity, shape (N,)."""
+        """Evaluate the test for one entity, shape (N,)."""
         return self._test(world, e)
 
 
@@ -63,40 +58,20 @@ _RULES: Final[dict[str, Callable[[Any, Any], Any]]] = {
 }
 
 
-def rule_of(element: etree._Element, scope: Scope) -> Callable[[Any, Any], Any]:
-    """Comparison that an element's ``rule`` names.
-
-    Parameters
-    ----------
-    element : lxml element
-    scope : Scope
-        Values of the parameters there.
-
-    Returns
-    -------
-    callable
-        Takes two values or arrays.
-    """
+def rule_of(
+    element: etree._Element, scope: Scope, rules: Mapping[str, Callable[[Any, Any], Any]] = _RULES
+) -> Callable[[Any, Any], Any]:
+    """Comparison function for an element's ``rule``."""
     rule = scope.text(element, "rule")
-    if rule not in _RULES:
+    if rule not in rules:
         raise InputError(
-            f"{scope.source}, line {element.sourceline}: rule '{rule}' of <{element.tag}>: {suggestion(rule, _RULES)}"
+            f"{scope.source}, line {element.sourceline}: rule '{rule}' of <{element.tag}>: {suggestion(rule, rules)}"
         )
-    return _RULES[rule]
+    return rules[rule]
 
 
 def number_of_rule(rule: Callable[[Any, Any], Any]) -> int:
-    """Number of a comparison, as compiled code counts them.
-
-    Parameters
-    ----------
-    rule : callable
-        One of `rule_of`.
-
-    Returns
-    -------
-    int
-    """
+    """Index of a comparison in the kernels."""
     return list(_RULES.values()).index(rule)
 
 
@@ -109,29 +84,27 @@ def _traveled(element: etree._Element, scope: Scope, world: World) -> EntityTest
 
 
 def _reach_position(element: etree._Element, scope: Scope, world: World) -> EntityTest:
-    holder = element.find("Position")
-    if holder is None:
-        raise InputError(f"{scope.source}, line {element.sourceline}: <ReachPositionCondition> has no <Position>.")
+    holder = child(element, "Position", scope)
     position, tolerance = read_position(holder, scope, world), scope.number(element, "tolerance")
     oriented = holder.find("*/Orientation") is not None
 
-    # Where it stays put, it is looked up once.
-    place = position(world) if stays_put(holder) else None
+    # A fixed position is looked up once.
+    fixed_pose = position(world) if stays_put(holder) else None
 
     def reached(world: World, e: int) -> BoolArray:
-        pose = position(world) if place is None else place
+        pose = position(world) if fixed_pose is None else fixed_pose
         near = np.hypot(pose.x - world.x[e], pose.y - world.y[e]) < tolerance
         turn = within_half_turn(pose.heading - world.heading[e])
         return np.asarray(near & (np.abs(turn) < ALIGNED) if oriented else near)
 
-    if place is None:
+    if fixed_pose is None:
         return reached
-    values = (place.x, place.y, place.heading, tolerance)
+    values = (fixed_pose.x, fixed_pose.y, fixed_pose.heading, tolerance)
     return Known(reached, Leaf(leaves.REACHES, option=int(oriented), values=values))
 
 
 def _along(world: World, vector: tuple[FloatArray, FloatArray], e: int, axes: int, direction: str) -> FloatArray:
-    """Component of an entity's velocity or acceleration along or across the heading of another, or upwards, (N,)."""
+    """Component of a vector of an entity along or across the heading of `axes`, or 0 upwards, (N,)."""
     x, y, cos, sin = vector[0][e], vector[1][e], np.cos(world.heading[axes]), np.sin(world.heading[axes])
     if direction == "longitudinal":
         return np.asarray(x * cos + y * sin)
@@ -154,11 +127,13 @@ def _relative_speed(element: etree._Element, scope: Scope, world: World) -> Enti
 
     def holds(world: World, e: int) -> BoolArray:
         if not direction:
-            apart = world.speed[e] - world.speed[other]
+            difference = world.speed[e] - world.speed[other]
         else:
-            own, theirs = (_along(world, world.gone, one, other, direction) for one in (e, other))
-            apart = own - theirs
-        return np.asarray(rule(apart, value) & world.present[other])
+            own_component, other_component = (
+                _along(world, world.gone, entity, other, direction) for entity in (e, other)
+            )
+            difference = own_component - other_component
+        return np.asarray(rule(difference, value) & world.present[other])
 
     option = _COMPONENTS.get(direction, gaps.UPWARDS)
     return Known(holds, Leaf(leaves.RELATIVE_SPEED, other, number_of_rule(rule), option, (value,)))
@@ -171,7 +146,7 @@ def _acceleration(element: etree._Element, scope: Scope, world: World) -> Entity
     def holds(world: World, e: int) -> BoolArray:
         if direction:
             return np.asarray(rule(_along(world, world.pull, e, e, direction), value))
-        # Against the heading it is negative.
+        # Negative against the heading.
         size = np.hypot(world.pull[0][e], world.pull[1][e])
         return np.asarray(rule(np.where(_along(world, world.pull, e, e, "longitudinal") < 0.0, -size, size), value))
 
@@ -200,8 +175,8 @@ def _off_road(element: etree._Element, scope: Scope, world: World) -> EntityTest
 def _collision(element: etree._Element, scope: Scope, world: World) -> EntityTest:
     by_type = element.find("ByType")
     if by_type is not None:
-        kind = scope.text(by_type, "type")
-        others = [k for k, one in enumerate(world.entities) if _type_of(one.kind) == kind]
+        object_type = scope.text(by_type, "type")
+        others = [k for k, entity in enumerate(world.entities) if _type_of(entity.kind) == object_type]
     else:
         others = entities_in(element, scope, world)
     if by_type is None and not others:
@@ -232,30 +207,28 @@ def _relative_distance(element: etree._Element, scope: Scope, world: World) -> E
 
 
 def _distance(element: etree._Element, scope: Scope, world: World) -> EntityTest:
-    holder = element.find("Position")
-    if holder is None:
-        raise InputError(f"{scope.source}, line {element.sourceline}: <DistanceCondition> has no <Position>.")
+    holder = child(element, "Position", scope)
     position, gap = read_position(holder, scope, world), read_gap(element, scope)
     rule, value = rule_of(element, scope), scope.number(element, "value")
-    place = position(world) if stays_put(holder) else None
+    fixed_pose = position(world) if stays_put(holder) else None
 
     def holds(world: World, e: int) -> BoolArray:
-        pose = position(world) if place is None else place
+        pose = position(world) if fixed_pose is None else fixed_pose
         return np.asarray(rule(np.abs(gap.to_place(world, e, pose)), value))
 
     option = _measured(gap, to_entity=False)
-    if option is None or place is None:
+    if option is None or fixed_pose is None:
         return holds
-    leaf = Leaf(leaves.APART_FROM_PLACE, -1, number_of_rule(rule), option, (place.x, place.y, value))
+    leaf = Leaf(leaves.APART_FROM_PLACE, -1, number_of_rule(rule), option, (fixed_pose.x, fixed_pose.y, value))
     return Known(holds, leaf)
 
 
 def _measured(gap: Gap, to_entity: bool) -> int | None:
-    """How compiled code measures a distance; None where it cannot."""
-    kinds = {"euclidean": gaps.EUCLIDEAN, "longitudinal": gaps.LONGITUDINAL, "lateral": gaps.LATERAL}
+    """Option by which kernels measure a gap; None if they cannot."""
+    options = {"euclidean": gaps.EUCLIDEAN, "longitudinal": gaps.LONGITUDINAL, "lateral": gaps.LATERAL}
     if (gap.along_road and gap.kind != "euclidean") or (to_entity and gap.free and gap.kind == "euclidean"):
         return None
-    return kinds[gap.kind] + gaps.FREE * gap.free
+    return options[gap.kind] + gaps.FREE * gap.free
 
 
 def _time_headway(element: etree._Element, scope: Scope, world: World) -> EntityTest:
@@ -303,13 +276,13 @@ def _time_to_collision(element: etree._Element, scope: Scope, world: World) -> E
 
 def _collides(world: World, e: int, other: int, gap: Gap, rule: Callable[[Any, Any], Any], value: Any) -> BoolArray:
     distance = gap.to_entity(world, e, other)
-    # How fast the gap closes is measured along the way that the other goes.
+    # The closing speed is measured along the other's direction of motion.
     x, y = world.gone[0][other], world.gone[1][other]
     pace = np.hypot(x, y)
     stands = (np.abs(x) < TOLERANCE) & (np.abs(y) < TOLERANCE)
-    own = (world.gone[0][e] * x + world.gone[1][e] * y) / np.where(stands, 1.0, pace)
-    signs = np.where(world.speed[e] < 0.0, -1.0, 1.0) * np.where(own < 0.0, -1.0, 1.0)
-    closing = np.where(stands, world.speed[e], signs * (own - np.abs(world.speed[other])))
+    own_speed = (world.gone[0][e] * x + world.gone[1][e] * y) / np.where(stands, 1.0, pace)
+    signs = np.where(world.speed[e] < 0.0, -1.0, 1.0) * np.where(own_speed < 0.0, -1.0, 1.0)
+    closing = np.where(stands, world.speed[e], signs * (own_speed - np.abs(world.speed[other])))
     return np.asarray(_in_time(distance, closing, rule, value) & world.present[other])
 
 
@@ -328,56 +301,60 @@ def _relative_clearance(element: etree._Element, scope: Scope, world: World) -> 
     others = entities_in(element, scope, world)
 
     def holds(world: World, e: int) -> BoolArray:
-        own = lane_of(world, e)
-        assert own.lane is not None
+        own_pose = lane_of(world, e)
+        assert own_pose.lane is not None
         occupied = np.zeros(world.scenarios, dtype=np.bool_)
         for other in others or [k for k in range(len(world.entities)) if k != e]:
             pose = lane_of(world, other)
             assert pose.lane is not None
-            way = along_roads(world, e, pose)
+            distance = along_roads(world, e, pose)
             if free:
-                ahead, behind = longitudinal_reach(world, e, other)
-                way = np.where(way > 0, np.maximum(way - ahead, 0.0), np.minimum(way + behind, 0.0))
-            # On a road that runs the other way, the lanes of the own side have the other sign.
-            turned = runs_against(world, e, pose)
-            lane = np.where(turned, -own.lane, own.lane)
-            apart = lanes_between(world, replace(own, lane=lane), pose) * np.where(turned, -1, 1)
-            same = np.sign(lane) == np.sign(pose.lane)
-            inside = (way >= -backward) & (way <= forward) & (apart >= first) & (apart <= last)
-            occupied |= inside & (same | opposite) & world.present[other]
-        return np.asarray(~occupied & has_lane_between(world, own, first, last, opposite))
+                overlap_ahead, overlap_behind = longitudinal_reach(world, e, other)
+                distance = np.where(
+                    distance > 0, np.maximum(distance - overlap_ahead, 0.0), np.minimum(distance + overlap_behind, 0.0)
+                )
+            # On a road with opposite direction, lanes have the opposite sign.
+            is_opposite = runs_against(world, e, pose)
+            lane = np.where(is_opposite, -own_pose.lane, own_pose.lane)
+            lane_difference = lanes_between(world, replace(own_pose, lane=lane), pose) * np.where(is_opposite, -1, 1)
+            same_side = np.sign(lane) == np.sign(pose.lane)
+            inside = (
+                (distance >= -backward) & (distance <= forward) & (lane_difference >= first) & (lane_difference <= last)
+            )
+            occupied |= inside & (same_side | opposite) & world.present[other]
+        return np.asarray(~occupied & has_lane_between(world, own_pose, first, last, opposite))
 
     return holds
 
 
 def _angle(element: etree._Element, scope: Scope, world: World) -> EntityTest:
     angle, tolerance = scope.number(element, "angle"), scope.number(element, "angleTolerance")
-    kind, system = scope.text(element, "angleType", "heading"), scope.text(element, "coordinateSystem", "world")
+    angle_type, system = scope.text(element, "angleType", "heading"), scope.text(element, "coordinateSystem", "world")
     other = entity_index(element, scope, world) if element.get("entityRef") is not None else None
 
     def holds(world: World, e: int) -> BoolArray:
-        now = world.heading[e]
-        if kind != "heading":
-            now = np.zeros(world.scenarios)
+        current = world.heading[e]
+        if angle_type != "heading":
+            current = np.zeros(world.scenarios)
         elif other is not None:
-            now = now - world.heading[other]
+            current = current - world.heading[other]
         elif system == "entity":
-            now = np.zeros(world.scenarios)
+            current = np.zeros(world.scenarios)
         elif system in ("road", "lane") and world.network is not None:
             pose = lane_of(world, e)
-            now = now - road_heading(world, pose)
+            current = current - road_heading(world, pose)
             if system == "lane" and pose.lane is not None and pose.road is not None and pose.s is not None:
                 against = [
                     not world.network.runs_along(int(r), int(k), float(s))
                     for r, k, s in zip(pose.road, pose.lane, pose.s, strict=True)
                 ]
-                now = now - np.where(against, np.pi, 0.0)
-        apart = np.abs(within_half_turn(now - angle))
-        return np.asarray(apart < tolerance + TOLERANCE)
+                current = current - np.where(against, np.pi, 0.0)
+        difference = np.abs(within_half_turn(current - angle))
+        return np.asarray(difference < tolerance + TOLERANCE)
 
-    if kind == "heading" and other is None and system in ("road", "lane") and world.network is not None:
+    if angle_type == "heading" and other is None and system in ("road", "lane") and world.network is not None:
         return holds
-    if kind != "heading" or (other is None and system == "entity"):
+    if angle_type != "heading" or (other is None and system == "entity"):
         return Known(holds, Leaf(leaves.TURNED, values=(angle, tolerance)))
     return Known(holds, Leaf(leaves.TURNED, -1 if other is None else other, option=1, values=(angle, tolerance)))
 

@@ -1,4 +1,4 @@
-"""What a storyboard is made of: actions, events, and the groups that hold them."""
+"""Storyboard elements: actions, events, and their groups."""
 
 from __future__ import annotations
 
@@ -15,21 +15,10 @@ from cornercase.simulators.builtin.world.state import World
 
 
 class RunningAction(Element):
-    """An action of one event, for one of its actors; without effect when `action` is None.
+    """An action of one event for one actor; without effect if `action` is None.
 
-    Parameters
-    ----------
-    name : str
-    scenarios : int
-        N.
-    action : Action, optional
-    world : World
-    rivals : list of RunningAction
-        Actions of the same entity, to which this one is added.
-    chosen : callable, optional
-        Where it takes part, as of the moment when it starts.
-    place : str
-        Line, element and name, for failures.
+    `rivals`: all actions of the same entity, to which this one is added. `chosen`: scenarios in which the actor takes
+    part, evaluated at the start. `place`: line, element and name for errors.
     """
 
     def __init__(
@@ -50,7 +39,7 @@ class RunningAction(Element):
 
     @property
     def momentary(self) -> bool:
-        """Whether all that it does is done when it starts, so that it ends in the same frame."""
+        """Whether it is done as soon as it has started, and ends in the same frame."""
         return self.action is None or type(self.action).step is Action.step
 
     def start(self, where: BoolArray) -> None:
@@ -66,7 +55,7 @@ class RunningAction(Element):
             self._world.acting = None
 
     def take_over(self, where: BoolArray) -> None:
-        """End all actions of the same entity that decide some of the same, in the scenarios of a mask."""
+        """End all actions of the same entity with a common domain, in the scenarios of a mask."""
         for rival in self._rivals:
             if rival is not self and not set(rival.domains).isdisjoint(self.domains):
                 rival.end(where & (rival.state == RUNNING))
@@ -76,13 +65,13 @@ class RunningAction(Element):
         where = where & (self.state == RUNNING)
         if anywhere(where):
             self._world.acting = self._place
-            done = where if self.action is None else self.action.step(self._world, dt, where) & where
+            is_done = where if self.action is None else self.action.step(self._world, dt, where) & where
             self._world.acting = None
-            self._world.stirred |= done
-            self._finish(done)
+            self._world.stirred |= is_done
+            self._finish(is_done)
 
     def look_up(self, where: BoolArray) -> None:
-        """Look up what compiled code cannot before the action acts, in the scenarios of a mask."""
+        """Look up what kernels cannot before the action acts, in the scenarios of a mask."""
         where = where & (self.state == RUNNING)
         if self.action is not None and anywhere(where):
             self._world.acting = self._place
@@ -108,19 +97,8 @@ class RunningAction(Element):
 class Event(Element):
     """An event: when its trigger fires, its actions start.
 
-    Parameters
-    ----------
-    name : str
-    scenarios : int
-        N.
-    actions : sequence of RunningAction
-    trigger : Trigger, optional
-        Without one it fires at once.
-    times : int
-        How often it runs.
-    priority : str
-        What becomes of the other events of its maneuver: ``"overwrite"`` ends them, ``"skip"`` does not start beside
-        them.
+    Without a trigger it fires immediately. `times`: number of executions. `priority`: ``"overwrite"`` ends the other
+    events of its maneuver, ``"skip"`` does not start while one of them runs.
     """
 
     def __init__(
@@ -145,7 +123,7 @@ class Event(Element):
             self._execute(fired)
 
     def start(self, where: BoolArray) -> None:
-        """Get ready, as the maneuver starts."""
+        """Become ready as the maneuver starts."""
         self.move(where & (self.state == INIT), STANDBY, NOTHING)
 
     def step(self, dt: float, where: BoolArray) -> None:
@@ -162,7 +140,7 @@ class Event(Element):
             busy = np.zeros_like(fired)
             for event in others:
                 busy |= event.state == RUNNING
-            # An event that is skipped has not run, and waits on.
+            # A skipped event has not run, and keeps waiting.
             self.move(fired & busy, STANDBY, SKIP)
             fired = fired & ~busy
         elif self._priority in ("overwrite", "override"):
@@ -178,15 +156,7 @@ class Event(Element):
 
 
 class Group(Element):
-    """A maneuver, maneuver group, act or story: runs its children until all of them have ended.
-
-    Parameters
-    ----------
-    kind, name, scenarios, start, stop, times
-        As in `Element`.
-    parts : sequence of Group or Event
-        Its children.
-    """
+    """A maneuver, maneuver group, act or story: runs its children until all of them have ended."""
 
     def __init__(
         self,
@@ -202,7 +172,7 @@ class Group(Element):
         self._parts = parts
 
     def evaluate(self, world: World, where: BoolArray) -> None:
-        """Evaluate the triggers of the element and of all below it, where its parent runs."""
+        """Evaluate the triggers of the element and its descendants, where its parent runs."""
         if self._stop is not None:
             self.stop(self._stop.fires(world, where & (self.state == RUNNING)))
         waiting = where & (self.state == STANDBY)
@@ -212,11 +182,11 @@ class Group(Element):
             self._run(begins)
         running = where & (self.state == RUNNING)
         if anywhere(running):
-            for part in self._parts:
-                part.evaluate(world, running)
+            for child in self._parts:
+                child.evaluate(world, running)
 
     def start(self, where: BoolArray) -> None:
-        """Start as the parent does, or wait for the start trigger."""
+        """Start with the parent, or wait for the start trigger."""
         new = where & (self.state == INIT)
         if self._start is not None:
             self.move(new, STANDBY, NOTHING)
@@ -227,11 +197,11 @@ class Group(Element):
         """Let all actions below the element act for one time step."""
         where = where & (self.state == RUNNING)
         if anywhere(where):
-            for part in self._parts:
-                part.step(dt, where)
+            for child in self._parts:
+                child.step(dt, where)
 
     def has_end(self, world: World) -> BoolArray:
-        """Where it runs and its stop trigger may fire, but does not now, shape (N,)."""
+        """Where it runs and its stop trigger may fire later, but does not fire now, shape (N,)."""
         if self._stop is None:
             return np.zeros(world.scenarios, dtype=np.bool_)
         running = self.state == RUNNING
@@ -241,5 +211,5 @@ class Group(Element):
         if anywhere(where):
             self.move(where, RUNNING, START)
             self._executions[where] += 1
-            for part in self._parts:
-                part.start(where)
+            for child in self._parts:
+                child.start(where)

@@ -1,4 +1,4 @@
-"""The storyboard: a tree of elements, each in a state of its own in every scenario of a batch."""
+"""The storyboard: a tree of elements, each with its own state in every scenario of a batch."""
 
 from __future__ import annotations
 
@@ -27,32 +27,16 @@ from cornercase.simulators.builtin.world.state import World
 
 E = TypeVar("E", bound="Element")
 
-# What acts as a scenario begins, in the order in which it does.
+# Elements of <Init>, in their order of execution.
 _INIT: Final = ("GlobalAction", "UserDefinedAction", "Private")
 _PLACING: Final = ("TeleportAction", "AddEntityAction")
 _RELATIVE: Final = ("RelativeLanePosition", "RelativeRoadPosition", "RelativeObjectPosition", "RelativeWorldPosition")
 
 
 class Storyboard:
-    """A file's whole storyboard, for all scenarios of a batch.
+    """A file's storyboard for all scenarios of a batch.
 
-    Parameters
-    ----------
-    scenario : Scenario
-    scope : Scope
-        The parameters' values.
-    world : World
-
-    Attributes
-    ----------
-    stories : list of Group
-    actions : list of RunningAction
-        All of them, in the order in which they act.
-
-    Raises
-    ------
-    InputError
-        Something in it is not supported, or is malformed.
+    `actions`: all of its actions in the order in which they act.
     """
 
     def __init__(self, scenario: Scenario, scope: Scope, world: World) -> None:
@@ -60,7 +44,7 @@ class Storyboard:
         self._elements: dict[tuple[str, str], list[tuple[Element, tuple[str, ...]]]] = {}
         self._parents: list[str] = []
         self._watches: list[tuple[str, str, Watch, str]] = []
-        # By entity, or None for actions of no entity.
+        # By entity; None for global actions.
         self._actions: dict[int | None, list[RunningAction]] = {}
         self.actions: list[RunningAction] = []
         self._triggered: list[Element] = []
@@ -73,19 +57,19 @@ class Storyboard:
         self._momentary = [action for action in self.actions if action.momentary]
         self._stop = read_trigger(root.find("StopTrigger"), scope, world, self)
         for kind, reference, watch, where in self._watches:
-            found = self.named(kind, reference)
-            if found is None:
+            element = self.named(kind, reference)
+            if element is None:
                 raise InputError(f"{where}: there is no {kind} '{reference}' in the storyboard.")
-            found.watch(watch)
+            element.watch(watch)
 
     def waits(self) -> Iterator[tuple[Starter, BoolArray]]:
-        """All triggers, always in the same order, and where each of them may fire in the next frame."""
+        """Yield all triggers in a fixed order, and where each may fire in the next frame."""
         yield self._stop, np.ones(self._world.scenarios, dtype=np.bool_)
         for element in self._triggered:
             yield from element.waits()
 
     def starting(self) -> BoolArray:
-        """Scenarios in which an element that no trigger starts waits for the next frame, shape (N,)."""
+        """Scenarios in which an element without a start trigger waits for the next frame, shape (N,)."""
         result = self._stopped.copy()
         for element in self._triggered:
             if element.starts_by_itself:
@@ -93,32 +77,29 @@ class Storyboard:
         return result
 
     def watch(self, kind: str, name: str, watch: Watch, where: str) -> None:
-        """Let something watch the element of a kind and name, as soon as that is known."""
+        """Connect a condition to the element of a kind and name once all elements are read."""
         self._watches.append((kind, name, watch, where))
 
     def named(self, kind: str, name: str) -> Element | None:
-        """Element of a kind and name; names may be given with those of the parents, as ``Act::Group``."""
+        """Find the element of a kind and name; names may include those of parents, as in ``Act::Group``."""
         path = tuple(name.split("::"))
         for element, parents in self._elements.get((kind, path[-1]), ()):
-            # A name need not give all parents.
-            given = iter(parents)
-            if all(part in given for part in path[:-1]):
+            # A name need not include all parents.
+            names = iter(parents)
+            if all(segment in names for segment in path[:-1]):
                 return element
         return None
 
     def look(self, dt: float) -> None:
-        """Evaluate all triggers at the present time, as a frame begins, and start what they start.
+        """Evaluate all triggers at the start of a frame of `dt` s, and start elements.
 
-        Parameters
-        ----------
-        dt : float
-            Length in s of the step that the frame takes; 0 for the first, in which everybody is placed.
+        `dt` is 0 in the first frame, which places entities.
         """
         world = self._world
         if dt == 0.0:
             for action in self._init:
                 action.start(world.running.copy())
-            # Nothing has moved yet, but conditions on velocities and collisions hold from the start.
+            # Nothing has moved yet, but conditions on velocities and collisions already apply.
             world.gone[0][:], world.gone[1][:] = velocity_ahead(world)
             find_contacts(world)
             for story in self.stories:
@@ -128,45 +109,39 @@ class Storyboard:
         self._stopped |= stopped
         if dt > 0.0:
             world.running &= ~ends
-        # A storyboard that stops in the first frame, which is recorded, does nothing in it.
+        # A storyboard that stops in the first frame does nothing in it; the frame is recorded.
         self._going = ~stopped
         for story in self.stories:
             story.evaluate(world, world.running & self._going)
 
     def unfinished(self) -> BoolArray:
-        """Scenarios that would have gone on to an end, where all has run, shape (N,).
+        """Scenarios that would end later although all elements have run, shape (N,).
 
-        The storyboard, or an act that runs, has a stop trigger that may fire, or an entity follows a trajectory by its
+        The storyboard, or a running act, has a stop trigger that may fire, or an entity follows a trajectory with
         times.
         """
-        every = np.ones(self._world.scenarios, dtype=np.bool_)
+        all_scenarios = np.ones(self._world.scenarios, dtype=np.bool_)
         result = self._stop.may_fire(self._world)
         for act in (act for story in self.stories for act in story.children if isinstance(act, Group)):
             result |= act.has_end(self._world)
-        for one in self.actions:
-            if one.action is not None and one.action.keeps_time:
-                result |= one.state == RUNNING
-        # It may fire in the last frame, at which the storyboard does not look.
-        return result & ~self._stopped & ~self._stop.fires(self._world, every)
+        for action in self.actions:
+            if action.action is not None and action.action.keeps_time:
+                result |= action.state == RUNNING
+        # It may fire in the last frame, in which triggers are not evaluated.
+        return result & ~self._stopped & ~self._stop.fires(self._world, all_scenarios)
 
     def look_up(self, where: BoolArray) -> None:
-        """Look up what compiled code cannot before the actions act, in the scenarios of a mask."""
+        """Look up what kernels cannot before the actions act, in the scenarios of a mask."""
         for action in self.actions:
             action.look_up(where)
 
     def end_momentary(self) -> None:
-        """End the actions that have done all when they started: what acts after them does not tell the difference."""
+        """End the actions that were done when they started; later actions cannot tell the difference."""
         for action in self._momentary:
             action.step(0.0, self._world.running)
 
     def act(self, dt: float) -> None:
-        """Let all actions act, as a frame goes on.
-
-        Parameters
-        ----------
-        dt : float
-            Length of its step in s.
-        """
+        """Let all actions act for a step of `dt` s."""
         running = self._world.running
         for action in self._init:
             action.step(dt, running)
@@ -177,14 +152,14 @@ class Storyboard:
         actions = root.find("Init/Actions")
         if actions is None:
             return
-        every = [one for tag in _INIT for one in actions.iterfind(tag)]
-        for element in _in_order_of_reference(every, scope):
+        elements = [child for tag in _INIT for child in actions.iterfind(tag)]
+        for element in _in_order_of_reference(elements, scope):
             if element.tag != "Private":
                 yield self._action("init", element, scope, None)
                 continue
             for entity in self._entities(element, scope):
-                for item in element.iterfind("PrivateAction"):
-                    yield self._action("init", item, scope, entity)
+                for private_action in element.iterfind("PrivateAction"):
+                    yield self._action("init", private_action, scope, entity)
 
     def _entities(self, element: etree._Element, scope: Scope) -> list[int]:
         members = self._world.selections.get(scope.text(element, "entityRef"))
@@ -207,7 +182,7 @@ class Storyboard:
         return self._known(Group("act", name, scope.scenarios, groups, start, stop))
 
     def _start_trigger(self, element: etree._Element, scope: Scope) -> Trigger | None:
-        """Start trigger of an act or event; None, which fires at once, for a missing or an empty one."""
+        """Start trigger of an act or event; None, which fires immediately, if missing or empty."""
         trigger = read_trigger(element.find("StartTrigger"), scope, self._world, self)
         return None if trigger.empty else trigger
 
@@ -221,20 +196,20 @@ class Storyboard:
                 maneuver, inner = scope.from_catalog(element, "Maneuver")
             else:
                 maneuver, inner = element, scope.within(element)
-            own = maneuver.get("name", "")
-            with self._inside(name), self._inside(own):
+            maneuver_name = maneuver.get("name", "")
+            with self._inside(name), self._inside(maneuver_name):
                 events = []
                 for event in maneuver.iterfind("Event"):
                     with placed(event, inner.source):
                         events.append(self._read_event(event, inner, actors, select))
             with self._inside(name):
-                maneuvers.append(self._known(Group("maneuver", own, scope.scenarios, events)))
+                maneuvers.append(self._known(Group("maneuver", maneuver_name, scope.scenarios, events)))
         times = scope.whole_number(group, "maximumExecutionCount", 1, least=1)
         return self._known(Group("maneuverGroup", name, scope.scenarios, maneuvers, times=times))
 
     def _read_event(self, event: etree._Element, scope: Scope, actors: list[int], select: bool) -> Event:
         trigger = self._start_trigger(event, scope)
-        # Entities that trigger the event may act in it, besides the actors that are named.
+        # Triggering entities may act too, besides the named actors.
         choices: dict[int, Callable[[], BoolArray] | None] = {}
         if select and trigger is not None:
             choices = {e: partial(trigger.triggered_by, e) for e in trigger.entities}
@@ -263,15 +238,19 @@ class Storyboard:
         entity: int | None,
         chosen: Callable[[], BoolArray] | None = None,
     ) -> RunningAction:
-        rivals, what = self._actions.setdefault(entity, []), inner_action(element)
-        with placed(what, scope.source):
+        rivals, action_element = self._actions.setdefault(entity, []), inner_action(element)
+        with placed(action_element, scope.source):
             action = read_action(element, scope, self._world, entity)
-        # Of the scenario file whoever runs the scenario knows the name.
-        own = str(self._scenario.path)
-        place = f"line {what.sourceline}" if scope.source == own else place_of(what, scope.source)
-        holder = "<Init>" if next(what.iterancestors("Init"), None) is not None else f"'{name}'"
-        place += f": <{what.tag}> of {holder}"
-        self.actions.append(RunningAction(name, scope.scenarios, action, self._world, rivals, chosen, place))
+        # The name of the scenario file itself is omitted.
+        scenario_file = str(self._scenario.path)
+        location = (
+            f"line {action_element.sourceline}"
+            if scope.source == scenario_file
+            else place_of(action_element, scope.source)
+        )
+        holder = "<Init>" if next(action_element.iterancestors("Init"), None) is not None else f"'{name}'"
+        location += f": <{action_element.tag}> of {holder}"
+        self.actions.append(RunningAction(name, scope.scenarios, action, self._world, rivals, chosen, location))
         return self.actions[-1]
 
     def _known(self, element: E) -> E:
@@ -289,23 +268,27 @@ class Storyboard:
 
 
 def _in_order_of_reference(actions: list[etree._Element], scope: Scope) -> list[etree._Element]:
-    """Initial actions, those that place an entity relative to another after those that place the other."""
-    left = [_Initial.of(element, scope) for element in actions]
+    """Sort initial actions so that entities are placed before others are placed relative to them."""
+    remaining = [_Initial.of(element, scope) for element in actions]
     ordered: list[etree._Element] = []
-    while left:
-        adding = {one.entity for one in left if one.adds}
-        placing = {one.entity for one in left if one.places}
-        ready = [one for one in left if (one.adds or one.entity not in adding) and not one.references & placing]
-        # Entities that refer to each other stay in the file's order.
-        ready = ready or left[:1]
-        ordered += [one.element for one in ready]
-        left = [one for one in left if one not in ready]
+    while remaining:
+        adding = {action.entity for action in remaining if action.adds}
+        placing = {action.entity for action in remaining if action.places}
+        ready = [
+            action
+            for action in remaining
+            if (action.adds or action.entity not in adding) and not action.references & placing
+        ]
+        # Keep the file's order for entities that refer to each other.
+        ready = ready or remaining[:1]
+        ordered += [action.element for action in ready]
+        remaining = [action for action in remaining if action not in ready]
     return ordered
 
 
 @dataclass(frozen=True, eq=False)
 class _Initial:
-    """What an initial action does to which entity, and which others it places it relative to."""
+    """An initial action: its entity, the entities it refers to, and whether it adds or places its entity."""
 
     element: etree._Element
     entity: str

@@ -1,4 +1,4 @@
-"""Conditions: a boolean for every scenario of a batch."""
+"""Conditions and triggers, evaluated for every scenario of a batch."""
 
 from __future__ import annotations
 
@@ -14,6 +14,7 @@ from cornercase._common.places import placed
 from cornercase._common.recorded_xml import adapt
 from cornercase._common.typing import BoolArray, FloatArray
 from cornercase.scenario import Scope, is_never_true
+from cornercase.simulators.builtin.actions.longitudinal import child
 from cornercase.simulators.builtin.frames import leaves
 from cornercase.simulators.builtin.frames.gaps import TOLERANCE
 from cornercase.simulators.builtin.frames.leaves import Asked, Leaf
@@ -34,29 +35,33 @@ Test = Callable[[World, BoolArray], BoolArray]
 
 _CONSTANT: Final = Leaf(leaves.CONSTANT)
 
-# Conditions that only a user's program or the time of day could make true.
+# Conditions that only a user's program or the time of day can make true.
 NEVER_TRUE: Final = ("UserDefinedValueCondition", "TimeOfDayCondition")
 
 
+_TEXT_RULES: Final[dict[str, Callable[[Any, Any], Any]]] = {
+    "equalTo": np.equal,
+    "notEqualTo": np.not_equal,
+    "lessThan": np.less,
+    "lessOrEqual": np.less_equal,
+    "greaterThan": np.greater,
+    "greaterOrEqual": np.greater_equal,
+}
+
+
 class Elements(Protocol):
-    """Storyboard elements by name, known only once the whole storyboard is read."""
+    """Storyboard elements by name, available once the whole storyboard is read."""
 
     def watch(self, kind: str, name: str, watch: Watch, where: str) -> None:
-        """Let something watch the element of a kind and name, as soon as that is known."""
+        """Connect a condition to the element of a kind and name once all elements are read."""
         ...
 
 
 class Condition:
-    """One condition with its edge and delay.
+    """One condition with its edge and its delay in s, shape (N,).
 
-    Parameters
-    ----------
-    test : callable
-        World and a mask of the scenarios that are asked for, to a boolean array of shape (N,).
-    edge : str
-        ``"none"``, ``"rising"``, ``"falling"`` or ``"risingOrFalling"``.
-    delay : ndarray of float64, shape (N,)
-        s; what held this long ago counts now.
+    `test` takes the world and a mask of scenarios, and returns a boolean array (N,). `edge` is ``"none"``,
+    ``"rising"``, ``"falling"`` or ``"risingOrFalling"``. With a delay, the value of that long ago counts.
     """
 
     def __init__(self, test: Test, edge: str, delay: FloatArray) -> None:
@@ -66,27 +71,27 @@ class Condition:
         self._past = Past(delay, edge != "none") if anywhere(self.delayed) else None
 
     def evaluate(self, world: World, where: BoolArray) -> BoolArray:
-        """Whether the condition holds in the scenarios of the mask, shape (N,)."""
+        """Evaluate the condition in the scenarios of the mask, shape (N,)."""
         if not anywhere(where):
             return where
-        now = self.test(world, where)
+        value = self.test(world, where)
         last = self._last
         if self._edge == "none":
-            result = now
+            result = value
         elif self._edge == "rising":
-            result = now & (last == 0)
+            result = value & (last == 0)
         elif self._edge == "falling":
-            result = ~now & (last == 1)
+            result = ~value & (last == 1)
         else:
-            result = (last >= 0) & (now != (last == 1))
-        self._last = np.where(where, now.astype(np.int8), last)
+            result = (last >= 0) & (value != (last == 1))
+        self._last = np.where(where, value.astype(np.int8), last)
         if self._edge != "none":
             world.stirred |= self._last != last
         return where & (result if self._past is None else self._past.recall(world, result, where))
 
     @property
     def asked(self) -> Asked | None:
-        """What compiled code asks for it; None where it cannot."""
+        """What kernels evaluate for it; None if they cannot."""
         test, plain = self.test, self._edge == "none" and self._past is None
         if isinstance(test, OfEntities):
             return None if test.leaves is None else Asked(test.leaves, test.every, plain)
@@ -95,13 +100,13 @@ class Condition:
         return Asked([], True, False) if isinstance(test, Watch) else None
 
     def constant(self, world: World) -> BoolArray | None:
-        """Whether it holds until the storyboard changes something, shape (N,); None for one that may change before."""
+        """Its value (N,) if only the storyboard can change it; otherwise None."""
         test = self.test
         return test.value(world) if isinstance(test, ByValue) and test.leaf.kind == leaves.CONSTANT else None
 
     @property
     def past(self) -> Past | None:
-        """What it was before, where it has a delay."""
+        """Its delayed values, if it has a delay."""
         return self._past
 
     def rearm(self, where: BoolArray) -> None:
@@ -109,7 +114,7 @@ class Condition:
         self._last[where] = -1
 
     def reset(self, where: BoolArray) -> None:
-        """Forget what was before in the scenarios of the mask, so that a delay begins anew."""
+        """Restart delays in the scenarios of the mask."""
         if self._past is not None:
             self._past.forget(where)
         if isinstance(self.test, Watch):
@@ -117,77 +122,66 @@ class Condition:
 
 
 class Past:
-    """What a condition was before, for its delay.
+    """Earlier values of a condition with a delay in s, shape (N,).
 
-    Parameters
-    ----------
-    delay : ndarray of float64, shape (N,)
-        s.
-    sudden : bool
-        Whether the value may be another one in the next frame though nothing that it asks for has changed.
+    `is_sudden`: whether its value may change in the next frame although its inputs have not.
     """
 
     def __init__(self, delay: FloatArray, sudden: bool) -> None:
         self._delay, self._sudden = delay, sudden
-        # Frames that are not yet past the delay everywhere: times, values, and where the value was a new one.
+        # Frames whose delay has not passed in all scenarios: times, values, and where the value changed.
         self._frames: list[tuple[FloatArray, BoolArray, BoolArray]] = []
         self._newest, self._now = (np.full(len(delay), -1, dtype=np.int8) for _ in range(2))
 
     def recall(self, world: World, value: BoolArray, where: BoolArray) -> BoolArray:
-        """Note the value of now, and return that of a delay ago, shape (N,).
+        """Store the current value, and return the delayed one, shape (N,).
 
-        Of several values since the last time, one that was true counts.
+        Of several values since the last call, any true one counts.
         """
         new, time = where & (self._newest != value), world.time
         self._newest[new] = value[new]
         if self._sudden:
             world.stirred |= new
-        for then, was, changed in self._frames:
-            # The first two frames are at the same time; of them the later counts.
-            again = new & changed & (time <= then)
-            was[again] = value[again]
-            new &= ~again
+        for past_time, past_value, changed in self._frames:
+            # The first two frames have the same time; the later one counts.
+            same_time = new & changed & (time <= past_time)
+            past_value[same_time] = value[same_time]
+            new &= ~same_time
         if anywhere(new):
             self._frames.append((time.copy(), value.copy(), new))
-        result, found = np.zeros_like(where), np.zeros_like(where)
-        for then, was, changed in self._frames:
-            due = where & changed & (then <= time - self._delay + TOLERANCE)
-            self._now[due] = was[due]
-            result |= due & was
-            found |= due
+        result, is_due = np.zeros_like(where), np.zeros_like(where)
+        for past_time, past_value, changed in self._frames:
+            due = where & changed & (past_time <= time - self._delay + TOLERANCE)
+            self._now[due] = past_value[due]
+            result |= due & past_value
+            is_due |= due
             changed &= ~due
         if self._sudden:
-            world.stirred |= found
+            world.stirred |= is_due
         self._frames = [frame for frame in self._frames if frame[2].any()]
-        return np.where(found, result, self._now == 1)
+        return np.where(is_due, result, self._now == 1)
 
     @property
     def delay(self) -> FloatArray:
-        """What held this long ago in s counts now, shape (N,)."""
+        """The delay in s, shape (N,)."""
         return self._delay
 
     def pending(self) -> FloatArray:
-        """Time in s of the oldest change that waits for its delay, infinite where none does, shape (N,)."""
+        """Time in s of the oldest change that waits for its delay, infinite if none, shape (N,)."""
         result = np.full(len(self._delay), np.inf)
         for then, _, changed in self._frames:
             result = np.where(changed, np.minimum(result, then), result)
         return result
 
     def forget(self, where: BoolArray) -> None:
-        """Forget all in the scenarios of the mask."""
+        """Clear all values in the scenarios of the mask."""
         self._newest[where] = self._now[where] = -1
         for _, _, changed in self._frames:
             changed &= ~where
 
 
 class Trigger:
-    """Condition groups, of which one has to hold with all its conditions.
-
-    Parameters
-    ----------
-    groups : list of list of Condition
-        A trigger without groups never fires.
-    """
+    """Condition groups; the trigger fires when all conditions of one group hold, and never without groups."""
 
     def __init__(self, groups: list[list[Condition]]) -> None:
         self._groups = groups
@@ -208,7 +202,7 @@ class Trigger:
         return list(dict.fromkeys(entity for test in self._of_entities() for entity in test.entities))
 
     def triggered_by(self, entity: int) -> BoolArray:
-        """Scenarios in which a condition was last true of an entity, shape (N,)."""
+        """Scenarios in which a condition was last true for an entity, shape (N,)."""
         return np.asarray(
             np.any([test.held_of(entity) for test in self._of_entities() if entity in test.entities], axis=0)
         )
@@ -225,7 +219,7 @@ class Trigger:
         for group in self._groups:
             holds = where.copy()
             for condition in group:
-                # Without a delay, a condition is evaluated only where all before it hold; elsewhere its edge stays.
+                # Without a delay, a condition is only evaluated (and its edge updated) where all previous ones hold.
                 holds &= condition.evaluate(world, where & (holds | condition.delayed))
             fired |= holds
         world.stirred |= fired
@@ -236,50 +230,36 @@ class Trigger:
         return fired
 
     def may_fire(self, world: World) -> BoolArray:
-        """Scenarios in which no group has a condition that is false as long as nothing changes it, shape (N,)."""
+        """Scenarios in which no constant condition prevents all groups from holding, shape (N,)."""
         result = np.zeros(world.scenarios, dtype=np.bool_)
         for group in self._groups:
             constants = [condition.constant(world) for condition in group]
-            result |= np.all([one for one in constants if one is not None], axis=0)
+            result |= np.all([value for value in constants if value is not None], axis=0)
         return result
 
     def reset(self, where: BoolArray) -> None:
-        """Forget what was before in the scenarios of the mask."""
+        """Restart delays in the scenarios of the mask."""
         for group in self._groups:
             for condition in group:
                 condition.reset(where)
 
 
 def read_trigger(element: etree._Element | None, scope: Scope, world: World, elements: Elements) -> Trigger:
-    """Read a ``StartTrigger`` or ``StopTrigger``; one that is missing never fires.
-
-    Parameters
-    ----------
-    element : lxml element, optional
-    scope : Scope
-        Values of the parameters there.
-    world : World
-    elements : Elements
-        Those of the storyboard, for conditions on their states.
-
-    Returns
-    -------
-    Trigger
-    """
+    """Read a ``StartTrigger`` or ``StopTrigger``; a missing one never fires."""
     groups: list[list[Condition]] = []
     for group in () if element is None else element.iterfind("ConditionGroup"):
         conditions = []
-        for item in group.iterfind("Condition"):
-            edge = scope.text(item, "conditionEdge", "none")
+        for condition in group.iterfind("Condition"):
+            edge = scope.text(condition, "conditionEdge", "none")
             if edge not in ("none", "rising", "falling", "risingOrFalling"):
                 raise InputError(
-                    f"{scope.source}, line {item.sourceline}: conditionEdge '{edge}' of <Condition> is not none,"
+                    f"{scope.source}, line {condition.sourceline}: conditionEdge '{edge}' of <Condition> is not none,"
                     " rising, falling or risingOrFalling."
                 )
-            delay = scope.number(item, "delay", 0.0)
-            scope.refuse(item, "delay", "is below 0", delay < 0.0)
-            with placed(item, scope.source):
-                conditions.append(Condition(_read_test(item, scope, world, elements), edge, delay))
+            delay = scope.number(condition, "delay", 0.0)
+            scope.refuse(condition, "delay", "is below 0", delay < 0.0)
+            with placed(condition, scope.source):
+                conditions.append(Condition(_read_test(condition, scope, world, elements), edge, delay))
         if not conditions:
             rule = "a <ConditionGroup> holds at least one <Condition>"
             adapt(group, "<ConditionGroup> without a condition", "is true from the beginning", rule)
@@ -307,7 +287,7 @@ def _read_test(condition: etree._Element, scope: Scope, world: World, elements: 
 
 
 class OfEntities:
-    """A condition on entities: true of any, or of all, of those that may trigger it."""
+    """A condition on entities: true for any, or for all, triggering entities."""
 
     def __init__(self, entities: list[int], every: bool, test: EntityTest) -> None:
         self.entities = entities
@@ -316,7 +296,7 @@ class OfEntities:
 
     @property
     def leaves(self) -> list[tuple[int, Leaf]] | None:
-        """What it asks of each entity; None where compiled code cannot ask."""
+        """Leaves to evaluate for each entity; None if kernels cannot."""
         test = self._test
         return [(e, leaf) for e in self.entities for leaf in test.leaves] if isinstance(test, Known) else None
 
@@ -326,12 +306,12 @@ class OfEntities:
         return np.asarray(result.all(axis=0) if self.every else result.any(axis=0))
 
     def held_of(self, entity: int) -> BoolArray:
-        """Scenarios in which it was last true of an entity, shape (N,)."""
+        """Scenarios in which it was last true for an entity, shape (N,)."""
         return self._held[self.entities.index(entity)]
 
 
 class ByValue:
-    """A condition on the time, or on what only the storyboard itself changes, which compiled code knows, too."""
+    """A condition on time, or on values that only the storyboard changes, which kernels can evaluate too."""
 
     def __init__(self, value: Callable[[World], BoolArray], leaf: Leaf = _CONSTANT) -> None:
         self.value, self.leaf = value, leaf
@@ -341,14 +321,12 @@ class ByValue:
 
 
 def _of_triggering_entities(element: etree._Element, scope: Scope, world: World, test: EntityTest) -> Test:
-    holder = element.find("TriggeringEntities")
-    if holder is None:
-        raise InputError(f"{scope.source}, line {element.sourceline}: <ByEntityCondition> has no <TriggeringEntities>.")
-    every = scope.text(holder, "triggeringEntitiesRule", "any") == "all"
+    holder = child(element, "TriggeringEntities", scope)
+    require_all = scope.text(holder, "triggeringEntitiesRule", "any") == "all"
     entities = entities_in(holder, scope, world)
     if not entities:
         raise InputError(f"{scope.source}, line {holder.sourceline}: <TriggeringEntities> names no entity.")
-    return OfEntities(entities, every, test)
+    return OfEntities(entities, require_all, test)
 
 
 def _simulation_time(element: etree._Element, scope: Scope, world: World, elements: Elements) -> Test:
@@ -368,40 +346,30 @@ def _element_state(element: etree._Element, scope: Scope, world: World, elements
 
 
 def _held(element: etree._Element, scope: Scope, world: World, elements: Elements) -> Test:
-    kind = "variableRef" if element.tag == "VariableCondition" else "parameterRef"
-    values = world.variables if kind == "variableRef" else world.parameters
-    name = scope.text(element, kind) if not element.get(kind, "").startswith("$") else element.get(kind, "")[1:]
+    attribute = "variableRef" if element.tag == "VariableCondition" else "parameterRef"
+    values = world.variables if attribute == "variableRef" else world.parameters
+    name = (
+        scope.text(element, attribute)
+        if not element.get(attribute, "").startswith("$")
+        else element.get(attribute, "")[1:]
+    )
     if name not in values:
         if element.tag == "ParameterCondition" and is_never_true(element, name):
             return _never(element, scope, world, elements)
-        what = "variable" if kind == "variableRef" else "parameter"
+        noun = "variable" if attribute == "variableRef" else "parameter"
         raise InputError(
-            f"{scope.source}, line {element.sourceline}: <{element.tag}>: there is no {what} '{name}';"
+            f"{scope.source}, line {element.sourceline}: <{element.tag}>: there is no {noun} '{name}';"
             f" {suggestion(name, values)}"
         )
     if values[name].dtype.kind == "f":
         rule, value = rule_of(element, scope), scope.number(element, "value")
         return ByValue(lambda world: np.asarray(rule(values[name], value)))
-    text, rule_name = as_held(element, scope, values[name]), scope.text(element, "rule")
-    orders: dict[str, Callable[[Any, Any], Any]] = {
-        "equalTo": np.equal,
-        "notEqualTo": np.not_equal,
-        "lessThan": np.less,
-        "lessOrEqual": np.less_equal,
-        "greaterThan": np.greater,
-        "greaterOrEqual": np.greater_equal,
-    }
-    if rule_name not in orders:
-        raise InputError(
-            f"{scope.source}, line {element.sourceline}: rule '{rule_name}' of <{element.tag}>:"
-            f" {suggestion(rule_name, orders)}"
-        )
-    compare = orders[rule_name]
-    if rule_name not in ("equalTo", "notEqualTo"):
+    text, compare = as_held(element, scope, values[name]), rule_of(element, scope, _TEXT_RULES)
+    if compare not in (np.equal, np.not_equal):
         numeric = not np.isnan(_numbers([text, *np.unique(values[name])])).any()
-        why = "as the number that it is" if numeric else "by its letters, as in esmini"
+        why = "as a number" if numeric else "alphabetically, as in esmini"
         why = f"'{name}', which is declared as a text, is compared {why}"
-        adapt(element, f"rule of <{element.tag}>", why, "what is ordered is declared as a number")
+        adapt(element, f"rule of <{element.tag}>", why, "ordered values are declared as numbers")
         if numeric:
             rule, number = rule_of(element, scope), float(text)
             return ByValue(lambda world: np.asarray(rule(_numbers(values[name]), number)))
@@ -409,7 +377,7 @@ def _held(element: etree._Element, scope: Scope, world: World, elements: Element
 
 
 def _numbers(texts: Iterable[str]) -> FloatArray:
-    """Texts as numbers, NaN where they are none."""
+    """Parse texts as numbers, NaN if not a number."""
 
     def number(text: str) -> float:
         try:
@@ -421,7 +389,7 @@ def _numbers(texts: Iterable[str]) -> FloatArray:
 
 
 def _never(element: etree._Element, scope: Scope, world: World, elements: Elements) -> Test:
-    # Nothing in this simulator could make these conditions true.
+    # Nothing in this simulator can make these conditions true.
     result = np.zeros(scope.scenarios, dtype=np.bool_)
     return ByValue(lambda world: result)
 
@@ -437,9 +405,9 @@ def _signal(element: etree._Element, scope: Scope, world: World, elements: Eleme
 
 
 def _signal_controller(element: etree._Element, scope: Scope, world: World, elements: Elements) -> Test:
-    place = f"{scope.source}, line {element.sourceline}: <{element.tag}>"
-    controller = named_controller(world.signal_controllers, scope.text(element, "trafficSignalControllerRef"), place)
-    phase = named_phase(controller, scope.text(element, "phase"), place)
+    location = f"{scope.source}, line {element.sourceline}: <{element.tag}>"
+    controller = named_controller(world.signal_controllers, scope.text(element, "trafficSignalControllerRef"), location)
+    phase = named_phase(controller, scope.text(element, "phase"), location)
     return lambda world, where: np.asarray(controller.phase(world.time) == phase)
 
 

@@ -1,4 +1,4 @@
-"""Which entities' boxes overlap."""
+"""Overlaps of bounding boxes."""
 
 from __future__ import annotations
 
@@ -10,46 +10,30 @@ from cornercase.simulators.builtin.world.state import World
 
 
 def find_contacts(world: World) -> None:
-    """Update which boxes overlap.
-
-    Parameters
-    ----------
-    world : World
-    """
-    every = list(range(len(world.entities)))
-    x, y = _centers(world, every)
-    for a in every:
-        for b in every[a + 1 :]:
+    """Update which boxes overlap."""
+    entities = list(range(len(world.entities)))
+    x, y = _centers(world, entities)
+    for a in entities:
+        for b in entities[a + 1 :]:
             world.touching[a, b] = world.touching[b, a] = _overlap(world, [a, b], x[[a, b]], y[[a, b]])
 
 
 def overlap(world: World, first: int, second: int) -> BoolArray:
-    """Whether the boxes of two entities overlap as they stand now, also in the middle of a step, shape (N,).
-
-    Parameters
-    ----------
-    world : World
-    first, second : int
-        Rows of the entities.
-
-    Returns
-    -------
-    ndarray of bool, shape (N,)
-    """
+    """Check whether the boxes of two entities overlap now, also within a step, shape (N,)."""
     pair = [first, second]
     return _overlap(world, pair, *_centers(world, pair))
 
 
 def _centers(world: World, entities: list[int]) -> tuple[FloatArray, FloatArray]:
-    """Centres of the boxes of K entities, each (K, N) in m; NaN where one is not there."""
-    ahead = np.array([[world.entities[e].center_x] for e in entities])
-    heading, there = world.heading[entities], world.present[entities]
-    x, y = world.x[entities] + ahead * np.cos(heading), world.y[entities] + ahead * np.sin(heading)
-    return np.where(there, x, np.nan), np.where(there, y, np.nan)
+    """Centres of the boxes of K entities, each (K, N) in m; NaN if absent."""
+    center_x = np.array([[world.entities[e].center_x] for e in entities])
+    heading, is_present = world.heading[entities], world.present[entities]
+    x, y = world.x[entities] + center_x * np.cos(heading), world.y[entities] + center_x * np.sin(heading)
+    return np.where(is_present, x, np.nan), np.where(is_present, y, np.nan)
 
 
 def _overlap(world: World, pair: list[int], x: FloatArray, y: FloatArray) -> BoolArray:
-    """Whether the boxes of two entities with these centres, each (2, N), overlap, shape (N,)."""
+    """Check whether the boxes of two entities with centres (2, N) overlap, shape (N,)."""
     length = np.array([[world.entities[e].length] for e in pair])
     width = np.array([[world.entities[e].width] for e in pair])
     result = np.zeros(world.scenarios, dtype=np.bool_)
@@ -61,20 +45,10 @@ def _overlap(world: World, pair: list[int], x: FloatArray, y: FloatArray) -> Boo
 
 
 def entity_corners(world: World) -> FloatArray:
-    """Corners of all boxes, shape (E, N, 4, 2).
-
-    Parameters
-    ----------
-    world : World
-
-    Returns
-    -------
-    ndarray of float64, shape (E, N, 4, 2)
-        m.
-    """
-    ahead = np.array([[entity.center_x] for entity in world.entities])
+    """Corners of all boxes in m, shape (E, N, 4, 2)."""
+    center_x = np.array([[entity.center_x] for entity in world.entities])
     length = np.array([[entity.length] for entity in world.entities])
     width = np.array([[entity.width] for entity in world.entities])
-    x = world.x + ahead * np.cos(world.heading)
-    y = world.y + ahead * np.sin(world.heading)
+    x = world.x + center_x * np.cos(world.heading)
+    y = world.y + center_x * np.sin(world.heading)
     return box_corners(x, y, world.heading, length, width)

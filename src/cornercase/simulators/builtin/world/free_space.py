@@ -1,4 +1,4 @@
-"""Free space between boxes along and across the road that both are on."""
+"""Free space between boxes along and across their common road."""
 
 from __future__ import annotations
 
@@ -12,115 +12,73 @@ from cornercase.simulators.builtin.world.contacts import entity_corners, overlap
 from cornercase.simulators.builtin.world.state import World
 from cornercase.simulators.builtin.world.whereabouts import lane_of, looks_along
 
-# Each pass makes the error in s smaller by the curvature times the distance beside the reference line.
+# Each iteration reduces the error in s by the factor curvature times lateral distance.
 _PASSES: Final = 6
 
 
 def free_space_on_road(world: World, entity: int, other: int, lateral: bool, otherwise: FloatArray) -> FloatArray:
-    """Least difference in s, or in t, between the corners of two boxes in m, shape (N,); 0 where they are abreast.
+    """Smallest difference in s (or t if `lateral`) between the corners of two boxes in m, shape (N,).
 
-    Parameters
-    ----------
-    world : World
-    entity : int
-        Row of the entity.
-    other : int
-        Row of the other entity.
-    lateral : bool
-        In t instead of in s.
-    otherwise : ndarray of float64, shape (N,)
-        What it is where they are on different roads.
-
-    Returns
-    -------
-    ndarray of float64, shape (N,)
-        m; s counts as the entity looks, negative behind it, and t to the left of the road.
+    It is 0 if side by side, and `default` on different roads. s is positive ahead, t to the left of the road.
     """
-    own, theirs = lane_of(world, entity), lane_of(world, other)
-    if own.road is None or theirs.road is None:
+    own_pose, other_pose = lane_of(world, entity), lane_of(world, other)
+    if own_pose.road is None or other_pose.road is None:
         return otherwise
     corners = entity_corners(world)
-    same = (own.road == theirs.road) & world.present[entity] & world.present[other]
-    first, second = (_on_road(world, pose, corners[k], same, lateral) for k, pose in ((entity, own), (other, theirs)))
-    apart = second[:, None, :] - first[:, :, None]
+    same_road = (own_pose.road == other_pose.road) & world.present[entity] & world.present[other]
+    first, second = (
+        _on_road(world, pose, corners[k], same_road, lateral) for k, pose in ((entity, own_pose), (other, other_pose))
+    )
+    differences = second[:, None, :] - first[:, :, None]
     if not lateral:
-        apart *= _direction(world, own)[:, None, None]
-    # They are abreast where some corner of the one lies between corners of the other.
-    behind = apart < 0.0
+        differences *= _direction(world, own_pose)[:, None, None]
+    # Side by side: a corner of one box is between corners of the other.
+    behind = differences < 0.0
     abreast = (behind.any(axis=2) & ~behind.all(axis=2)).any(axis=1)
-    flat = apart.reshape(world.scenarios, -1)
-    least = flat[np.arange(world.scenarios), np.abs(flat).argmin(axis=1)]
-    return np.where(same, np.where(abreast | overlap(world, entity, other), 0.0, least), otherwise)
+    flat = differences.reshape(world.scenarios, -1)
+    smallest = flat[np.arange(world.scenarios), np.abs(flat).argmin(axis=1)]
+    return np.where(same_road, np.where(abreast | overlap(world, entity, other), 0.0, smallest), otherwise)
 
 
 def free_space_to_place(world: World, entity: int, place: Pose, lateral: bool, otherwise: FloatArray) -> FloatArray:
-    """Least difference in s, or in t, between the corners of a box and a place in m, shape (N,).
+    """Smallest difference in s (or t if `lateral`) between the corners of a box and a point in m, (N,).
 
-    Parameters
-    ----------
-    world : World
-    entity : int
-        Row of the entity.
-    place : Pose
-    lateral : bool
-        In t instead of in s.
-    otherwise : ndarray of float64, shape (N,)
-        What it is where they are on different roads.
-
-    Returns
-    -------
-    ndarray of float64, shape (N,)
-        m; 0 where the place is abreast of the box, s as the entity looks, and t to the left of the road.
+    It is 0 if side by side, and `default` on different roads. s is positive ahead, t to the left of the road.
     """
-    own = lane_of(world, entity)
-    if own.road is None or place.road is None or place.s is None:
+    own_pose = lane_of(world, entity)
+    if own_pose.road is None or place.road is None or place.s is None:
         return otherwise
-    same = (own.road == place.road) & world.present[entity] & np.isfinite(place.x)
-    first = _on_road(world, own, entity_corners(world)[entity], same, lateral)
+    same_road = (own_pose.road == place.road) & world.present[entity] & np.isfinite(place.x)
+    first = _on_road(world, own_pose, entity_corners(world)[entity], same_road, lateral)
     point = np.stack([place.x, place.y], axis=-1)[:, None, :]
-    apart = _on_road(world, place, point, same, lateral) - first
+    differences = _on_road(world, place, point, same_road, lateral) - first
     if not lateral:
-        apart *= _direction(world, own)[:, None]
-    row, size = np.arange(world.scenarios), np.abs(apart)
-    least, most = apart[row, size.argmin(axis=1)], apart[row, size.argmax(axis=1)]
-    return np.where(same, np.where((least < 0.0) != (most < 0.0), 0.0, least), otherwise)
+        differences *= _direction(world, own_pose)[:, None]
+    row, size = np.arange(world.scenarios), np.abs(differences)
+    smallest, largest = differences[row, size.argmin(axis=1)], differences[row, size.argmax(axis=1)]
+    return np.where(same_road, np.where((smallest < 0.0) != (largest < 0.0), 0.0, smallest), otherwise)
 
 
 def beside_on_road(world: World, entity: int, place: Pose, otherwise: FloatArray) -> FloatArray:
-    """Difference in t between an entity and a place on its road in m, shape (N,).
-
-    Parameters
-    ----------
-    world : World
-    entity : int
-        Row of the entity.
-    place : Pose
-    otherwise : ndarray of float64, shape (N,)
-        What it is where they are on different roads.
-
-    Returns
-    -------
-    ndarray of float64, shape (N,)
-        m; positive where the place lies further to the left of the road.
-    """
-    own = lane_of(world, entity)
-    if own.road is None or place.road is None or place.s is None:
+    """Difference in t from an entity to a point on its road in m, (N,), positive left; `default` on other roads."""
+    own_pose = lane_of(world, entity)
+    if own_pose.road is None or place.road is None or place.s is None:
         return otherwise
-    same = (own.road == place.road) & world.present[entity] & np.isfinite(place.x)
+    same_road = (own_pose.road == place.road) & world.present[entity] & np.isfinite(place.x)
     own_t, t = (
-        _on_road(world, pose, np.stack([pose.x, pose.y], axis=-1)[:, None, :], same, True)[:, 0]
-        for pose in (own, place)
+        _on_road(world, pose, np.stack([pose.x, pose.y], axis=-1)[:, None, :], same_road, True)[:, 0]
+        for pose in (own_pose, place)
     )
-    return np.where(same, t - own_t, otherwise)
+    return np.where(same_road, t - own_t, otherwise)
 
 
 def _direction(world: World, pose: Pose) -> FloatArray:
-    """1 where the heading of a pose is along s, else -1, shape (N,)."""
+    """1 if the heading of a pose is along s, else -1, shape (N,)."""
     return np.where(looks_along(world, pose), 1.0, -1.0)
 
 
 def _on_road(world: World, pose: Pose, points: FloatArray, where: BoolArray, lateral: bool) -> FloatArray:
-    """s, or t, of P points near a pose on the road of the pose, shape (N, P); 0 beyond the mask."""
+    """s, or t, of P points near a pose on the pose's road, shape (N, P); 0 outside the mask."""
     assert world.network is not None
     assert pose.road is not None
     assert pose.s is not None

@@ -1,4 +1,4 @@
-"""How far apart entities are, along and across their headings, tracks and roads."""
+"""Distances between entities along and across their headings, tracks and roads."""
 
 from __future__ import annotations
 
@@ -13,19 +13,14 @@ from cornercase.simulators.builtin.world.contacts import entity_corners
 from cornercase.simulators.builtin.world.state import World
 from cornercase.simulators.builtin.world.whereabouts import lane_of, looks_along
 
-# Beyond this distance from a track, in m, a target is not on it.
+# Largest distance in m of a target from its track.
 _ASTRAY: Final = 20.0
 
 
 class KnownPlaces(NamedTuple):
-    """Where a target that stays where it is lies on the track that an entity follows, kept from one step to the next.
+    """Cache of a fixed target's position on the entity's track: track number, and distance in m, each (N,).
 
-    Attributes
-    ----------
-    track : ndarray of float64, shape (N,)
-        Number of that track.
-    place : ndarray of float64, shape (N,)
-        Distance along it in m, infinite where it does not lead there; NaN where that is not known.
+    The distance is infinite if the track does not lead to the target, and NaN if not computed yet.
     """
 
     track: FloatArray
@@ -33,71 +28,47 @@ class KnownPlaces(NamedTuple):
 
 
 def remaining(world: World, entity: int, target: Pose, known: KnownPlaces, where: BoolArray) -> FloatArray:
-    """Distance along the entity's track to a target, in m, shape (N,); negative once it is passed.
+    """Distance along the entity's track to a target in m, shape (N,); negative once passed.
 
-    A trajectory leads to where it comes nearest to the target. Where the entity has no track that leads there it is the
-    distance as the crow flies.
-
-    Parameters
-    ----------
-    world : World
-    entity : int
-        Row of the entity.
-    target : Pose
-    known : KnownPlaces
-        What is known of the target; what is found out is added.
-    where : ndarray of bool, shape (N,)
-        Scenarios in which it is asked for.
-
-    Returns
-    -------
-    ndarray of float64, shape (N,)
-        m.
+    A trajectory leads to its point nearest to the target. Without a track that leads there: the straight-line distance.
+    Results are added to `cache`.
     """
-    way = np.full(world.scenarios, np.inf)
+    distance = np.full(world.scenarios, np.inf)
     for k, track, rows in world.followed(entity, where & np.isfinite(target.x + target.y)):
         new = rows[(known.track[rows] != k) | np.isnan(known.place[rows])]
         if new.size:
             known.track[new], known.place[new] = k, _place_on(world, entity, track, target, new, beside=True)
-        way[rows] = known.place[rows] - world.distance[entity][rows]
-    crow = np.hypot(target.x - world.x[entity], target.y - world.y[entity])
-    return np.where(np.isfinite(way), way, crow)
+        distance[rows] = known.place[rows] - world.distance[entity][rows]
+    straight_line = np.hypot(target.x - world.x[entity], target.y - world.y[entity])
+    return np.where(np.isfinite(distance), distance, straight_line)
 
 
 def along_roads(world: World, entity: int, target: Pose) -> FloatArray:
-    """Distance to a target along the entity's track, else along the roads, in m, shape (N,); negative behind it.
+    """Distance to a target along the track, else along roads, in m, (N,).
 
-    Parameters
-    ----------
-    world : World
-    entity : int
-        Row of the entity.
-    target : Pose
-
-    Returns
-    -------
-    ndarray of float64, shape (N,)
-        m; infinite where no road leads from one to the other.
+    Negative behind the entity, infinite if no road connects them.
     """
     result = np.full(world.scenarios, np.inf)
     for _, track, rows in world.followed(entity, np.isfinite(target.x + target.y)):
         result[rows] = _place_on(world, entity, track, target, rows) - world.distance[entity][rows]
     rows = np.flatnonzero(~np.isfinite(result) & np.isfinite(world.x[entity] + target.x))
-    own = lane_of(world, entity) if rows.size else None
-    if world.network is not None and own is not None and own.road is not None and own.s is not None:
+    own_pose = lane_of(world, entity) if rows.size else None
+    if world.network is not None and own_pose is not None and own_pose.road is not None and own_pose.s is not None:
         assert target.road is not None
         assert target.s is not None
-        ahead = looks_along(world, own)
-        result[rows] = world.network.way(own.road[rows], own.s[rows], ahead[rows], target.road[rows], target.s[rows])
+        points_along = looks_along(world, own_pose)
+        result[rows] = world.network.way(
+            own_pose.road[rows], own_pose.s[rows], points_along[rows], target.road[rows], target.s[rows]
+        )
     return result
 
 
 def _place_on(
     world: World, entity: int, track: Track, target: Pose, rows: IntArray, *, beside: bool = False
 ) -> FloatArray:
-    """Distance along a track to a target in m, shape (R,); infinite where the track does not lead there.
+    """Distance along a track to a target in m, shape (R,); infinite if the track does not lead there.
 
-    With `beside`, a trajectory leads to places however far beside it, too.
+    With `allow_any_lateral`, a trajectory leads to targets at any lateral distance.
     """
     along = track.nearest(target.x[rows], target.y[rows], rows, world.distance[entity][rows])
     x, y, _ = track.at(along, np.zeros(len(rows)), rows)
@@ -106,40 +77,15 @@ def _place_on(
 
 
 def offset_from(world: World, entity: int, other: int) -> FloatArray:
-    """Offset that another entity would have from this one's track, shape (N,); positive to the left.
-
-    Parameters
-    ----------
-    world : World
-    entity : int
-        Row of the entity.
-    other : int
-        Row of the other entity.
-
-    Returns
-    -------
-    ndarray of float64, shape (N,)
-        m.
-    """
-    there, (x, y) = world.present[other], _beside_its_track(world, other)
-    return offset_of(world, entity, np.where(there, x, np.nan), np.where(there, y, np.nan))
+    """Offset of another entity from this one's track in m, shape (N,); positive to the left."""
+    is_present, (x, y) = world.present[other], _beside_its_track(world, other)
+    return offset_of(world, entity, np.where(is_present, x, np.nan), np.where(is_present, y, np.nan))
 
 
 def offset_of(world: World, entity: int, x: FloatArray, y: FloatArray) -> FloatArray:
-    """Offset that a place has from an entity's track, shape (N,); positive to the left.
+    """Offset of a point (m, NaN if none) from an entity's track in m, shape (N,); positive to the left.
 
-    Parameters
-    ----------
-    world : World
-    entity : int
-        Row of the entity.
-    x, y : ndarray of float64, shape (N,)
-        m; NaN where there is no such place.
-
-    Returns
-    -------
-    ndarray of float64, shape (N,)
-        m; across the entity's heading where it follows no track.
+    It is measured across the entity's heading if it follows no track.
     """
     cos, sin = np.cos(world.heading[entity]), np.sin(world.heading[entity])
     result = (y - world.y[entity]) * cos - (x - world.x[entity]) * sin + world.offset[entity]
@@ -151,7 +97,7 @@ def offset_of(world: World, entity: int, x: FloatArray, y: FloatArray) -> FloatA
 
 
 def _beside_its_track(world: World, entity: int) -> tuple[FloatArray, FloatArray]:
-    """Where an entity is once what it goes sideways in the coming step is done, each (N,)."""
+    """Position of an entity after the lateral motion of the coming step, each (N,)."""
     x, y = world.x[entity].copy(), world.y[entity].copy()
     for _, track, rows in world.followed(entity, world.present[entity] & ~world.moved[entity]):
         x[rows], y[rows], _ = track.at(world.distance[entity][rows], world.offset[entity][rows], rows)
@@ -159,129 +105,45 @@ def _beside_its_track(world: World, entity: int) -> tuple[FloatArray, FloatArray
 
 
 def distance_ahead(world: World, entity: int, other: int) -> FloatArray:
-    """How far ahead of an entity another is, between reference points along its heading, shape (N,).
-
-    Parameters
-    ----------
-    world : World
-    entity : int
-        Row of the entity.
-    other : int
-        Row of the other entity.
-
-    Returns
-    -------
-    ndarray of float64, shape (N,)
-        m; negative behind it.
-    """
+    """Distance in m to another reference point along the entity's heading, shape (N,); negative behind."""
     dx, dy = world.x[other] - world.x[entity], world.y[other] - world.y[entity]
     return np.asarray(dx * np.cos(world.heading[entity]) + dy * np.sin(world.heading[entity]))
 
 
 def distance_beside(world: World, entity: int, other: int) -> FloatArray:
-    """How far to the left of an entity another is, between reference points, shape (N,).
-
-    Parameters
-    ----------
-    world : World
-    entity : int
-        Row of the entity.
-    other : int
-        Row of the other entity.
-
-    Returns
-    -------
-    ndarray of float64, shape (N,)
-        m; negative to the right.
-    """
+    """Distance in m to another reference point across the entity's heading, shape (N,); positive to the left."""
     dx, dy = world.x[other] - world.x[entity], world.y[other] - world.y[entity]
     return np.asarray(dy * np.cos(world.heading[entity]) - dx * np.sin(world.heading[entity]))
 
 
 def longitudinal_gap(world: World, entity: int, other: int) -> FloatArray:
-    """Signed free space to another's box along an entity's heading, 0 where they are abreast, shape (N,).
-
-    Parameters
-    ----------
-    world : World
-    entity : int
-        Row of the entity.
-    other : int
-        Row of the other entity.
-
-    Returns
-    -------
-    ndarray of float64, shape (N,)
-        m; negative behind it.
-    """
+    """Signed gap in m to another box along the entity's heading, shape (N,); 0 if side by side."""
     near, far, _, _ = extent(world, entity, other)
     half = 0.5 * world.entities[entity].length
     return np.where(near > half, near - half, np.where(far < -half, far + half, 0.0))
 
 
 def lateral_gap(world: World, entity: int, other: int) -> FloatArray:
-    """Signed free space to another's box across an entity's heading, positive to the left, shape (N,).
-
-    Parameters
-    ----------
-    world : World
-    entity : int
-        Row of the entity.
-    other : int
-        Row of the other entity.
-
-    Returns
-    -------
-    ndarray of float64, shape (N,)
-        m; 0 where they overlap across it.
-    """
+    """Signed gap in m to another box across the entity's heading, (N,); positive to the left, 0 if overlapping."""
     _, _, near, far = extent(world, entity, other)
     half = 0.5 * world.entities[entity].width
     return np.where(near > half, near - half, np.where(far < -half, far + half, 0.0))
 
 
 def longitudinal_reach(world: World, entity: int, other: int) -> tuple[float, float]:
-    """Parts of two boxes between their reference points in m: with the other one ahead, and with it behind.
-
-    Parameters
-    ----------
-    world : World
-    entity : int
-        Row of the entity.
-    other : int
-        Row of the other entity.
-
-    Returns
-    -------
-    tuple of (float, float)
-        m.
-    """
-    one, two = world.entities[entity], world.entities[other]
-    fronts = [0.5 * box.length + box.center_x for box in (one, two)]
-    rears = [0.5 * box.length - box.center_x for box in (one, two)]
+    """Box lengths between two reference points in m: with the other ahead, and with it behind."""
+    own_box, other_box = world.entities[entity], world.entities[other]
+    fronts = [0.5 * box.length + box.center_x for box in (own_box, other_box)]
+    rears = [0.5 * box.length - box.center_x for box in (own_box, other_box)]
     return fronts[0] + rears[1], rears[0] + fronts[1]
 
 
 def extent(world: World, entity: int, other: int) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
-    """Least and largest coordinate of another's box ahead of and to the left of an entity's centre, each (N,).
-
-    Parameters
-    ----------
-    world : World
-    entity : int
-        Row of the entity.
-    other : int
-        Row of the other entity.
-
-    Returns
-    -------
-    tuple of ndarray of float64, each (N,)
-        m: least and largest ahead, least and largest to the left.
-    """
+    """Range of another box relative to an entity's centre in m: min and max ahead, min and max left, each (N,)."""
     corners = entity_corners(world)[other]
-    one = world.entities[entity]
+    box = world.entities[entity]
     cos, sin = np.cos(world.heading[entity]), np.sin(world.heading[entity])
-    x = corners[..., 0] - (world.x[entity] + one.center_x * cos)[:, None]
-    y = corners[..., 1] - (world.y[entity] + one.center_x * sin)[:, None]
-    along, across = x * cos[:, None] + y * sin[:, None], y * cos[:, None] - x * sin[:, None]
-    return along.min(axis=1), along.max(axis=1), across.min(axis=1), across.max(axis=1)
+    x = corners[..., 0] - (world.x[entity] + box.center_x * cos)[:, None]
+    y = corners[..., 1] - (world.y[entity] + box.center_x * sin)[:, None]
+    longitudinal, lateral = x * cos[:, None] + y * sin[:, None], y * cos[:, None] - x * sin[:, None]
+    return longitudinal.min(axis=1), longitudinal.max(axis=1), lateral.min(axis=1), lateral.max(axis=1)

@@ -1,4 +1,4 @@
-"""Values of variables and parameters that are texts, and who asks for what a file changes."""
+"""Text values of variables and parameters, and whether a file's conditions use them."""
 
 from __future__ import annotations
 
@@ -15,20 +15,7 @@ _TRUTHS: Final = {"true": "true", "1": "true", "false": "false", "0": "false"}
 
 
 def as_held(element: etree._Element, scope: Scope, values: npt.NDArray[np.str_]) -> str:
-    """Read the ``value`` of an element as one of those that a variable or parameter has.
-
-    Parameters
-    ----------
-    element : lxml element
-    scope : Scope
-        Values of the parameters there.
-    values : ndarray of str, shape (N,)
-
-    Returns
-    -------
-    str
-        For booleans ``"true"`` or ``"false"``, however they are written.
-    """
+    """Read the ``value`` of an element; ``"true"`` or ``"false"`` if the variable or parameter is boolean."""
     text = scope.text(element, "value")
     if not set(np.unique(values)) <= {"true", "false"} or text.lower() not in _TRUTHS:
         return text
@@ -40,23 +27,13 @@ def as_held(element: etree._Element, scope: Scope, values: npt.NDArray[np.str_])
 
 
 def nobody_asks(element: etree._Element, *conditions: str) -> bool:
-    """Whether no condition of some kinds stands in an element's file, nor may in a catalog that it refers to.
-
-    Parameters
-    ----------
-    element : lxml element
-    *conditions : str
-        Tags.
-
-    Returns
-    -------
-    bool
-        Never so for an element of a catalog.
-    """
+    """Check that no condition with one of the tags is in an element's file; False if catalogs could contain some."""
     root = element.getroottree().getroot()
-    # Looking through the file does not count as reading it.
-    asked = below(root, *conditions)
+    # This search must not mark elements as read.
+    found_conditions = below(root, *conditions)
     groups = below(root, "ManeuverGroup")
-    referred = (one for group in groups for one in etree.ElementBase.iterchildren(group, "CatalogReference"))
-    stands = etree.ElementBase.find(root, "Storyboard") is not None
-    return stands and next(asked, None) is None and next(referred, None) is None
+    references = (
+        reference for group in groups for reference in etree.ElementBase.iterchildren(group, "CatalogReference")
+    )
+    is_scenario_file = etree.ElementBase.find(root, "Storyboard") is not None
+    return is_scenario_file and next(found_conditions, None) is None and next(references, None) is None

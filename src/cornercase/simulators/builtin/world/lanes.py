@@ -1,4 +1,4 @@
-"""Placing entities, and making them follow lanes and other tracks."""
+"""Place entities, and make them follow lanes and other tracks."""
 
 from __future__ import annotations
 
@@ -15,30 +15,19 @@ from cornercase.simulators.builtin.world.state import World
 from cornercase.simulators.builtin.world.towing import align_trailers
 from cornercase.simulators.builtin.world.whereabouts import lane_of, on_lane
 
-# Headings that differ by less, in rad, are the same.
+# Tolerance of headings in rad.
 _ALIGNED: Final = 1e-3
-# What lies so far beyond the end of a road, in m, is put at another place.
+# Distance in m beyond the end of a road from which a placement is reported as moved.
 _BEYOND: Final = 1.0
-# So near the place where two lanes meet, in m, a sample of a path may belong to either.
+# Distance in m from a lane's end within which a path sample may belong to either lane.
 _SEAM: Final = 0.5
 
 
 def place_entity(world: World, entity: int, pose: Pose, where: BoolArray) -> None:
-    """Put an entity somewhere; from there it follows its lane, or its heading where there is none.
-
-    Parameters
-    ----------
-    world : World
-    entity : int
-        Row of the entity.
-    pose : Pose
-        The place.
-    where : ndarray of bool, shape (N,)
-        Scenarios.
-    """
+    """Place an entity at a pose; from there it follows its lane, or its heading without a lane."""
     lost = ~np.isfinite(pose.x + pose.y + pose.heading)
     if pose.beyond is not None and pose.relative:
-        why = f"{world.names[entity]} is to be placed beyond the end of the road, and is placed at that end"
+        why = f"{world.names[entity]} would be beyond the end of the road, and is placed at that end"
         world.remark(pose.relative, "<Position>", why, where & ~lost & pose.beyond)
     elif pose.beyond is not None:
         lost = lost | pose.beyond
@@ -46,36 +35,25 @@ def place_entity(world: World, entity: int, pose: Pose, where: BoolArray) -> Non
     where = where & world.running
     for state, value in ((world.x, pose.x), (world.y, pose.y), (world.heading, pose.heading)):
         state[entity][where] = value[where]
-    # The distance of a jump does not count as travelled.
+    # A teleport does not add to the travelled distance.
     world.from_x[entity][where], world.from_y[entity][where] = pose.x[where], pose.y[where]
     world.present[entity] |= where
     world.jumped[entity] |= where
     world.moved[entity] |= where & world.begun
     align_trailers(world, entity, where)
-    # An entity that follows a trajectory keeps following it.
+    # An entity on a trajectory stays on it.
     attach_to_lane(world, entity, where & ((world.track[entity] == FREE) | on_lane(world, entity)), pose)
 
 
 def attach_to_lane(world: World, entity: int, where: BoolArray, pose: Pose | None = None) -> None:
-    """Make an entity follow the lane that it is on, the way that its heading points, where it is now.
-
-    Parameters
-    ----------
-    world : World
-    entity : int
-        Row of the entity.
-    where : ndarray of bool, shape (N,)
-        Scenarios.
-    pose : Pose, optional
-        Where it is, if that is known; else it is looked up.
-    """
+    """Make an entity follow the lane at its position (or `pose`) in the direction of its heading."""
     world.track[entity][where] = FREE
     world.stranded[entity][where] = False
     if world.network is None:
         return
     if pose is None or pose.lane is None or pose.road is None:
-        place = world.network.locate(world.x[entity], world.y[entity])
-        pose = Pose(world.x[entity], world.y[entity], world.heading[entity], *place)
+        location = world.network.locate(world.x[entity], world.y[entity])
+        pose = Pose(world.x[entity], world.y[entity], world.heading[entity], *location)
     assert pose.road is not None
     assert pose.s is not None
     assert pose.lane is not None
@@ -83,58 +61,43 @@ def attach_to_lane(world: World, entity: int, where: BoolArray, pose: Pose | Non
     road, section, along = _direction(world, pose, where)
     route = world.route[entity]
     keys = np.stack([road, section, pose.lane, along, route])
-    for one, rows in _alike(keys, where):
+    for key, rows in _alike(keys, where):
         first = int(rows.argmax())
-        track = lane_track(world, one[0], one[2], float(pose.s[first]), bool(one[3]), one[4])
+        track = lane_track(world, key[0], key[2], float(pose.s[first]), bool(key[3]), key[4])
         if track is None:
             continue
         distance = np.zeros(world.scenarios)
         distance[rows] = track.distance_of(pose.s[rows])
         follow_track(world, entity, track, distance, rows)
-        world.offset[entity][rows] = pose.offset[rows] if one[3] else -pose.offset[rows]
-        x, y, ahead = track.at(distance[rows], world.offset[entity][rows], np.flatnonzero(rows))
+        world.offset[entity][rows] = pose.offset[rows] if key[3] else -pose.offset[rows]
+        x, y, heading = track.at(distance[rows], world.offset[entity][rows], np.flatnonzero(rows))
         if world.acting is not None:
-            beyond = rows.copy()
-            beyond[rows] = np.hypot(x - pose.x[rows], y - pose.y[rows]) > _BEYOND
-            why = f"{world.names[entity]} lies beyond the end of the nearest road, and is put at that end"
-            world.remark(world.acting, "position", why, beyond)
-        turn = within_half_turn(pose.heading[rows] - ahead)
-        # Lanes are sampled, so their headings are not exact: so small a difference is none.
+            is_off = rows.copy()
+            is_off[rows] = np.hypot(x - pose.x[rows], y - pose.y[rows]) > _BEYOND
+            why = f"{world.names[entity]} is beyond the end of the nearest road, and is placed at that end"
+            world.remark(world.acting, "position", why, is_off)
+        turn = within_half_turn(pose.heading[rows] - heading)
+        # Headings of sampled lanes are not exact: ignore small differences.
         world.turn[entity][rows] = np.where(np.abs(turn) < _ALIGNED, 0.0, turn)
 
 
 def _alike(keys: IntArray, where: BoolArray) -> Iterator[tuple[tuple[int, ...], BoolArray]]:
-    """Columns of keys that occur in the scenarios of a mask, in order, and where each does, shape (N,)."""
-    for one in sorted({*zip(*keys[:, where].tolist(), strict=True)}):
-        yield one, where & (keys == np.array(one)[:, None]).all(axis=0)
+    """Yield the distinct columns of keys in the scenarios of a mask, sorted, and where each occurs, (N,)."""
+    for key in sorted({*zip(*keys[:, where].tolist(), strict=True)}):
+        yield key, where & (keys == np.array(key)[:, None]).all(axis=0)
 
 
 def change_lane(world: World, entity: int, lane: IntArray, where: BoolArray) -> BoolArray:
-    """Make an entity follow another lane of its road from beside it; where that lane exists, shape (N,).
-
-    Parameters
-    ----------
-    world : World
-    entity : int
-        Row of the entity.
-    lane : ndarray of int64, shape (N,)
-        Number of the lane.
-    where : ndarray of bool, shape (N,)
-        Scenarios.
-
-    Returns
-    -------
-    ndarray of bool, shape (N,)
-    """
+    """Make an entity follow another lane of its road from beside it; return where that lane exists, (N,)."""
     assert world.network is not None
     pose = lane_of(world, entity)
     assert pose.s is not None
     road, section, along = _direction(world, pose, where)
     route = _route_ahead(world, entity, where)
-    done = np.zeros_like(where)
+    exists = np.zeros_like(where)
     keys = np.stack([road, section, lane, along, route])
-    for one, rows in _alike(keys, where):
-        track = lane_track(world, one[0], one[2], float(pose.s[int(rows.argmax())]), bool(one[3]), one[4])
+    for key, rows in _alike(keys, where):
+        track = lane_track(world, key[0], key[2], float(pose.s[int(rows.argmax())]), bool(key[3]), key[4])
         if track is None:
             continue
         at = np.flatnonzero(rows)
@@ -146,22 +109,13 @@ def change_lane(world: World, entity: int, lane: IntArray, where: BoolArray) -> 
         world.offset[entity][at] = dy * np.cos(heading) - dx * np.sin(heading)
         world.turn[entity][at] = 0.0
         world.stranded[entity][at] = False
-        world.route[entity][at] = one[4]
-        done |= rows
-    return done
+        world.route[entity][at] = key[4]
+        exists |= rows
+    return exists
 
 
 def go_on(world: World, entity: int, number: int) -> None:
-    """Make an entity that comes near the place where its lane's path is cut follow the next part of its way.
-
-    Parameters
-    ----------
-    world : World
-    entity : int
-        Row of the entity.
-    number : int
-        Of the track, among those of the entity.
-    """
+    """Make an entity near the end of its lane's cut path (track `track_number`) follow the next part."""
     assert world.network is not None
     track = world.tracks[entity][number]
     assert isinstance(track, LaneTrack)
@@ -172,59 +126,48 @@ def go_on(world: World, entity: int, number: int) -> None:
     sample = path.sample_at(distance[at])
     s = path.s_at(distance[at])
     keys = np.stack([path.road[sample], path.lane[sample], path.along[sample], routes[at]])
-    for one in np.unique(keys, axis=1).T if at.size else ():
-        road, lane, along, route = int(one[0]), int(one[1]), bool(one[2]), int(one[3])
-        # Where two lanes meet the sample may belong to either: then it is a matter of the next step.
+    for key in np.unique(keys, axis=1).T if at.size else ():
+        road, lane, along, route = int(key[0]), int(key[1]), bool(key[2]), int(key[3])
+        # Near a lane's end the sample may belong to either lane: wait for the next step.
         seams = world.network.roads[road].seams
-        rows = (keys == one[:, None]).all(axis=0) & (np.abs(s[:, None] - seams) > _SEAM).all(axis=1) & (s > _SEAM)
+        rows = (keys == key[:, None]).all(axis=0) & (np.abs(s[:, None] - seams) > _SEAM).all(axis=1) & (s > _SEAM)
         for section in np.unique(world.network.roads[road].section_at(s[rows])):
-            here = rows & (world.network.roads[road].section_at(s) == section)
-            new = lane_track(world, road, lane, float(s[here][0]), along, route)
+            in_section = rows & (world.network.roads[road].section_at(s) == section)
+            new = lane_track(world, road, lane, float(s[in_section][0]), along, route)
             if new is not None:
-                # On a ring it is the path that it follows already, begun again.
+                # On a ring it is the current path, started again.
                 new = LaneTrack(new.path) if new is track else new
-                _carry_over(world, entity, track, new, at[here], s[here])
-                world.route[entity][at[here]] = route
+                _carry_over(world, entity, track, new, at[in_section], s[in_section])
+                world.route[entity][at[in_section]] = route
 
 
 def _route_ahead(world: World, entity: int, where: BoolArray) -> IntArray:
-    """Route of an entity without the roads that it has passed, to which a new path would lead back, shape (N,)."""
+    """Route of an entity without the roads it has passed, to which a new path would lead back, (N,)."""
     result: IntArray = world.route[entity].copy()
     for _, track, at in world.followed(entity, where & (world.route[entity] > 0)):
         if not isinstance(track, LaneTrack):
             continue
         passed = track.path.passed[track.path.sample_at(world.distance[entity][at])]
         for route, count in sorted({*zip(world.route[entity][at].tolist(), passed.tolist(), strict=True)}):
-            ahead = world.routes[route][count:]
-            if ahead not in world.routes:
-                world.routes.append(ahead)
-            result[at[(world.route[entity][at] == route) & (passed == count)]] = world.routes.index(ahead)
+            remaining = world.routes[route][count:]
+            if remaining not in world.routes:
+                world.routes.append(remaining)
+            result[at[(world.route[entity][at] == route) & (passed == count)]] = world.routes.index(remaining)
     return result
 
 
 def _carry_over(world: World, entity: int, old: LaneTrack, new: LaneTrack, at: IntArray, s: FloatArray) -> None:
     x, y, _ = old.at(world.distance[entity][at], np.zeros(len(at)), at)
-    place = new.distance_of(s)
-    there_x, there_y, heading = new.at(place, np.zeros(len(at)), at)
+    track_distance = new.distance_of(s)
+    track_x, track_y, heading = new.at(track_distance, np.zeros(len(at)), at)
     distance, rows = np.zeros(world.scenarios), np.zeros(world.scenarios, dtype=np.bool_)
-    distance[at] = place + (x - there_x) * np.cos(heading) + (y - there_y) * np.sin(heading)
+    distance[at] = track_distance + (x - track_x) * np.cos(heading) + (y - track_y) * np.sin(heading)
     rows[at] = True
     follow_track(world, entity, new, distance, rows)
 
 
 def assign_route(world: World, entity: int, roads: tuple[int, ...], where: BoolArray) -> None:
-    """Make an entity pass roads, where it can, and go on as before where it is already on its way.
-
-    Parameters
-    ----------
-    world : World
-    entity : int
-        Row of the entity.
-    roads : tuple of int
-        Indices of the roads.
-    where : ndarray of bool, shape (N,)
-        Scenarios.
-    """
+    """Make an entity pass roads (by index), and continue as before if it is already on the way."""
     via = tuple((road, 0, 0.0) for road in roads)
     if via not in world.routes:
         world.routes.append(via)
@@ -237,19 +180,7 @@ def assign_route(world: World, entity: int, roads: tuple[int, ...], where: BoolA
 
 
 def follow_track(world: World, entity: int, track: Track, distance: FloatArray, where: BoolArray) -> None:
-    """Make an entity follow `track` from `distance` on.
-
-    Parameters
-    ----------
-    world : World
-    entity : int
-        Row of the entity.
-    track : Track
-    distance : ndarray of float64, shape (N,)
-        m.
-    where : ndarray of bool, shape (N,)
-        Scenarios.
-    """
+    """Make an entity follow a track from a distance in m on, (N,)."""
     tracks = world.tracks[entity]
     if track not in tracks:
         tracks.append(track)
@@ -258,25 +189,9 @@ def follow_track(world: World, entity: int, track: Track, distance: FloatArray, 
 
 
 def lane_track(world: World, road: int, lane: int, s: float, along: bool, route: int) -> LaneTrack | None:
-    """Track along a lane and what follows it, the same object for the same lane; None where there is no lane.
+    """Track along a lane and its successors, cached per lane section; None if there is no such lane.
 
-    Parameters
-    ----------
-    world : World
-    road : int
-        Index of the road.
-    lane : int
-        Number of the lane.
-    s : float
-        Place on the road in m.
-    along : bool
-        Whether it runs along the road's s there.
-    route : int
-        Index of the route.
-
-    Returns
-    -------
-    LaneTrack or None
+    `s` in m on the road, `along`: in the direction of s; `road` and `route` are indices.
     """
     assert world.network is not None
     section = int(world.network.roads[road].section_at(np.array([s]))[0])
@@ -295,7 +210,7 @@ def _direction(world: World, pose: Pose, where: BoolArray) -> tuple[IntArray, In
     along = np.zeros(world.scenarios, dtype=np.bool_)
     for road in sorted(set(pose.road[where].tolist())):
         rows = where & (pose.road == road)
-        one = world.network.roads[road]
-        section[rows] = one.section_at(pose.s[rows])
-        along[rows] = looks_ahead(pose.heading[rows] - one.reference(pose.s[rows])[2])
+        road_geometry = world.network.roads[road]
+        section[rows] = road_geometry.section_at(pose.s[rows])
+        along[rows] = looks_ahead(pose.heading[rows] - road_geometry.reference(pose.s[rows])[2])
     return pose.road, section, along

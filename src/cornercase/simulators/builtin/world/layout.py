@@ -1,6 +1,6 @@
-"""Rows of the tables that hold the state of all entities of a batch: (scenario, row, entity) each.
+"""Rows of the state tables of a batch, indexed (scenario, row, entity).
 
-What compiled code does to one scenario it does to one block of memory.
+A kernel that works on one scenario works on one block of memory.
 """
 
 from __future__ import annotations
@@ -12,20 +12,20 @@ from typing import Final
     LAST_S, AT_END_SINCE, OFF_ROAD_SINCE, TARGET_SPEED, FROM_X, FROM_Y, FROM_HEADING, GONE_X, GONE_Y, PULL_X, PULL_Y,
     BEFORE, ROAD_SPEED,
 ) = range(26)  # fmt: skip
-"""Rows of numbers."""
+"""Rows of `World.floats`."""
 
 ROWS_OF_FLOATS: Final = 26
 
 (
     PRESENT, CHANGES_LANES, STRANDED, MOVED, DECIDED, ACTIVATED, DRIVEN, VISIBLE, JUMPED,
 ) = range(9)  # fmt: skip
-"""Rows of what is or is not so."""
+"""Rows of `World.flags`."""
 
 TRACK, ROUTE, LAST_ROAD, DRIVER, PULLED_BY = range(5)
-"""Rows of whole numbers."""
+"""Rows of `World.numbers`."""
 
 UNASKED: Final = -1.0
-"""What stands for the speed along its road of an entity for which it was not asked."""
+"""Value of `World.road_speed` if it has not been computed."""
 
 FLOATS: Final = {
     "x": (X, float("nan")),
@@ -51,7 +51,7 @@ FLOATS: Final = {
     "before": (BEFORE, 0.0),
     "road_speed": (ROAD_SPEED, UNASKED),
 }
-"""Names of numbers in the world, with their rows and what they begin with; velocities have two rows each."""
+"""Row and initial value by name of the array in `World`; velocities have two rows each."""
 
 FLAGS: Final = {
     "present": (PRESENT, False),
@@ -74,4 +74,4 @@ NUMBERS: Final = {
 }
 
 BESIDE: Final = 1.0
-"""Further than this from the middle of its new lane, in m, the lane of an entity that changes lanes is looked up."""
+"""Offset in m from the new lane beyond which the lane of an entity that changes lanes is looked up."""

@@ -1,4 +1,4 @@
-"""Moving entities along their tracks where the storyboard does that, and where compiled code cannot."""
+"""Move entities along their tracks outside of kernels."""
 
 from __future__ import annotations
 
@@ -14,32 +14,21 @@ from cornercase.simulators.builtin.world.lanes import go_on
 from cornercase.simulators.builtin.world.state import World
 from cornercase.simulators.builtin.world.whereabouts import on_road
 
-# An entity this close to the end of a road, in m, is at the end.
+# Distance in m to the end of a road that counts as the end.
 _ON_END: Final = 1e-3
 
 
 def watch_roads(world: World, where: BoolArray) -> None:
-    """Take down since when entities are off the road, in the scenarios of a mask.
-
-    Parameters
-    ----------
-    world : World
-    where : ndarray of bool, shape (N,)
-    """
-    # As in esmini, nobody is off the road before the first frame that takes time.
-    now = np.where(world.last_step > 0.0, world.time, np.inf)
+    """Update since when entities are off the road, in the scenarios of a mask."""
+    # As in esmini, no entity is off the road before the first time step.
+    current_time = np.where(world.last_step > 0.0, world.time, np.inf)
     for e, since in enumerate(world.off_road_since):
-        off = world.present[e] if world.network is None else world.present[e] & ~on_road(world, e)
-        since[where] = np.where(off, np.minimum(since, now), np.inf)[where]
+        is_off = world.present[e] if world.network is None else world.present[e] & ~on_road(world, e)
+        since[where] = np.where(is_off, np.minimum(since, current_time), np.inf)[where]
 
 
 def go_on_along_lanes(world: World) -> None:
-    """Make who comes near the place where its lane's path is cut follow the next part of its way.
-
-    Parameters
-    ----------
-    world : World
-    """
+    """Make entities near the end of their lane's cut path follow the next part."""
     for e, tracks in enumerate(world.tracks):
         for k, track in enumerate([*tracks]):
             if isinstance(track, LaneTrack) and track.goes_over:
@@ -47,79 +36,30 @@ def go_on_along_lanes(world: World) -> None:
 
 
 def velocity_ahead(world: World) -> tuple[FloatArray, FloatArray]:
-    """Velocity along x and y with which all would go on along their headings, in m/s, each (E, N).
-
-    Parameters
-    ----------
-    world : World
-
-    Returns
-    -------
-    tuple of two ndarray of float64, each (E, N)
-    """
+    """Velocity in x and y along the headings in m/s, each (E, N)."""
     return world.speed * np.cos(world.heading), world.speed * np.sin(world.heading)
 
 
 def acceleration_ahead(world: World) -> FloatArray:
-    """Acceleration along the heading in the last step, in m/s², shape (E, N).
-
-    Parameters
-    ----------
-    world : World
-
-    Returns
-    -------
-    ndarray of float64, shape (E, N)
-    """
+    """Acceleration along the heading in the last step in m/s², shape (E, N)."""
     return np.asarray(world.pull[0] * np.cos(world.heading) + world.pull[1] * np.sin(world.heading))
 
 
 def settle_on_track(world: World, entity: int, where: BoolArray) -> None:
-    """Move an entity to its place on its track at once, before the step ends.
-
-    Parameters
-    ----------
-    world : World
-    entity : int
-        Row of the entity.
-    where : ndarray of bool, shape (N,)
-        Scenarios.
-    """
+    """Update an entity's pose from its position on the track immediately."""
     for _, track, at in world.followed(entity, where):
         _settle(world, entity, track, at)
 
 
 def move_at_once(world: World, entity: int, where: BoolArray, way: FloatArray) -> None:
-    """Move an entity along its track, and to its offset beside it, so that later actions of the frame see it.
-
-    Parameters
-    ----------
-    world : World
-    entity : int
-        Row of the entity.
-    where : ndarray of bool, shape (N,)
-        Scenarios.
-    way : ndarray of float64, shape (N,)
-        m; negative backwards.
-    """
+    """Move an entity by `distance` m (N,) along its track and to its offset within the frame."""
     world.moved[entity] |= where
     for _, track, at in world.followed(entity, where & world.running):
         _advance(world, entity, track, at, way[at])
 
 
 def put_ahead(world: World, entity: int, where: BoolArray, way: FloatArray) -> None:
-    """Put an entity further along its track before it moves in the frame.
-
-    Parameters
-    ----------
-    world : World
-    entity : int
-        Row of the entity.
-    where : ndarray of bool, shape (N,)
-        Scenarios.
-    way : ndarray of float64, shape (N,)
-        m; negative backwards.
-    """
+    """Shift an entity by `distance` m (N,) along its track before it moves in the frame."""
     for _, track, at in world.followed(entity, where):
         world.distance[entity][at] = _along(track, world.distance[entity][at], world.offset[entity][at], way[at])
         _settle(world, entity, track, at)
@@ -128,34 +68,25 @@ def put_ahead(world: World, entity: int, where: BoolArray, way: FloatArray) -> N
 def pull_entity(
     world: World, entity: int, x: FloatArray, y: FloatArray, heading: FloatArray, speed: FloatArray
 ) -> None:
-    """Set the motion of an entity that another simulator moves in the coming step, each array (N,).
-
-    Parameters
-    ----------
-    world : World
-    entity : int
-        Row of the entity.
-    x, y, heading, speed : ndarray of float64, shape (N,)
-        Motion at the end of the step in m, rad and m/s.
-    """
+    """Set the motion of an entity that another simulator moves, at the end of the coming step, each (N,)."""
     world.x[entity], world.y[entity], world.heading[entity], world.speed[entity] = x, y, heading, speed
     world.moved[entity] = True
     for _, track, at in world.followed(entity, world.running):
         along = track.nearest(x[at], y[at], at, world.distance[entity][at])
-        on_x, on_y, ahead = track.at(along, np.zeros(len(at)), at)
+        on_x, on_y, track_heading = track.at(along, np.zeros(len(at)), at)
         world.distance[entity][at] = along
-        world.offset[entity][at] = (y[at] - on_y) * np.cos(ahead) - (x[at] - on_x) * np.sin(ahead)
-        world.turn[entity][at] = within_half_turn(heading[at] - ahead)
+        world.offset[entity][at] = (y[at] - on_y) * np.cos(track_heading) - (x[at] - on_x) * np.sin(track_heading)
+        world.turn[entity][at] = within_half_turn(heading[at] - track_heading)
 
 
 def _advance(world: World, e: int, track: Track, at: IntArray, way: FloatArray) -> None:
     distance = _along(track, world.distance[e][at], world.offset[e][at], way)
     if isinstance(track, LaneTrack):
         since = world.at_end_since[e][at]
-        back = (way < 0.0) | ((way == 0.0) & np.isfinite(since))
-        there = (distance >= track.length - _ON_END) | ((distance <= _ON_END) & back)
+        backwards = (way < 0.0) | ((way == 0.0) & np.isfinite(since))
+        at_end = (distance >= track.length - _ON_END) | ((distance <= _ON_END) & backwards)
         arrived = np.where(world.last_step > 0.0, world.time + world.last_step, np.inf)[at]
-        world.at_end_since[e][at] = np.where(there, np.minimum(since, arrived), np.inf)
+        world.at_end_since[e][at] = np.where(at_end, np.minimum(since, arrived), np.inf)
     world.distance[e][at] = distance
     _settle(world, e, track, at)
 

@@ -1,6 +1,6 @@
-"""State of all entities of all concrete scenarios of a batch.
+"""State of all entities in all concrete scenarios of a batch.
 
-Arrays are (entity, scenario), so that one entity's row is contiguous over the scenarios.
+Arrays are indexed (entity, scenario), so that an entity's row is contiguous over the scenarios.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ LONGITUDINAL, LATERAL = "longitudinal", "lateral"
 
 
 class Decision(Protocol):
-    """Decides the speed of an entity while in charge of it."""
+    """Decides the speed of an entity while in control of it."""
 
     def step(self, dt: float) -> None:
         """Decide the entity's speed at the end of the coming time step."""
@@ -46,24 +46,12 @@ class Decision(Protocol):
 
 @dataclass(frozen=True)
 class Entity:
-    """What does not change about an entity.
+    """Constant properties of an entity.
 
-    Attributes
-    ----------
-    name : str
-    kind : str
-        Vehicle category, ``"pedestrian"`` or ``"misc"``.
-    length, width, center_x : float
-        Bounding box in m.
-    max_speed, max_acceleration, max_deceleration : float
-        m/s, m/s², m/s²; infinite where the file sets no limit.
-    slides : bool
-        Whether it goes along trajectories whatever heading they give it.
-    turning : str
-        Where its heading turns along a polyline, if its properties say so: one of `ALONG_LEGS`, `AT_CORNERS` and
-        `AT_VERTICES`; else empty, and the following mode decides.
-    body : tuple of (lxml element, Scope) or None
-        Where it stands in the file, and what its parameters are there.
+    `kind`: vehicle category, ``"pedestrian"`` or ``"misc"``. Box in m; limits in m/s and m/s², infinite if not set.
+    `slides`: follows trajectories with any heading they prescribe. `polyline_turning`: where its heading turns along a
+    polyline (`ALONG_LEGS`, `AT_CORNERS`, `AT_VERTICES`), or empty if the following mode decides. `body`: its element
+    and scope.
     """
 
     name: str
@@ -81,16 +69,9 @@ class Entity:
 
 @dataclass(frozen=True)
 class Tow:
-    """A vehicle and what it pulls, or may come to pull.
+    """A vehicle and a trailer (rows) that it pulls, or may pull later.
 
-    Attributes
-    ----------
-    vehicle, trailer : int
-        Rows of the entities.
-    hitch : float
-        Where the trailer hangs on the vehicle, ahead of the vehicle's reference point, in m.
-    coupler : float
-        How far ahead of the trailer's reference point that is, in m.
+    `hitch`: connection ahead of the vehicle's reference point, `coupler`: ahead of the trailer's, in m.
     """
 
     vehicle: int
@@ -100,115 +81,19 @@ class Tow:
 
 
 class World:
-    """State of E entities in N concrete scenarios.
+    """State of E entities in N concrete scenarios; rows of the tables are documented in `layout`.
 
-    Attributes
-    ----------
-    time : ndarray of float64, shape (N,)
-        s; each scenario has a clock of its own.
-    x, y, heading, speed, acceleration : ndarray of float64, shape (E, N)
-    odometer : ndarray of float64, shape (E, N)
-        Travelled distance in m, as the sum of chords.
-    standing_since : ndarray of float64, shape (E, N)
-        Time at which the entity came to rest; infinite while it moves.
-    present : ndarray of bool, shape (E, N)
-    running : ndarray of bool, shape (N,)
-        Scenarios that take part in the present frame.
-    touching : ndarray of bool, shape (E, E, N)
-        Which entities' boxes overlap, as of the last row.
-    distance, offset : ndarray of float64, shape (E, N)
-        Place along the entity's track, and to the left of it, in m.
-    changes_lanes : ndarray of bool, shape (E, N)
-        Entities on their way from lane to lane, whose `offset` is that from the new one.
-    turn : ndarray of float64, shape (E, N)
-        Heading relative to the track, in rad.
-    stranded : ndarray of bool, shape (E, N)
-        Entities whose trajectory has ended where no road goes on.
-    sideways : ndarray of float64, shape (E, N)
-        What of the coming step's way goes across the track, in m.
-    pace : ndarray of float64, shape (E, N)
-        Speed in m/s with which the coming step is made where an action decided that before the speed changed, or NaN.
-    velocity : ndarray of float64, shape (E, N)
-        What the last step covered, in m/s.
-    moved : ndarray of bool, shape (E, N)
-        Entities whose place at the end of the step an action has decided already.
-    decided : ndarray of bool, shape (E, N)
-        Entities whose speed in the coming step is set, if to that which they have.
-    route : ndarray of int64, shape (E, N)
-        Route that the entity was given, as index into `routes`.
-    last_road : ndarray of int64, shape (E, N)
-        Road on which an entity that follows no lane was when that was last asked, or -1.
-    last_s : ndarray of float64, shape (E, N)
-        Its s there, in m.
-    road_speed : ndarray of float64, shape (E, N)
-        Speed along its road in m/s that was looked up for the coming frame, or `UNASKED`.
-    at_end_since : ndarray of float64, shape (E, N)
-        Time at which the entity came to the end of its road; infinite before.
-    watches_roads : bool
-        Whether a condition asks for entities beside the road.
-    off_road_since : ndarray of float64, shape (E, N)
-        Time at which the entity left the road, where that is watched; infinite on it.
-    variables, parameters : dict of str to ndarray, each (N,)
-        The file's variables, and its parameters as conditions see them, as numbers or as texts.
-    signals : dict of str to ndarray, each (N,)
-        States of the traffic signals that were switched, as texts.
-    signal_controllers : dict of str to SignalController
-        By name.
-    selections : dict of str to list of int
-        Rows of the entities of each selection.
-    actor : int or None
-        Row of the entity for which a position is being resolved.
-    target_speed : ndarray of float64, shape (E, N)
-        What speed actions ask of an entity; infinite where they ask nothing.
-    drivers : list of Decision
-        Everybody who may be in charge of an entity.
-    driver : ndarray of int64, shape (E, N)
-        Which of them is assigned to the entity; -1 for none.
-    activated : ndarray of bool, shape (E, N)
-        Whether the controller of the entity may act along its way.
-    driven : ndarray of bool, shape (E, N)
-        Whether a driver is in charge: it is told what speed to want, and decides.
-    kept : list of bool, length E
-        Whether the driver was chosen by who runs the file, which the file cannot change.
-    visible : ndarray of bool, shape (E, N)
-        Whether others in the traffic can see the entity.
-    from_x, from_y, from_heading : ndarray of float64, shape (E, N)
-        Where the entity was when the last step ended.
-    gone : tuple of two ndarray of float64, each (E, N)
-        Velocity along x and y, in m/s, as the last step covered it.
-    pull : tuple of two ndarray of float64, each (E, N)
-        Change of that velocity in the last step, in m/s².
-    jumped : ndarray of bool, shape (E, N)
-        Entities that were put somewhere in this step.
-    stirred : ndarray of bool, shape (N,)
-        Scenarios in whose storyboard something has changed in the present frame.
-    begun : bool
-        Whether the first frame, in which nothing moves, is over.
-    last_step : ndarray of float64, shape (N,)
-        Length of the last time step in s.
-    before : ndarray of float64, shape (E, N)
-        Speed in m/s with which the frame began.
-    floats, flags, numbers : ndarray, each (N, K, E)
-        The tables that hold all of this; rows are named in `layout`. The arrays above are views of them, to be written
-        to and never replaced.
-    overlaps : ndarray of bool, shape (N, E, E)
-        The table behind `touching`.
-    tracks : list of list of Track
-        By entity, all that it has followed.
-    pulled_by : ndarray of int64, shape (E, N)
-        Row of the entity that pulls this one, or -1.
-    track : ndarray of int64, shape (E, N)
-        Which of them it follows, or `FREE`.
-    routes : list of tuple
-        All routes that were assigned, each as (road, lane, s) of what it passes.
-    lane_tracks : dict
-        Tracks along lanes, by where they begin, so that the same lane is the same object.
-    acting : str or None
-        Line and name of the action that acts, which failures meanwhile name, with the instant.
-    errors : dict of int to SimulationError
-        Why scenarios failed.
-    remarks : dict of str to None
-        Sentences on what is not as the file says, each once, without a full stop.
+    The (E, N) arrays are views of `floats`, `flags` and `numbers` (N, K, E): write into them, never replace them.
+    `overlapping` (E, E, N) is a view of `overlaps` (N, E, E). `time` and `last_step` (N,) in s differ between
+    scenarios. `running` (N,): scenarios in the current frame. `changed` (N,): scenarios whose storyboard has changed in
+    this frame. `started`: the first frame, in which nothing moves, is over. `step_velocity` and `step_acceleration`:
+    velocity in m/s and acceleration in m/s² of the last step, as x and y. `needs_road_check`: a condition asks for
+    entities off the road. `variables` and `parameters`: values (N,) as numbers or texts; `signals`: states (N,) as
+    texts. `selections`: rows of entities. `positioned_entity`: row of the entity whose position is being resolved.
+    `drivers`: all that may control entities; `has_fixed_driver` (E): the driver was chosen by the user, and the file
+    cannot change it. `tracks`: all tracks that an entity has followed. `routes`: all assigned routes, as (road, lane,
+    s). `lane_tracks`: cache of tracks along lanes. `current_action`: line and name of the acting action, for errors.
+    `errors`: by scenario. `notices`: sentences on deviations from the file, without a full stop, each once.
     """
 
     x: FloatArray
@@ -293,7 +178,7 @@ class World:
             self.pulled_by[tow.trailer] = tow.vehicle
 
     def followed(self, entity: int, where: BoolArray) -> Iterator[tuple[int, Track, IntArray]]:
-        """Tracks that an entity follows in scenarios of the mask: number, track, and in which of them."""
+        """Yield the tracks that an entity follows in the mask: number, track, and scenarios."""
         for number, track in enumerate(self.tracks[entity]):
             rows = np.flatnonzero(where & (self.track[entity] == number))
             if rows.size:
@@ -311,32 +196,21 @@ class World:
         self.running &= ~where
 
     def remark(self, place: str, what: str, why: str, where: BoolArray) -> None:
-        """Note that something is read other than it stands in the file, in the scenarios of a mask.
-
-        Parameters
-        ----------
-        place : str
-            File and line.
-        what : str
-            The part of the file.
-        why : str
-            What happens instead.
-        where : ndarray of bool, shape (N,)
-        """
+        """Record that `subject` at `location` (file and line) is not run as written, but as `reason` says."""
         first = np.flatnonzero(where & self.running)
         sentence = f"{Label.ADAPTED}: {what} ({place}): {why}"
-        if first.size and not any(one.startswith(f"{sentence}; ") for one in self.remarks):
+        if first.size and not any(notice.startswith(f"{sentence}; ") for notice in self.remarks):
             self.remarks[f"{sentence}; first at {self.time[first[0]]:.6g} s"] = None
 
     def set_speed(self, entity: int, where: BoolArray, speed: FloatArray) -> None:
-        """Give an entity a speed in the scenarios of the mask, or tell its driver to want it."""
+        """Set an entity's speed, or its driver's target speed, in the scenarios of the mask."""
         self.target_speed[entity][where] = speed[where]
-        own = where & ~self.driven[entity]
-        self.speed[entity][own] = speed[own]
+        undriven = where & ~self.driven[entity]
+        self.speed[entity][undriven] = speed[undriven]
         self.decided[entity] |= where
 
     def control(self, entity: int, where: BoolArray, driver: int | None = None, activated: bool | None = None) -> None:
-        """Assign a driver (-1 for none) or activate control along the way; None leaves it as it is."""
+        """Assign a driver (-1 for none) or activate longitudinal control; None leaves it unchanged."""
         if driver is not None:
             self.driver[entity][where] = driver
         if activated is not None:

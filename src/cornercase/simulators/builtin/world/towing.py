@@ -1,4 +1,4 @@
-"""Trailers: what a vehicle pulls comes after it."""
+"""Trailers, which follow the vehicles that pull them."""
 
 from __future__ import annotations
 
@@ -11,43 +11,27 @@ from cornercase._common.errors import InputError
 from cornercase._common.typing import BoolArray
 from cornercase.simulators.builtin.world.state import Entity, Tow, World
 
-# More trailers than that behind one vehicle are a catalog entry that pulls itself.
+# More trailers mean that a catalog entry pulls itself.
 MOST_TRAILERS: Final = 20
 
 
 def read_tow(vehicle: int, trailer: int, entities: Sequence[Entity]) -> Tow:
-    """Read where a trailer hangs on a vehicle.
-
-    Parameters
-    ----------
-    vehicle, trailer : int
-        Rows of the entities.
-    entities : sequence of Entity
-
-    Returns
-    -------
-    Tow
-
-    Raises
-    ------
-    InputError
-        The vehicle has no hitch, or the trailer no coupler.
-    """
+    """Read where a trailer is connected to a vehicle (rows); raise `InputError` without hitch or coupler."""
     bodies = entities[vehicle].body, entities[trailer].body
     assert bodies[0] is not None
     assert bodies[1] is not None
-    (front, front_scope), (back, back_scope) = bodies[0], bodies[1]
-    hitch, coupler = front.find("TrailerHitch"), back.find("TrailerCoupler")
+    (front, front_scope), (rear, rear_scope) = bodies[0], bodies[1]
+    hitch, coupler = front.find("TrailerHitch"), rear.find("TrailerCoupler")
     if hitch is None or coupler is None:
         raise InputError(
             f"{front_scope.source}: '{entities[vehicle].name}' cannot pull '{entities[trailer].name}', as it has no"
             f" {'<TrailerHitch>' if hitch is None else '<TrailerCoupler>'}."
         )
-    return Tow(vehicle, trailer, front_scope.one_number(hitch, "dx"), back_scope.one_number(coupler, "dx"))
+    return Tow(vehicle, trailer, front_scope.one_number(hitch, "dx"), rear_scope.one_number(coupler, "dx"))
 
 
 def front_first(tows: Sequence[Tow]) -> tuple[Tow, ...]:
-    """Put those in front before those that they pull."""
+    """Sort trailers from front to back."""
     behind = {tow.trailer: tow.vehicle for tow in tows}
 
     def depth(one: int) -> int:
@@ -60,21 +44,12 @@ def front_first(tows: Sequence[Tow]) -> tuple[Tow, ...]:
 
 
 def align_trailers(world: World, entity: int, where: BoolArray) -> None:
-    """Put all that an entity pulls straight behind it.
-
-    Parameters
-    ----------
-    world : World
-    entity : int
-        Row of the entity in front.
-    where : ndarray of bool, shape (N,)
-        Scenarios.
-    """
+    """Place all trailers of an entity straight behind it."""
     for tow in world.tows:
         if tow.vehicle == entity:
             pulled = where & (world.pulled_by[tow.trailer] == entity)
-            heading, back = world.heading[entity], tow.hitch - tow.coupler
-            x, y = world.x[entity] + back * np.cos(heading), world.y[entity] + back * np.sin(heading)
+            heading, offset = world.heading[entity], tow.hitch - tow.coupler
+            x, y = world.x[entity] + offset * np.cos(heading), world.y[entity] + offset * np.sin(heading)
             t = tow.trailer
             world.x[t][pulled], world.y[t][pulled], world.heading[t][pulled] = x[pulled], y[pulled], heading[pulled]
             world.from_x[t][pulled], world.from_y[t][pulled] = x[pulled], y[pulled]
@@ -85,11 +60,6 @@ def align_trailers(world: World, entity: int, where: BoolArray) -> None:
 
 
 def place_trailers(world: World) -> None:
-    """Put trailers that are nowhere yet straight behind the vehicles that are there.
-
-    Parameters
-    ----------
-    world : World
-    """
+    """Place trailers without a position straight behind their vehicles."""
     for tow in world.tows:
         align_trailers(world, tow.vehicle, world.running & world.present[tow.vehicle] & np.isnan(world.x[tow.trailer]))

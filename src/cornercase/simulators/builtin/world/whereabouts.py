@@ -1,4 +1,4 @@
-"""Where entities are on the roads."""
+"""Positions of entities on the roads."""
 
 from __future__ import annotations
 
@@ -16,18 +16,7 @@ from cornercase.simulators.builtin.world.state import World
 
 
 def on_lane(world: World, entity: int) -> BoolArray:
-    """Whether the entity follows a lane, shape (N,).
-
-    Parameters
-    ----------
-    world : World
-    entity : int
-        Row of the entity.
-
-    Returns
-    -------
-    ndarray of bool, shape (N,)
-    """
+    """Check whether the entity follows a lane, shape (N,)."""
     result = np.zeros(world.scenarios, dtype=np.bool_)
     for k, track in enumerate(world.tracks[entity]):
         if isinstance(track, LaneTrack):
@@ -36,31 +25,19 @@ def on_lane(world: World, entity: int) -> BoolArray:
 
 
 def lane_of(world: World, entity: int) -> Pose:
-    """Where an entity is on the roads.
-
-    Parameters
-    ----------
-    world : World
-    entity : int
-        Row of the entity.
-
-    Returns
-    -------
-    Pose
-        Without a road where there is no network.
-    """
+    """Pose of an entity with its road position; without a road if there is no network."""
     pose = Pose(world.x[entity].copy(), world.y[entity].copy(), world.heading[entity].copy())
     if world.network is None:
         return pose
-    # As in esmini, only who changes lanes comes to another lane, however far an offset leads aside.
+    # As in esmini, only a lane change leads to another lane, not a large offset.
     near = ~world.changes_lanes[entity] | (np.abs(world.offset[entity]) < BESIDE)
     along = on_lane(world, entity) & near & world.present[entity]
     n = world.scenarios
     road, lane, s, offset = np.full(n, -1), np.zeros(n, dtype=np.int64), np.zeros(n), np.zeros(n)
     free = np.flatnonzero(~along)
     if free.size:
-        place = world.network.locate(world.x[entity][free], world.y[entity][free])
-        road[free], lane[free], s[free], offset[free] = place
+        location = world.network.locate(world.x[entity][free], world.y[entity][free])
+        road[free], lane[free], s[free], offset[free] = location
     pose = replace(pose, road=road, lane=lane, s=s, offset=offset)
     for _, track, rows in world.followed(entity, along):
         if isinstance(track, LaneTrack):
@@ -69,48 +46,30 @@ def lane_of(world: World, entity: int) -> Pose:
 
 
 def on_road(world: World, entity: int) -> BoolArray:
-    """Whether an entity's reference point lies within the width of a road, shape (N,).
-
-    Parameters
-    ----------
-    world : World
-    entity : int
-        Row of the entity.
-
-    Returns
-    -------
-    ndarray of bool, shape (N,)
-    """
+    """Check whether an entity's reference point is within the width of a road, shape (N,)."""
     assert world.network is not None
-    place = world.network.locate(world.x[entity], world.y[entity])
+    location = world.network.locate(world.x[entity], world.y[entity])
     width = np.zeros(world.scenarios)
-    for road, lane in sorted({*zip(place.road.tolist(), place.lane.tolist(), strict=True)}):
-        rows = (place.road == road) & (place.lane == lane)
-        one = world.network.roads[road]
-        section = one.section_at(place.s[rows])
-        # A lane of no type is beside the road.
-        lanes = {int(k): one.sections[int(k)][1].get(lane) for k in np.unique(section)}
-        beside = {k for k, its in lanes.items() if its is not None and its.kind == "none" and lane != 0}
+    for road, lane in sorted({*zip(location.road.tolist(), location.lane.tolist(), strict=True)}):
+        rows = (location.road == road) & (location.lane == lane)
+        road_geometry = world.network.roads[road]
+        section = road_geometry.section_at(location.s[rows])
+        # A lane of type "none" is not part of the road.
+        lanes = {int(k): road_geometry.sections[int(k)][1].get(lane) for k in np.unique(section)}
+        untyped_sections = {
+            k
+            for k, lane_geometry in lanes.items()
+            if lane_geometry is not None and lane_geometry.kind == "none" and lane != 0
+        }
         width[rows] = [
-            -1.0 if k in beside else float(one.width(int(k), lane, place.s[rows][i : i + 1])[0])
+            -1.0 if k in untyped_sections else float(road_geometry.width(int(k), lane, location.s[rows][i : i + 1])[0])
             for i, k in enumerate(section.tolist())
         ]
-    return np.asarray(np.abs(place.offset) <= 0.5 * width + 1e-6)
+    return np.asarray(np.abs(location.offset) <= 0.5 * width + 1e-6)
 
 
 def road_heading(world: World, pose: Pose) -> FloatArray:
-    """Direction of the road's s at a pose, shape (N,).
-
-    Parameters
-    ----------
-    world : World
-    pose : Pose
-
-    Returns
-    -------
-    ndarray of float64, shape (N,)
-        rad.
-    """
+    """Direction of the road's s at a pose in rad, shape (N,)."""
     assert world.network is not None
     assert pose.road is not None
     assert pose.s is not None
@@ -118,37 +77,14 @@ def road_heading(world: World, pose: Pose) -> FloatArray:
 
 
 def looks_along(world: World, pose: Pose) -> BoolArray:
-    """Whether a pose looks along its road's s rather than against it; straight across counts as along.
-
-    Parameters
-    ----------
-    world : World
-    pose : Pose
-
-    Returns
-    -------
-    ndarray of bool, shape (N,)
-    """
+    """Check whether a pose points along its road's s, shape (N,); exactly across counts as along."""
     return looks_ahead(pose.heading - road_heading(world, pose))
 
 
 def speed_along_road(world: World, entity: int, where: BoolArray) -> FloatArray:
-    """Speed of the last step along the road that an entity is on, without sign, in m/s, shape (N,).
+    """Absolute speed of the last step along the entity's road in m/s, (N,); along its heading without roads.
 
-    On a bend it is that of the chord, seen along the road where the step ended.
-
-    Parameters
-    ----------
-    world : World
-    entity : int
-        Row of the entity.
-    where : ndarray of bool, shape (N,)
-        Scenarios in which it is asked for.
-
-    Returns
-    -------
-    ndarray of float64, shape (N,)
-        m/s; where there are no roads, that along its heading.
+    In a bend it is the speed along the chord, projected onto the road's direction at the end of the step.
     """
     direction = world.heading[entity].copy()
     if world.network is not None:
@@ -164,79 +100,41 @@ def speed_along_road(world: World, entity: int, where: BoolArray) -> FloatArray:
 
 
 def _heading_of(network: RoadNetwork, road: IntArray, s: FloatArray) -> FloatArray:
-    """Direction of the roads' s at places on them, shape (R,)."""
+    """Direction of the roads' s at positions on them, shape (R,)."""
     heading = np.zeros(len(s))
-    for one in np.unique(road):
-        rows = road == one
-        heading[rows] = network.roads[int(one)].reference(s[rows])[2]
+    for number in np.unique(road):
+        rows = road == number
+        heading[rows] = network.roads[int(number)].reference(s[rows])[2]
     return heading
 
 
 def ahead_on_road(world: World, entity: int, target: Pose, otherwise: FloatArray) -> FloatArray:
-    """How far ahead of an entity a target is along the reference line of its road, in m, shape (N,).
+    """Distance in m to a target along the entity's reference line, (N,), negative behind.
 
-    Parameters
-    ----------
-    world : World
-    entity : int
-        Row of the entity.
-    target : Pose
-    otherwise : ndarray of float64, shape (N,)
-        What it is where the target is on another road.
-
-    Returns
-    -------
-    ndarray of float64, shape (N,)
-        m; negative behind it.
+    `default` applies if the target is on another road.
     """
     if world.network is None or target.road is None or target.s is None:
         return otherwise
-    own = lane_of(world, entity)
-    assert own.road is not None
-    assert own.s is not None
-    forward = np.where(looks_along(world, own), 1.0, -1.0)
-    return np.where(own.road == target.road, forward * (target.s - own.s), otherwise)
+    own_pose = lane_of(world, entity)
+    assert own_pose.road is not None
+    assert own_pose.s is not None
+    forward = np.where(looks_along(world, own_pose), 1.0, -1.0)
+    return np.where(own_pose.road == target.road, forward * (target.s - own_pose.s), otherwise)
 
 
 def lanes_between(world: World, one: Pose, two: Pose) -> IntArray:
-    """How many lanes further to the left of a pose another is, as it drives, shape (N,).
-
-    Parameters
-    ----------
-    world : World
-    one : Pose
-        Where it is counted from.
-    two : Pose
-
-    Returns
-    -------
-    ndarray of int64, shape (N,)
-        Negative to the right.
-    """
+    """Number of lanes from `pose` to `other`, positive to the left in driving direction, (N,)."""
     assert one.lane is not None
     assert two.lane is not None
-    # Lane numbers skip 0.
-    apart = two.lane - one.lane
+    # Lane 0 is the centre line, not a lane.
+    difference = two.lane - one.lane
     crossing = np.sign(one.lane) != np.sign(two.lane)
-    apart = apart - np.where(crossing, np.sign(apart), 0)
-    return np.asarray(apart * np.where(looks_along(world, one), 1, -1))
+    difference = difference - np.where(crossing, np.sign(difference), 0)
+    return np.asarray(difference * np.where(looks_along(world, one), 1, -1))
 
 
 def runs_against(world: World, entity: int, pose: Pose) -> BoolArray:
-    """Whether the road of a pose runs against the one that an entity is on, along the entity's lane, shape (N,).
-
-    Parameters
-    ----------
-    world : World
-    entity : int
-        Row of the entity.
-    pose : Pose
-
-    Returns
-    -------
-    ndarray of bool, shape (N,)
-        False where the lane does not lead there.
-    """
+    """Check whether the pose's road runs opposite to the entity's road along its lane, (N,); False if not connected."""
     assert pose.road is not None
     result = np.zeros(world.scenarios, dtype=np.bool_)
     for _, track, rows in world.followed(entity, world.present[entity]):
@@ -245,29 +143,18 @@ def runs_against(world: World, entity: int, pose: Pose) -> BoolArray:
         path = track.path
         sample = path.sample_at(world.distance[entity][rows])
         for road in np.unique(pose.road[rows]):
-            there = np.flatnonzero(path.road == road)
-            mine = pose.road[rows] == road
-            if there.size:
-                near = there[np.clip(np.searchsorted(there, sample[mine]), 0, there.size - 1)]
-                result[rows[mine]] = path.along[near] != path.along[sample[mine]]
+            samples = np.flatnonzero(path.road == road)
+            on_road_rows = pose.road[rows] == road
+            if samples.size:
+                near = samples[np.clip(np.searchsorted(samples, sample[on_road_rows]), 0, samples.size - 1)]
+                result[rows[on_road_rows]] = path.along[near] != path.along[sample[on_road_rows]]
     return result
 
 
 def has_lane_between(world: World, pose: Pose, first: int, last: int, opposite: bool) -> BoolArray:
-    """Whether a drivable lane lies within a range of lanes from a pose, shape (N,).
+    """Check for a drivable lane from `first` to `last` lanes left of a pose (inclusive), shape (N,).
 
-    Parameters
-    ----------
-    world : World
-    pose : Pose
-    first, last : int
-        Numbers of lanes to the left, relative to that of the pose; both included.
-    opposite : bool
-        Whether lanes of the opposite direction count.
-
-    Returns
-    -------
-    ndarray of bool, shape (N,)
+    `opposite`: whether lanes of the opposite direction count.
     """
     assert world.network is not None
     assert pose.road is not None
@@ -276,11 +163,11 @@ def has_lane_between(world: World, pose: Pose, first: int, last: int, opposite: 
     result = np.zeros(world.scenarios, dtype=np.bool_)
     for road in np.unique(pose.road):
         rows = np.flatnonzero(pose.road == road)
-        one = world.network.roads[int(road)]
-        for k in np.unique(section := one.section_at(pose.s[rows])):
+        road_geometry = world.network.roads[int(road)]
+        for k in np.unique(section := road_geometry.section_at(pose.s[rows])):
             at = rows[section == k]
             lane = pose.lane[at]
-            for number, other in one.sections[int(k)][1].items():
-                there = (number >= lane + first) & (number <= lane + last) & other.drivable
-                result[at] |= there & (opposite | (np.sign(number) == np.sign(lane)))
+            for number, other in road_geometry.sections[int(k)][1].items():
+                in_range = (number >= lane + first) & (number <= lane + last) & other.drivable
+                result[at] |= in_range & (opposite | (np.sign(number) == np.sign(lane)))
     return result
