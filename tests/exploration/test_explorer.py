@@ -292,7 +292,7 @@ def test_all_of_a_space_was_run_only_where_it_was(asynchronous, tmp_path):
     assert ended("sobol", finite, audit=0.2) == "all 15 scenarios of the space were run"
     some = ParameterSpace(finite.parameters, falling)
     assert ended("sobol", some) == "all 6 scenarios of the space were run"
-    grid = "the search proposes no more than these 36 scenarios"
+    grid = "the search has no proposals after these 36 scenarios"
     assert ended("grid", LOGICAL.space) == grid
 
 
