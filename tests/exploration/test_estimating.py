@@ -154,7 +154,7 @@ def test_while_not_all_of_a_small_space_was_run_there_are_bounds(tmp_path, after
     with opened(tmp_path / "e.db", logical.space) as study:
         some = estimator(study, Synthetic(interrupts=after), budget=2000, logical=logical).run()
         if after:
-            with pytest.raises(InputError, match=r"enumerates all 1071 scenarios.*set `budget` 1071 or more"):
+            with pytest.raises(InputError, match=r"enumerates all 1071 scenarios.*set `budget` to 1071 or more"):
                 estimator(study, budget=900, logical=logical)
         every = estimator(study, budget=2000, logical=logical).run()
     assert some.interrupted

@@ -47,28 +47,10 @@ class ClusterSimulator(SimulatorElsewhere):
     files is sent, not their paths. If workers offer a resource with the simulator's name (``--resources "carla=1"``),
     only they get scenarios, and no more at a time than they offer. Results do not depend on the number of workers.
 
-    Parameters
-    ----------
-    name : str
-        Registered simulator.
-    options : dict
-        Constructor options; must be picklable.
-    cluster : str or distributed.Client
-        ``"local"`` for processes on this machine, the address of a scheduler (``"tcp://10.0.0.1:8786"``), a scheduler
-        file, or a client that stays open.
-    workers : int, default 1
-        Number of processes of a local cluster.
-    timeout : float, optional
-        Time in s after which a scenario is cancelled.
-    retries : int, default 1
-        How often a scenario is run again after the simulator failed or its worker was lost.
-    max_failures : int, default 5
-        Stop after this many consecutive scenarios that lost their workers; 0 for no limit.
-
-    Raises
-    ------
-    InputError
-        The simulator cannot be created, Dask is not installed, or there is no such cluster.
+    `cluster` is ``"local"`` for `workers` processes on this machine, a scheduler's address (``"tcp://10.0.0.1:8786"``)
+    or file, or a client that stays open. `timeout` is in s per scenario. A scenario is run `retries` times more if its
+    worker was lost; `max_failures` consecutive losses end the run (0: no limit). Raises `InputError` if the simulator
+    cannot be created, Dask is not installed, or there is no such cluster.
     """
 
     def __init__(

@@ -34,52 +34,17 @@ def start_simulator(
     cluster: str | Client | None = None,
     max_failures: int = MOST_FAILURES,
 ) -> Simulator:
-    """Create a simulator, in this process, in worker processes or on a cluster.
+    """Create a simulator by name (options after a colon), in this process, in worker processes or on a Dask cluster.
 
     A simulator with `in_process` runs in this process unless there are several workers, a time-out or a user's driver
     given by name. Otherwise it runs in worker processes, where a crash or hang costs only the scenario at fault.
     Drivers given as objects need no worker process, since they may not be picklable. Nor do drivers by name in a script
     without ``__name__ == "__main__"``, which would start again in the worker process.
 
-    Parameters
-    ----------
-    name : str
-        Registered simulator, with options after a colon: ``"esmini:seed=3"``.
-    options : mapping, optional
-        Keyword arguments that are offered to all simulators: ``time_step``, ``duration``, ``on_collision``,
-        ``drivers``; values must be picklable. A simulator gets those that its constructor declares.
-    ego : str, default "Ego"
-        Entity under test, for a simulator that needs to know it.
-    workers : int, default 1
-        Number of simulators that run in parallel.
-    timeout : float, optional
-        Time in s after which a scenario is cancelled.
-    retries : int, default 1
-        How often a scenario is run again after the simulator died or hung.
-    cluster : str or distributed.Client, optional
-        Dask cluster to run on: ``"local"``, the address of a scheduler, a scheduler file, or a client, which stays
-        open.
-    max_failures : int, default 5
-        Stop after this many consecutive scenarios in which the simulator died or hung; 0 for no limit.
+    Of `options` (``time_step``, ``duration``, ``on_collision``, ``drivers``; picklable) it gets those that its
+    constructor declares; `timeout` is in s per scenario. Raises `InputError` for an unknown simulator, values out of
+    range, or undeclared drivers or ``on_collision``; warns if a time step or duration has no effect.
 
-    Returns
-    -------
-    Simulator
-        To be closed, best as a context manager.
-
-    Raises
-    ------
-    InputError
-        The simulator is unknown or cannot run here, an option is out of range, or its constructor does not declare
-        drivers or ``on_collision`` but they are given.
-
-    Warns
-    -----
-    NoticeWarning
-        A time step or duration has no effect, since the constructor does not declare it.
-
-    Examples
-    --------
     >>> from cornercase.simulators import start_simulator
     >>> with start_simulator("builtin", {"duration": 20.0}) as simulator:
     ...     simulator.settings["duration"]

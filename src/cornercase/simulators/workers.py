@@ -41,30 +41,9 @@ class WorkerSimulator(SimulatorElsewhere):
     batch crashes or hangs, its scenarios without a result are run again one by one, so that only the one at fault
     fails. Results do not depend on the number of workers.
 
-    Parameters
-    ----------
-    name : str
-        Registered simulator.
-    options : dict
-        Constructor options; must be picklable.
-    workers : int, default 1
-    timeout : float, optional
-        Time in s after which a scenario is cancelled; a batch has this time per scenario. The simulator has another
-        minute to start.
-    retries : int, default 1
-        How often a scenario is run again after the simulator failed: its process ended or was killed, or lost the
-        connection to its program. If its process was killed from outside, it is run again at least once.
-    max_failures : int, default 5
-        Stop after this many consecutive scenarios in which the simulator failed; 0 for no limit.
-
-    Raises
-    ------
-    InputError
-        The simulator cannot be created.
-
-    Examples
-    --------
-    Four processes, each of which runs a quarter of the scenarios at once:
+    `options` must be picklable. `timeout` is in s per scenario; the simulator has another minute to start. `retries`
+    counts further runs after the simulator failed (its process ended, hung, or lost its program); if the process was
+    killed from outside, there is at least one. `max_failures` consecutive failures end the run (0: no limit).
 
     >>> from cornercase.simulators import WorkerSimulator
     >>> with WorkerSimulator("builtin", {"duration": 20.0}, workers=4, timeout=30.0) as simulator:

@@ -27,6 +27,7 @@ from cornercase.simulators.carla.storyboard import (
     end_at,
     leave_out,
     name_apart,
+    remove_element,
     set_beginning,
     start_at_once,
     take_over,
@@ -316,13 +317,7 @@ def _name_members(root: etree._Element) -> None:
                 for member in dict.fromkeys(members):
                     reference.addprevious(etree.Element("EntityRef", entityRef=member))
                 parent.remove(reference)
-        _detach(selection)
-
-
-def _detach(element: etree._Element) -> None:
-    parent = element.getparent()
-    if parent is not None:
-        parent.remove(element)
+        remove_element(selection)
 
 
 def _later_words(root: etree._Element) -> None:

@@ -24,17 +24,17 @@ def leave_out(root: etree._Element) -> None:
         if finding.row.status is Status.WITHOUT_EFFECT:
             _take_out(finding)
     for action in list(root.iter("GlobalAction")):
-        _remove(_holder_of(action))
+        remove_element(_holder_of(action))
     for empty in [*root.iter("PrivateAction")]:
         if len(empty) == 0:
-            _remove(_holder_of(empty))
+            remove_element(_holder_of(empty))
 
 
 def _take_out(one: Finding) -> None:
     if one.row.attribute:
         one.element.attrib.pop(one.row.attribute, "")
     elif one.element.tag not in _REQUIRED:
-        _remove(one.element)
+        remove_element(one.element)
 
 
 def _holder_of(action: etree._Element) -> etree._Element:
@@ -43,7 +43,8 @@ def _holder_of(action: etree._Element) -> etree._Element:
     return parent if parent is not None and parent.tag == "Action" else action
 
 
-def _remove(element: etree._Element) -> None:
+def remove_element(element: etree._Element) -> None:
+    """Remove an element from its parent, if it has one."""
     parent = element.getparent()
     if parent is not None:
         parent.remove(element)
@@ -53,13 +54,13 @@ def take_over(root: etree._Element, names: Collection[str]) -> None:
     """Remove entities from the storyboard, and elements that are empty then."""
     for reference in list(root.iterfind(".//Actors/EntityRef")):
         if reference.get("entityRef") in names:
-            _remove(reference)
+            remove_element(reference)
     for event in list(root.iter("Event")):
         if event.find("Action") is None:
-            _remove(event)
+            remove_element(event)
     for group in list(root.iter("ManeuverGroup")):
         if group.find("Actors/EntityRef") is None or next(group.iter("Event"), None) is None:
-            _remove(group)
+            remove_element(group)
         else:
             for maneuver in group.findall("Maneuver"):
                 if maneuver.find("Event") is None:
@@ -67,7 +68,7 @@ def take_over(root: etree._Element, names: Collection[str]) -> None:
     for tag, inner in (("Act", "ManeuverGroup"), ("Story", "Act")):
         for element in list(root.iter(tag)):
             if element.find(inner) is None:
-                _remove(element)
+                remove_element(element)
 
 
 def set_beginning(root: etree._Element, recording: Recording, names: Iterable[str], heights: FloatArray) -> None:
