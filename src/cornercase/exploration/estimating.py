@@ -114,7 +114,9 @@ def estimate(
 
     Examples
     --------
-    >>> cornercase.estimate("study.db", "estimate.db", budget=5000).critical  # doctest: +SKIP
+    The study has to be explored before::
+
+        probability = cornercase.estimate("study.db", "estimate.db", budget=5000).critical
     """
     study_file, output_file = path("study", study), path("output", output)
     require_other_file(output_file, study_file)

@@ -187,10 +187,13 @@ def explore(
 
     Examples
     --------
+    >>> import cornercase
+    >>> files = "examples/x_intersection/x_intersection"
     >>> cornercase.explore(
-    ...     "scenario.xosc", "study.db", ego="Ego", other="Car", metrics=["ttc"], ranges=["Speed=5:15:0.5"]
-    ... )  # doctest: +SKIP
-    <ExplorationResult: 200 scenarios done in study.db; the budget of 200 scenarios is used up>
+    ...     f"{files}.xosc", "study.db", space=f"{files}.space.xosc", ego="Ego", other="Pedestrian", metrics=["wttc"],
+    ...     optimizer="sobol", budget=4,
+    ... )
+    <ExplorationResult: 4 scenarios done in study.db; the budget of 4 scenarios is used up>
     """
     file = path("study", study)
     with explored_file(scenario, file, space, ranges, vary, continuous) as logical_scenario:

@@ -100,11 +100,6 @@ def repair(
     See Also
     --------
     cornercase.study.verify : Lists the damage.
-
-    Examples
-    --------
-    >>> cornercase.exploration.repair("study.db").again  # doctest: +SKIP
-    (17, 18)
     """
     file = path("study", study)
     # Replace the target of a symbolic link, not the link.

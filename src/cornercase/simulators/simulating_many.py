@@ -155,8 +155,12 @@ def simulate_many(
 
     Examples
     --------
-    >>> cornercase.simulate_many("scenario.xosc", "recordings", table="values.csv")  # doctest: +SKIP
-    <SimulatedFolder: 100 recordings in 'recordings'>
+    >>> from pathlib import Path
+    >>> import cornercase
+    >>> _ = Path("values.csv").write_text("ego_start" + chr(10) + "40")
+    >>> scenario = "examples/x_intersection/x_intersection.xosc"
+    >>> cornercase.simulate_many(scenario, "recordings", table="values.csv", duration=2.0)
+    <SimulatedFolder: 1 recordings in 'recordings'>
     """
     inputs = scenarios if isinstance(scenarios, Sequence) and not isinstance(scenarios, str) else [scenarios]
     scenario_files, failures = _readable(inputs)
