@@ -53,7 +53,7 @@ class AsynchronousExplorer(ScenarioExplorer):
         self._simulators = {"": simulator, **(references or {})}
         if configuration.patience is not None:
             self._patience, self._things = configuration.patience * configuration.batch, "scenarios"
-        # By scenario id: rows in progress, their repeats, those that need a reference run; rows not told yet.
+        # By scenario id: rows in progress, their repeats, those that need a reference run; new results.
         self._pending: dict[int, Row] = {}
         self._begun: dict[int, RepeatedScenario] = {}
         self._undecided: dict[int, Undecided] = {}

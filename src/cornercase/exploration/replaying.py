@@ -63,7 +63,7 @@ def _first_other(study: Study, objective: Objective, optimizer: Optimizer) -> in
 
 
 class _Results:
-    """The results that a search was told."""
+    """The stored results, as a search receives them."""
 
     def __init__(self, study: Study, objective: Objective, with_features: bool) -> None:
         self._study, self._with_features = study, with_features

@@ -75,7 +75,7 @@ class ScenarioRunner:
         if condition is not None:
             self._second = SecondRuns(configuration, condition, references or {}, self.outcomes)
             if missing := [name for name in condition.references if name not in (references or {})]:
-                raise InputError(f"`references`: there is no simulator with {missing[0]} at the wheel.")
+                raise InputError(f"`references`: there is no simulator in which {missing[0]} drives the ego.")
 
     def run(self, rows: Sequence[Row]) -> Iterator[tuple[int, Any]]:
         """Run scenarios; yield id and minimized score (float, or shape (metrics,) for a front) of each successful one.
@@ -216,7 +216,7 @@ class ScenarioRunner:
             text = " ".join(f"{type(error).__name__}: {error}".split())
             raise InputError(
                 f"The simulator '{self._configuration.simulator}' failed ({text}); fix it, and run the same command"
-                " again to go on."
+                " again to resume."
             ) from error
 
 

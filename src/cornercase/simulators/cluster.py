@@ -224,5 +224,5 @@ class ClusterSimulator(SimulatorElsewhere):
 
     def _broken(self, what: str) -> InputError:
         return InputError(
-            f"`cluster` {name_cluster(self._client)}: {what}; fix the cause, and run the same command again to go on."
+            f"`cluster` {name_cluster(self._client)}: {what}; fix the cause, and run the same command again to resume."
         )

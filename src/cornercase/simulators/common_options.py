@@ -28,7 +28,7 @@ def take_options(name: str, simulator: type[Simulator], options: Mapping[str, An
             continue
         if key == "drivers":
             raise InputError(
-                f"`drivers` {', '.join(value)}: the simulator '{name}' takes no drivers; leave them out, or declare"
+                f"`drivers` {', '.join(value)}: the simulator '{name}' supports no drivers; leave them out, or declare"
                 " 'drivers' in its constructor."
             )
         if key == "on_collision":

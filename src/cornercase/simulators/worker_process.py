@@ -82,7 +82,7 @@ class Worker:
         self.deadline = float("inf")
 
     def give(self, task: Task, concretes: Sequence[ConcreteScenario]) -> None:
-        """Start a task; `concretes` are all scenarios, of which the task names its own."""
+        """Start a task; `concretes` are all scenarios; the task has the indices of its own."""
         if self._process is None or not self._process.is_alive():
             self.stop()
             # Spawned, not forked: threads of numerical libraries do not survive a fork, and Windows has none.

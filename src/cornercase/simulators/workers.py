@@ -180,7 +180,7 @@ class WorkerSimulator(SimulatorElsewhere):
             if 0 < self._max_failures <= self._lost.count:
                 raise InputError(
                     f"The simulator '{self.name}' gave no result in {self._lost.count} scenarios in a row"
-                    f" (`max_failures`); in the last one {why}. Fix it, and run the same command again to go on."
+                    f" (`max_failures`); in the last one {why}. Fix it, and run the same command again to resume."
                 )
             times = "once" if task.tries == 0 else f"{task.tries + 1} times"
             error_class = LostError if isinstance(why, LostError) else SimulationError

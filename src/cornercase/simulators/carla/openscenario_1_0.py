@@ -56,7 +56,7 @@ _NUMBER: Final = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?|-?INF|NaN|tr
 _MOST_ENTITIES: Final = 500
 _TURNED: Final = (
     "Positions were converted from CARLA's left-handed axes (the description begins with 'CARLA:') to those of the road"
-    " file; the new file's description does not begin so."
+    " file; the new file's description lacks this prefix."
 )
 
 

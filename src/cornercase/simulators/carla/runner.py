@@ -169,4 +169,4 @@ def _last_words(said: str) -> str:
     """Return the last error line of ScenarioRunner's output, else its last line."""
     lines = [line.strip() for line in said.splitlines() if line.strip()]
     errors = [line for line in lines if _ERROR.match(line)]
-    return (errors or lines or ["it said nothing"])[-1][:300]
+    return (errors or lines or ["it printed nothing"])[-1][:300]

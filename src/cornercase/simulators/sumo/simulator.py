@@ -129,7 +129,7 @@ class SumoSimulator(Simulator):
             return SimulationError(problem)
         roads = prepared.scenario.road_file(values)
         if roads is not None and not roads.is_file():
-            self._batch(prepared, values, self._drivers, None)  # says which parameter names them
+            self._batch(prepared, values, self._drivers, None)  # raises an error that names the parameter
         network = sumo_network(prepared.scenario, self._network, values)
         with SumoCoupling(network, types, self._time_step, self._seed) as coupling:
             batch = self._batch(prepared, values, {**self._drivers, **dict.fromkeys(types, _LeftToSumo())}, coupling)
