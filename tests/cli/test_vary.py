@@ -112,7 +112,7 @@ def test_43_12_a_study_goes_on_with_the_same_names_only(tmp_path):
     before = (tmp_path / "s.varied.xosc").read_bytes()
     done = cornercase("explore", CUT_IN, "--vary", "Ego.initial.y", *SEARCH, "--budget", "4", "-o", tmp_path / "s.db")
     assert done.returncode == 2
-    assert "was begun with another scenario file or other names for --vary (s.varied.xosc differs)" in done.stderr
+    assert "was created with another scenario file or other names for --vary (s.varied.xosc differs)" in done.stderr
     assert (tmp_path / "s.varied.xosc").read_bytes() == before
     again = cornercase(
         "explore", tmp_path / "s.varied.xosc", "--vary", "Ego.initial.y", *SEARCH, "-o", tmp_path / "s.db"
@@ -152,7 +152,7 @@ def test_43_12_roads_that_a_space_names_are_those_beside_the_scenario(tmp_path):
     assert explored(tmp_path / "here" / "s.db", *asked, scenario=scenario).returncode == 0
     done = explored(tmp_path / "there" / "s.db", *asked, scenario=scenario)
     assert done.returncode == 2
-    assert "the parameter Road names road files from the folder of the scenario" in done.stderr
+    assert "the parameter Road names road files relative to the scenario" in done.stderr
     assert not (tmp_path / "there").exists()
 
 

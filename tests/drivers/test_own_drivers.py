@@ -156,7 +156,7 @@ def test_42_5_commands_that_need_the_driver_again_say_how_to_give_it(folder):
         refused = cornercase("-q", *command, cwd=folder)
         assert refused.returncode == 2
         # Opening a foreign study runs no code.
-        assert "is no reason to run code" in refused.stderr
+        assert "drove Ego" in refused.stderr
         assert f"Ego={DRIVER}." in refused.stderr
     tested = cornercase("-q", "test", "set", "--driver", f"Ego={DRIVER}", "-o", "t.db", cwd=folder)
     assert tested.returncode == 0, tested.stderr

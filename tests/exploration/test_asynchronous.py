@@ -172,7 +172,7 @@ def test_the_stored_order_gives_the_same_proposals_again_also_of_a_search_that_w
     reseal(path)
     again = proposed_again(path, one)
     assert again.same is False
-    assert "is proposed otherwise" in again.reason
+    assert "is proposed differently" in again.reason
 
 
 @pytest.mark.slow
@@ -201,7 +201,7 @@ def test_audits_are_drawn_and_kept_from_the_search_as_in_rounds(tmp_path):
 
 def test_patience_and_what_is_known_are_counted_in_results(tmp_path):
     result = explored(tmp_path / "s.db", about(budget=400, patience=2, batch=5), Slow(3))
-    assert result.reason == "10 scenarios brought nothing new"
+    assert result.reason == "10 scenarios brought no improvement"
     with Study.open(tmp_path / "s.db", readonly=True) as study:
         scores = dict(zip((row.id for row in study.done()), study.scores("distance"), strict=True))
         order = [scores.get(scenario, np.inf) for scenario, _ in study.results()]
@@ -314,14 +314,14 @@ def test_the_command_proposes_again_and_says_whether_it_is_the_same(tmp_path):
     reseal(tmp_path / "other.db")
     ended = CliRunner().invoke(app, [*words[:-1], str(tmp_path / "other.db"), "--replay"])
     assert ended.exit_code == 1
-    assert "the scenario 5 of 24 is proposed otherwise" in " ".join(ended.output.split())
+    assert "scenario 5 of 24 is proposed differently" in " ".join(ended.output.split())
     with sqlite3.connect(tmp_path / "s.db") as connection:
         connection.execute("UPDATE courses SET score = 9 WHERE scenario = 20")
         connection.execute("UPDATE courses SET score = 0 WHERE scenario = 21")
     reseal(tmp_path / "s.db")
     ended = CliRunner().invoke(app, [*words, "--replay"])
     assert ended.exit_code == 1
-    assert "is proposed otherwise" in " ".join(ended.output.split())
+    assert "is proposed differently" in " ".join(ended.output.split())
 
 
 @pytest.mark.parametrize(

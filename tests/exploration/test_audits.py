@@ -94,7 +94,7 @@ def test_a_search_stops_by_its_audits_and_only_with_audits(tmp_path):
     one = replace(demonstration("x-intersection", budget=120), audit=0.5, critical=5.0, optimizer="sobol")
     result = explore_configuration(replace(one, stop_when=("audited-missed<0.4",)), tmp_path / "s.db")
     assert 80 <= result.ended < 120
-    assert "by the audits" in result.reason
+    assert "according to the audits" in result.reason
     with pytest.raises(InputError, match="needs audits"):
         explore_configuration(replace(one, audit=0.0, stop_when=("audited-missed<0.4",)), tmp_path / "n.db")
     with pytest.raises(InputError, match="`audit`"):

@@ -67,7 +67,7 @@ def test_the_probability_is_the_true_one_and_failures_are_told(tmp_path):
     assert found.encounter.low <= share_within(0.1) <= found.encounter.high
     assert found.critical_given_encounter.low <= truth / share_within(0.1) <= found.critical_given_encounter.high
     assert found.collision.met == 0
-    assert any(warning.startswith("No collision was met") for warning in found.warnings)
+    assert any(warning.startswith("No collision occurred") for warning in found.warnings)
     assert found.criterion == "distance <= 0.05 m"
 
 
@@ -154,7 +154,7 @@ def test_while_not_all_of_a_small_space_was_run_there_are_bounds(tmp_path, after
     with opened(tmp_path / "e.db", logical.space) as study:
         some = estimator(study, Synthetic(interrupts=after), budget=2000, logical=logical).run()
         if after:
-            with pytest.raises(InputError, match=r"runs all 1071 scenarios.*give `budget` 1071 or more"):
+            with pytest.raises(InputError, match=r"enumerates all 1071 scenarios.*set `budget` to 1071 or more"):
                 estimator(study, budget=900, logical=logical)
         every = estimator(study, budget=2000, logical=logical).run()
     assert some.interrupted

@@ -87,7 +87,7 @@ def test_patience_ends_it(tmp_path):
     exploration = replace(demonstration("x-intersection", budget=400), optimizer="sobol", patience=2, batch=3)
     result = explore_configuration(exploration, tmp_path / "s.db")
     assert result.ended < 400
-    assert "nothing new" in result.reason
+    assert "no improvement" in result.reason
 
 
 def test_a_study_of_something_else_is_refused_and_kept(undisturbed):
@@ -275,7 +275,7 @@ def test_patience_counts_rounds_without_news(tmp_path, rounds, told):
         one._optimizer = scripted(rounds)
         result = one.run()
     assert result.ended == told
-    assert ("nothing new" in result.reason) == (told < len(rounds))
+    assert ("no improvement" in result.reason) == (told < len(rounds))
 
 
 @pytest.mark.parametrize("asynchronous", [False, True])
@@ -292,7 +292,7 @@ def test_all_of_a_space_was_run_only_where_it_was(asynchronous, tmp_path):
     assert ended("sobol", finite, audit=0.2) == "all 15 scenarios of the space were run"
     some = ParameterSpace(finite.parameters, falling)
     assert ended("sobol", some) == "all 6 scenarios of the space were run"
-    grid = "the search proposes no more than these 36 scenarios"
+    grid = "the search has no proposals after these 36 scenarios"
     assert ended("grid", LOGICAL.space) == grid
 
 

@@ -41,7 +41,7 @@ def test_from_python_a_scenario_is_explored_by_its_path_or_as_it_was_read(tmp_pa
         assert study.meta.settings["drivers"] == {"Ego": normal.settings}
     with Study.open(tmp_path / "a.db", readonly=True) as one, Study.open(tmp_path / "b.db", readonly=True) as two:
         np.testing.assert_array_equal(one.scores("distance"), two.scores("distance"))
-    with pytest.raises(InputError, match="belong to a scenario file"):
+    with pytest.raises(InputError, match="apply to scenario files only"):
         search(logical, tmp_path / "d.db", space=space)
 
 

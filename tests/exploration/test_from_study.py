@@ -140,7 +140,7 @@ def test_what_cannot_be_begun_from_is_refused_and_leaves_nothing(tmp_path, other
     cases: dict[str, dict[str, Any]] = {
         "this space has no parameter": {"logical": fewer},
         "bayes learns nothing from a study; use level-set": {"optimizer": "bayes"},
-        "was not searched for the condition 'collision'; begin from one with the same `critical_if`": {
+        "was not searched for the condition 'collision'; use a study with the same `critical_if`": {
             "critical_if": "collision"
         },
         "there is no such study": {"from_study": tmp_path / "missing.db"},

@@ -19,7 +19,7 @@ from typer.testing import CliRunner
 from cornercase._common.errors import InputError, SimulationError
 from cornercase.cli import app
 from cornercase.exploration import AsynchronousExplorer, Configuration, ScenarioExplorer, demonstration, explore
-from cornercase.exploration.again import configuration_of
+from cornercase.exploration.configuration import configuration_of
 from cornercase.optimizers import create_optimizer
 from cornercase.recordings import Recording
 from cornercase.report import summarize, tell_study_file, write_report
@@ -249,12 +249,12 @@ def test_a_study_is_run_again_as_it_was(tmp_path):
     ("given", "words"),
     [
         ({"most_repeats": 3}, "`most_repeats` 3: is less than `repeats` 5"),
-        ({"repeats": 1}, "`most_repeats` 17: .* give `repeats` of 2 or more"),
-        ({"repeats": 3, "most_repeats": 4}, "`most_repeats` 4: fewer than 5 runs leave each scenario open"),
+        ({"repeats": 1}, "`most_repeats` 17: .* set `repeats` to 2 or more"),
+        ({"repeats": 3, "most_repeats": 4}, "`most_repeats` 4: fewer than 5 runs never decide a scenario"),
         ({"critical": None}, "no default threshold; give one with `critical`"),
         ({"critical": None, "critical_if": "collision", "repeats": 1}, "leave `most_repeats` out"),
-        ({"critical": None, "weights": {"distance": 1.0}}, "leave it or `weights` out"),
-        ({"critical": None, "metrics": ("distance", "wttc"), "pareto": True}, "leave it or `pareto` out"),
+        ({"critical": None, "weights": {"distance": 1.0}}, "leave out `weights`"),
+        ({"critical": None, "metrics": ("distance", "wttc"), "pareto": True}, "leave out `pareto`"),
     ],
 )
 def test_what_makes_no_sense_is_refused_before_there_is_a_study(tmp_path, given, words):

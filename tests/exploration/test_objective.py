@@ -64,7 +64,7 @@ def test_what_cannot_be_searched_is_refused(weights, pareto, words):
 
 
 def test_what_is_critical_needs_one_score():
-    with pytest.raises(InputError, match="needs one score"):
+    with pytest.raises(InputError, match="has no threshold"):
         Objective([TTC, DRAC], pareto=True).threshold(1.0)
     with pytest.raises(InputError, match="the weighted sum up to which"):
         Objective([TTC, DRAC], {"ttc": 1.0}).threshold(None)

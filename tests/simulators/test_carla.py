@@ -286,7 +286,7 @@ def test_what_carla_cannot_do_is_refused_before_there_is_a_study(tmp_path):
         "--simulator", f"carla:scenario_runner={RUNNER}", "-o", tmp_path / "study.db",
     )  # fmt: skip
     assert done.returncode == 2
-    assert "'C' asks for the driver 'simple', which CARLA does not have" in done.stderr
+    assert "'C' has the driver 'simple', which CARLA does not support" in done.stderr
     assert not list(tmp_path.iterdir())
 
 
@@ -382,7 +382,7 @@ def test_it_is_listed_with_what_it_needs(monkeypatch):
 @pytest.mark.parametrize(
     ("given", "words"),
     [
-        ({"scenario_runner": "nowhere"}, "nowhere: holds no scenario_runner.py"),
+        ({"scenario_runner": "nowhere"}, "nowhere: contains no scenario_runner.py"),
         ({"drivers": {"Ego": "agressive"}}, "did you mean 'aggressive'"),
         ({"record": "clinet"}, "did you mean 'client'"),
         ({"agent": "agent.py"}, "agent=agent.py: there is no such file"),
@@ -441,7 +441,7 @@ def test_code_that_a_scenario_names_is_not_run(tmp_path, scenario):
     path = tmp_path / "bad.xosc"
     action = '<Property name="module" value="/tmp/evil.py"/>'
     path.write_text(scenario.read_text().replace("<Properties/>", f"<Properties>{action}</Properties>", 1))
-    with pytest.raises(InputError, match=r"names the module '/tmp/evil.py'; code that a scenario names is not run"):
+    with pytest.raises(InputError, match=r"names the module '/tmp/evil.py', but code that a scenario names is not run"):
         adapted(tmp_path, path)
 
 
@@ -449,7 +449,7 @@ def test_a_behaviour_agent_without_a_route_and_other_drivers_are_refused(tmp_pat
     with pytest.raises(InputError, match=r"'Ego' needs a route for CARLA's behaviour agent"):
         adapted(tmp_path, scenario, behaviors={"Ego": "normal"})
     simulator = CarlaSimulator(scenario_runner=str(RUNNER), port=free_port())
-    with pytest.raises(InputError, match=r"'C' asks for the driver 'simple', which CARLA does not have.*undriven=true"):
+    with pytest.raises(InputError, match=r"'C' has the driver 'simple', which CARLA does not support.*undriven=true"):
         list(simulator.run([ConcreteScenario(T, {})]))
 
 

@@ -205,10 +205,10 @@ def test_three_speeds_give_three_recordings_however_the_waits_end(project, waits
 @pytest.mark.parametrize(
     ("behaviour", "words"),
     [
-        ({"course": None}, r"did not begin the TestRun within 0\.3 s: it is idle"),
+        ({"course": None}, r"did not start the TestRun within 0\.3 s: it is idle"),
         (
             {"course": (-1, *[-5] * 10_000)},
-            r"did not begin the TestRun within 0\.3 s: it is adapting its driver \(-5\)",
+            r"did not start the TestRun within 0\.3 s: it is adapting its driver \(-5\)",
         ),
         ({"course": (0, *[-8] * 10_000)}, "has paused the TestRun"),
         ({"course": [-8] * 10_000}, r"it is paused \(-8\)"),
@@ -217,7 +217,7 @@ def test_three_speeds_give_three_recordings_however_the_waits_end(project, waits
         ({"course": (1, *[-6] * 10_000)}, "ended the TestRun with a fatal error"),
         ({"course": (-1, *[-6] * 10_000)}, "ended the TestRun with a fatal error"),
         ({"write": lambda path, values: None}, "did not begin|cannot be read|stored no result file"),
-        ({"odd": {"GetLastResultFName": "OSimOutput/pc/run.erg\r\n\r\n"}}, "which was there before this run"),
+        ({"odd": {"GetLastResultFName": "OSimOutput/pc/run.erg\r\n\r\n"}}, "but it is older than this run"),
     ],
 )
 def test_an_old_result_is_never_taken_for_a_new_one(project, quick, waits, behaviour, words):
@@ -291,8 +291,8 @@ def test_values_are_one_tcl_word(project):
             "CarMaker refuses 'LoadTestRun \"Crossing\"': no such TestRun",
             False,
         ),
-        ({"StartSim": "close"}, "CarMaker closed the line in its answer to 'StartSim'", True),
-        ({"GetLastResultFName": "Ocut"}, "CarMaker closed the line in its answer to 'GetLastResultFName'", True),
+        ({"StartSim": "close"}, "CarMaker closed the connection while answering 'StartSim'", True),
+        ({"GetLastResultFName": "Ocut"}, "CarMaker closed the connection while answering 'GetLastResultFName'", True),
         ({"SimStatus": ["O-6\r\n\r\n"]}, "CarMaker ended the TestRun with a fatal error", True),
         ({"SimStatus": "Owell\r\n\r\n"}, "reports the status 'well', which is not a number", False),
         ({"GetLastResultFName": "O\r\n\r\n"}, "stored no result file", False),
@@ -458,10 +458,10 @@ def test_42_1_a_suite_gives_ipgs_module_the_named_values_too(cmapi, project):
     [
         ({"testrun": ""}, "needs a TestRun"),
         ({"project": "/no/such/folder"}, "no such folder"),
-        ({"testrun": "a[exit]"}, "a meaning in Tcl"),
+        ({"testrun": "a[exit]"}, "a special character of Tcl"),
         ({"port": 0}, "localhost:0 is not possible"),
-        ({"drivers": {"Ego": "normal"}}, "none of cornercase's drivers"),
-        ({"on_collision": "stop"}, "only where the TestRun says so"),
+        ({"drivers": {"Ego": "normal"}}, "does not support cornercase's drivers"),
+        ({"on_collision": "stop"}, "only if the TestRun says so"),
         ({"speedup": 0.0}, "both above 0"),
     ],
 )
@@ -535,7 +535,7 @@ def test_ipgs_module_is_taken_where_it_is_there_and_starts_carmaker_once(cmapi, 
     [
         ("raise", SimulatorError, "CarMaker, by cmapi: RuntimeError: the application is gone"),
         ("hang", SimulationError, "CarMaker did not end the TestRun within 2 s"),
-        ("no file", SimulationError, "CarMaker wrote 0 result files in SimOutput, where one was expected"),
+        ("no file", SimulationError, "CarMaker wrote 0 result files in SimOutput instead of one"),
     ],
 )
 def test_what_goes_wrong_by_ipgs_module_is_one_sentence(cmapi, project, wrong, kind, words):
@@ -560,14 +560,14 @@ def test_a_carmaker_that_does_not_come_to_rest_is_left(cmapi, project, monkeypat
     monkeypatch.setattr("cornercase.simulators.carmaker.cmapi._ENDING", 0.3)
     cmapi("restless")
     control = CarMakerApi(project, "Crossing", 60.0)
-    with pytest.raises(SimulatorError, match="does not come to rest"):
+    with pytest.raises(SimulatorError, match="is not idle within"):
         control.run({"ego_speed": 7.0})
     control.close()
 
 
 @pytest.mark.parametrize(
     ("wrong", "words"),
-    [("start", r"does not start by IPG's cmapi \(no licence\).*carmaker:via=port"), ("slow start", "no answer")],
+    [("start", r"does not start with IPG's cmapi \(no licence\).*carmaker:via=port"), ("slow start", "no answer")],
 )
 def test_a_carmaker_that_does_not_start_by_ipgs_module_is_said_and_ended(cmapi, project, wrong, words):
     cmapi(wrong)

@@ -361,7 +361,7 @@ def test_another_program_that_listens_and_is_silent_is_no_scheduler(monkeypatch)
 
 
 def test_a_worker_of_another_version_is_told():
-    with pytest.raises(InputError, match=r"a worker has cornercase .*, and this is 0\.0\.0"):
+    with pytest.raises(InputError, match=r"a worker has cornercase .*, this machine has 0\.0\.0"):
         run_job(Job("key", "0.0.0", "builtin", b"", None, 1), Attempt("one", 2), {}, [])
 
 

@@ -91,11 +91,11 @@ def test_42_7_options_that_a_simulator_does_not_declare_are_refused(name, says):
 
 @pytest.mark.parametrize("name", ["swallowing", "terse"])
 def test_42_7_a_simulator_without_drivers_is_not_given_any(name, x_intersection, tmp_path):
-    says = f"`drivers` Ego: the simulator '{name}' takes no drivers; leave them out, or declare 'drivers'"
+    says = f"`drivers` Ego: the simulator '{name}' supports no drivers; leave them out, or declare 'drivers'"
     with pytest.raises(InputError) as caught:
         start_simulator(name, {"drivers": {"Ego": "normal"}})
     assert str(caught.value).startswith(says)
-    with pytest.raises(InputError, match="takes no drivers"):
+    with pytest.raises(InputError, match="supports no drivers"):
         cc.explore(
             x_intersection, tmp_path / "s.db", ego="Ego", other="C", metrics=["distance"], simulator=name,
             drivers={"Ego": "normal"},

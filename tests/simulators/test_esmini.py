@@ -104,7 +104,7 @@ def test_explores(tmp_path):
 
 @needs_library
 def test_who_asks_for_a_driver_of_cornercase_is_refused_before_the_run():
-    with pytest.raises(InputError, match="'Ego' asks for the driver 'normal', which esmini does not have"):
+    with pytest.raises(InputError, match="'Ego' has the driver 'normal', which esmini does not support"):
         list(EsminiSimulator().run([ConcreteScenario(T, {})]))
 
 
@@ -188,11 +188,11 @@ def test_another_layout_and_missing_functions_are_refused(stub, tmp_path):
 
 def test_refuses_in_one_sentence(monkeypatch, tmp_path):
     monkeypatch.delenv("CORNERCASE_ESMINI", raising=False)
-    with pytest.raises(InputError, match=r"esmini's library is not known; download esmini"):
+    with pytest.raises(InputError, match=r"esmini's library is not found; download esmini"):
         SIMULATORS.create("esmini")
     with pytest.raises(InputError, match="no such file"):
         EsminiSimulator(library=str(tmp_path / "none.so"))
-    with pytest.raises(InputError, match="none of cornercase's drivers"):
+    with pytest.raises(InputError, match="does not support cornercase's drivers"):
         EsminiSimulator(drivers={"Ego": "normal"})
     assert "download esmini" in EsminiSimulator.availability().missing
     done = subprocess.run(

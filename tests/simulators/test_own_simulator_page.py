@@ -84,7 +84,7 @@ def test_42_11_ranges_alone_are_told_what_they_need(tmp_path):
 
 def test_42_11_what_the_page_says_of_options_holds(names):
     assert list(checked_settings(0.05, 60.0, "continue", None)) == ["time_step", "duration", "on_collision", "drivers"]
-    with pytest.raises(InputError, match="takes no drivers"):
+    with pytest.raises(InputError, match="supports no drivers"):
         cc.simulate("braking.xosc", {"ego_start": 3.0}, simulator="braking", drivers={"Ego": "normal"})
     with pytest.warns(UserWarning, match=r"without effect: duration 20\.0 s"):
         cc.simulate("braking.xosc", {"ego_start": 3.0}, simulator="braking", duration=20.0)

@@ -59,7 +59,7 @@ def test_43_5_a_vehicle_that_begins_far_from_every_road_is_named(tmp_path):
     assert said.startswith("far from every road: Ego is ")
     away = float(said.split(" is ")[1].split(" m ")[0])
     assert 1900.0 < away < 2300.0
-    assert "from the nearest lane at 0.00 s; look whether the road file" in said
+    assert "from the nearest lane at 0.00 s; check that the road file" in said
 
 
 def test_43_5_a_vehicle_that_gets_far_from_every_road_is_named_with_the_instant(tmp_path):
@@ -94,8 +94,8 @@ def cut(folder: Path, stop: str, story: str = "", init: str = "") -> list[str]:
 
 
 CUT = (
-    "cut off: the run was ended by the longest duration, 2 s, before the scenario came to its end; where it would go"
-    " on, give a longer `duration`"
+    "cut off: the run was ended by the maximum duration, 2 s, before the scenario came to its end; use a longer"
+    " `duration` to see the rest"
 )
 
 
@@ -139,8 +139,8 @@ def test_43_5_each_command_counts_the_runs_that_are_cut_off_once(tmp_path):
     )
     said = [line for line in done.stderr.splitlines() if line.startswith("Cut off: ")]
     assert said == [
-        "Cut off: 4 of 4 runs were ended by the longest duration, 1 s, before the scenario came to its end; where it"
-        " would go on, give a longer --duration."
+        "Cut off: 4 of 4 runs were ended by the maximum duration, 1 s, before the scenario came to its end; use a"
+        " longer --duration to see the rest."
     ]
     many = cornercase("simulate", X, t, "--duration", 1, "-o", tmp_path / "recordings")
     assert "Cut off: 2 of 2 runs were ended by" in many.stderr
@@ -170,7 +170,7 @@ def test_43_5_a_study_in_which_nobody_drives_the_ego_says_so(tmp_path):
         ).stderr  # fmt: skip
 
     nobody = (
-        "Nobody drives Ego: it follows the scenario and reacts to nobody; give it a driver by --driver Ego=normal.\n"
+        "Nobody drives Ego: it follows the scenario and does not react; give it a driver with --driver Ego=normal.\n"
     )
     assert nobody in said(undriven)
     assert "Nobody drives" not in said(undriven, "--driver", "Ego=simple")

@@ -97,7 +97,7 @@ def test_what_is_not_the_same_is_said(tmp_path):
     assert found.path == tmp_path / "t.xosc"
     assert repr(found).startswith(f"<Conversion {found.path}:\n  ")
     assert len(repr(found).splitlines()) == 1 + len(notes)
-    assert any("C is driven by the storyboard alone, not by cornercase's driver 'simple'" in one for one in notes)
+    assert any("C is driven by the storyboard only, not by cornercase's driver 'simple'" in one for one in notes)
     assert any("final speed of 9 m/s" in one for one in notes)
     assert any("'greaterOrEqual' became 'greaterThan'" in one for one in notes)
     written = read_xml(tmp_path / "t.xosc")
@@ -146,7 +146,7 @@ MODULE = """<PrivateAction><ControllerAction><AssignControllerAction><Controller
     [
         ("</Event>", f"</Event>{COMMAND}", "<UserDefinedAction> with the <CustomCommandAction> 'python evil.py'"),
         ("</Private>", f"{MODULE}</Private>", "names the module '/tmp/evil.py'"),
-        ('<Condition name="', '<Condition name="criteria_', "would take the condition"),
+        ('<Condition name="', '<Condition name="criteria_', "would instantiate a class"),
     ],
 )
 def test_code_that_a_scenario_names_is_refused_by_name(tmp_path, old, new, words):

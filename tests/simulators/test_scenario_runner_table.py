@@ -319,7 +319,7 @@ def test_who_reacts_to_the_ego_keeps_the_storyboard_where_scenario_runner_does_s
 def test_who_no_longer_reacts_is_named(write, tmp_path):
     near = by_entity(NEAR.format("cartesianDistance", "false"))
     found = convert(write(action=OFFSET, condition=near, drivers=DRIVEN), tmp_path / "one.xosc", ego="Ego")
-    assert "Other would react to Ego, and no longer does." in found.notes
+    assert "Other should react to Ego, but no longer does." in found.notes
 
 
 def test_who_would_have_to_react_to_an_agent_and_cannot_is_refused_before_the_run(write, tmp_path):
@@ -327,7 +327,7 @@ def test_who_would_have_to_react_to_an_agent_and_cannot_is_refused_before_the_ru
     path = write(action=OFFSET, condition=by_entity(NEAR.format("cartesianDistance", "false")))
     path.write_text(path.read_text().replace("</Private>", f"{init}</Private>", 1))
     closed, open_loop = (Run(Agents({"Ego": "normal"}), open_loop=given) for given in (False, True))
-    with pytest.raises(InputError, match=r"'Other' would have to react to Ego.*carla:open_loop=true"):
+    with pytest.raises(InputError, match=r"'Other' has to react to Ego.*carla:open_loop=true"):
         write_1_0(Scenario.read(path), {}, tmp_path / "one.xosc", ego="Ego", run=closed)
     write_1_0(Scenario.read(path), {}, tmp_path / "one.xosc", ego="Ego", run=open_loop)
     modules = [one.get("value") for one in read_xml(tmp_path / "one.xosc").findall(".//Property[@name='module']")]
@@ -337,7 +337,7 @@ def test_who_would_have_to_react_to_an_agent_and_cannot_is_refused_before_the_ru
 def test_on_a_map_of_carla_what_needs_a_trajectory_is_refused(write, tmp_path):
     path = write(action=OFFSET)
     path.write_text(path.read_text().replace('filepath="road.xodr"', 'filepath="Town01"'))
-    with pytest.raises(InputError, match=r"cannot move 'Other' so \(<LaneOffsetAction>.*Town01"):
+    with pytest.raises(InputError, match=r"cannot move 'Other' like that \(<LaneOffsetAction>.*Town01"):
         convert(path, tmp_path / "one.xosc", ego="Ego")
 
 

@@ -114,7 +114,7 @@ def test_nothing_is_taken_for_the_recording_of_something_else(table, tmp_path):
     scenario, folder = tmp_path / "x" / X.name, tmp_path / "runs"
     cc.simulate_many(scenario, folder, table=table, **QUICK)
     before = contents(folder)
-    with pytest.raises(cc.InputError, match=r"`folder` .*runs: holds recordings with another time_step; choose"):
+    with pytest.raises(cc.InputError, match=r"`folder` .*runs: contains recordings with another time_step; choose"):
         cc.simulate_many(scenario, folder, table=table, time_step=0.1, **QUICK)
     rows = table.read_text()
     table.write_text(rows.replace("31.5", "32"))
@@ -131,11 +131,11 @@ def test_files_of_somebody_else_are_left_alone(table, tmp_path):
     folder = tmp_path / "runs"
     folder.mkdir()
     (folder / "parameters.csv").write_text("mine")
-    with pytest.raises(cc.InputError, match=r"has a file parameters\.csv already, and no simulation\.json"):
+    with pytest.raises(cc.InputError, match=r"contains a file parameters\.csv, but no simulation\.json"):
         cc.simulate_many(X, folder, table=table, **QUICK)
     assert contents(folder) == {"parameters.csv": b"mine"}
     (folder / "simulation.json").write_text("[1]")
-    with pytest.raises(cc.InputError, match=r"simulation\.json: does not say what"):
+    with pytest.raises(cc.InputError, match=r"simulation\.json: does not describe"):
         cc.simulate_many(X, folder, table=table, **QUICK)
 
 
@@ -178,10 +178,10 @@ BAD = {
     "no header": ("", "needs a header", "an empty one"),
     "no parameter": ("file\na.csv\n", "needs a header", "not file"),
     "a parameter twice": ("ego_start,ego_start\n1,2\n", "needs a header", "each parameter once"),
-    "a folder": ("file,ego_start\n../a.csv,1\n", "line 2: '../a.csv'", "without a folder"),
+    "a folder": ("file,ego_start\n../a.csv,1\n", "line 2: '../a.csv'", "without folder"),
     "no CSV": ("file,ego_start\na.erg,1\n", "line 2: 'a.erg'", "ends in .csv"),
     "the table": ("file,ego_start\nparameters.csv,1\n", "line 2", "is not parameters.csv"),
-    "a name twice": ("file,ego_start\nA.csv,1\na.csv,2\n", "line 3: names a.csv", "line 2"),
+    "a name twice": ("file,ego_start\nA.csv,1\na.csv,2\n", "line 3: repeats the file name a.csv", "line 2"),
 }
 
 
@@ -199,12 +199,12 @@ def test_a_table_that_cannot_be_used_is_refused_by_its_line(case, table, tmp_pat
 def test_options_that_do_not_go_together_are_named(table, tmp_path):
     runs = tmp_path / "runs"
     for words, said in (
-        ((X, "--parameters", table, "--set", "ego_start=3", "-o", runs), "--set ego_start: is a column of"),
+        ((X, "--parameters", table, "--set", "ego_start=3", "-o", runs), "--set ego_start: is also a column of"),
         ((X, "--workers", "2", "-o", tmp_path / "r.csv"), "--workers: is for several scenarios"),
         ((X, "--cluster", "local", "-o", tmp_path / "r.csv"), "--cluster: is for several scenarios"),
         ((X, X, "-o", runs), "rename one"),
         ((X, X, "--parameters", table, "-o", runs), "--parameters"),
-        ((X, "--parameters", table, "-o", tmp_path / "r.csv"), "go into a folder"),
+        ((X, "--parameters", table, "-o", tmp_path / "r.csv"), "are written into a folder"),
         ((X, "--parameters", table, "-o", table), "is a file, not a folder"),
     ):
         ended = cornercase("simulate", *words)

@@ -1,4 +1,4 @@
-"""A search that is asked for the next scenario as soon as one has ended."""
+"""Search without rounds: the optimizer is asked for the next scenario as soon as one has ended."""
 
 from __future__ import annotations
 
@@ -25,46 +25,19 @@ from cornercase.study import Row, Study
 
 
 def pending_at_once(places: int) -> int:
-    """Count the scenarios that are on their way while a search without rounds goes on.
+    """Number of scenarios in progress for `places` parallel simulators.
 
-    Parameters
-    ----------
-    places : int
-        Scenarios that are run at a time.
-
-    Returns
-    -------
-    int
-        One where one is run, so that each proposal knows of all results before it. Otherwise half as many again, so
-        that no simulator waits for a proposal.
+    One simulator: one, so that each proposal knows all results. Otherwise half as many again, so that none has to wait.
     """
     return places if places == 1 else places + -(-places // 2)
 
 
 class AsynchronousExplorer(ScenarioExplorer):
-    """Looks for the critical concrete scenarios of a logical one, without rounds.
+    """Searches a logical scenario without rounds.
 
-    A number of scenarios are on their way. As soon as one has ended, the search is told, and asked for another one;
-    what came while it was thinking it is told at once. The study holds the order in which results came, so that a
-    search that was killed goes on as it was: it is told in that order, and what was on its way is run first.
-
-    Parameters
-    ----------
-    configuration : Configuration
-    simulator : Simulator
-    optimizer : Optimizer
-        A fresh one: it is told what the study holds.
-    study : Study
-        Open for writing.
-    objective : Objective, optional
-        What of which metrics is searched; by default that of the configuration.
-    references : mapping of str to Simulator, optional
-        With the references of the configuration's condition at the wheel of the ego, by name.
-
-    Raises
-    ------
-    InputError
-        Something of the configuration cannot be used.
+    As soon as a scenario has ended, the optimizer is told its result, and all that arrived meanwhile, and asked for
+    another. The study holds the order of the results, so a search that was killed is resumed identically: the optimizer
+    is told in that order, and pending scenarios run first. Parameters as for `ScenarioExplorer`.
     """
 
     def __init__(
@@ -80,8 +53,7 @@ class AsynchronousExplorer(ScenarioExplorer):
         self._simulators = {"": simulator, **(references or {})}
         if configuration.patience is not None:
             self._patience, self._things = configuration.patience * configuration.batch, "scenarios"
-        # On their way, their runs, those of them that depend on a reference, and what came since the search was told of
-        # others.
+        # By scenario id: rows in progress, their repeats, those that need a reference run; new results.
         self._pending: dict[int, Row] = {}
         self._begun: dict[int, RepeatedScenario] = {}
         self._undecided: dict[int, Undecided] = {}
@@ -90,14 +62,14 @@ class AsynchronousExplorer(ScenarioExplorer):
         self._results = self._judged = 0
 
     def _run(self, bar: ProgressBar | None, check_interrupt: Callable[[], None]) -> str:
-        """Run scenarios side by side; once nothing else runs, try whether runs repeat themselves."""
+        """Run scenarios in parallel; once nothing else runs, check if runs are deterministic."""
         reason = self._run_beside(bar, check_interrupt)
         self._runner.try_repeatability()
         return reason
 
     def _run_beside(self, bar: ProgressBar | None, check_interrupt: Callable[[], None]) -> str:
-        """Keep scenarios on their way until a criterion says why to end, and all have ended."""
-        begun, reason = time.monotonic(), None
+        """Keep scenarios in progress until a criterion holds and all have ended; return the criterion."""
+        start, reason = time.monotonic(), None
         with closing(SimulatorStream(self._simulators)) as stream:
             proposed, number = self._go_on_beside(stream)
             while True:
@@ -106,7 +78,7 @@ class AsynchronousExplorer(ScenarioExplorer):
                 wanted = pending_at_once(stream.places()) - len(self._pending)
                 if reason is None and wanted > 0:
                     self._tell_all()
-                    reason = self._reason(proposed, time.monotonic() - begun)
+                    reason = self._reason(proposed, time.monotonic() - start)
                 if reason is None and wanted > 0:
                     rows = self._ask(number + 1, proposed, min(wanted, self._configuration.budget - proposed))
                     if rows:
@@ -119,19 +91,19 @@ class AsynchronousExplorer(ScenarioExplorer):
                     assert reason is not None
                     return reason
                 self._take(stream, check_interrupt)
-                # What came meanwhile is told at once too.
+                # Collect results that arrived meanwhile.
                 while self._pending and stream.ready:
                     self._take(stream, check_interrupt)
                 self._clock.note()
 
     def _go_on_beside(self, stream: SimulatorStream) -> tuple[int, int]:
-        """Tell the optimizer what a killed explorer knew, as it came, and give what was on its way."""
+        """Tell the optimizer the stored results in their order, and submit pending scenarios."""
         rows = self._study.rows()
-        known = self._objective.oriented_of(self._study)
-        scores = dict(zip((row.id for row in rows if row.state == "done"), known, strict=True))
+        minimized = self._objective.oriented_of(self._study)
+        scores = dict(zip((row.id for row in rows if row.state == "done"), minimized, strict=True))
         for turn in turns_of(self._study):
             if not turn.proposed:
-                # The next round is told of more, which comes now.
+                # The next round will be told further results as well.
                 self._came, self._scores = list(turn.ended), scores
                 break
             if turn.ended:
@@ -140,7 +112,7 @@ class AsynchronousExplorer(ScenarioExplorer):
                 self._search.pending = self._points(turn.pending)
                 self._search.ask(len(searched))
         pending = [row for row in rows if row.state == "pending"]
-        # What was known when a search was killed was judged before; one that had ended is judged again.
+        # A killed search has evaluated its stop criteria on these results; one that had ended evaluates them again.
         self._judged = self._results // self._configuration.batch if pending else -1
         self._give(stream, pending)
         return len(rows), rows[-1].round if rows else 0
@@ -162,34 +134,34 @@ class AsynchronousExplorer(ScenarioExplorer):
         stream.give(one.row.id, partial(self._outcomes, self._runner.concretes(one)))
 
     def _outcomes(self, concretes: Sequence[ConcreteScenario], simulator: Simulator) -> list[Any]:
-        """Run in a thread of its own; nothing else of the search is touched there."""
+        """Run in a worker thread; must not touch other state of the search."""
         return list(self._runner.outcomes(simulator, concretes))
 
     def _take(self, stream: SimulatorStream, check_interrupt: Callable[[], None]) -> None:
-        """Wait for what ends next, and store it; or have it run again, maybe with a reference."""
+        """Wait for the next result, and store it or submit another run of the scenario."""
         with self._clock("simulate"):
             key, outcomes = stream.take(check_interrupt)
         row = self._pending[key]
         if row.id in self._undecided:
-            found: Any = self._undecided.pop(row.id)
-            self._runner.again(found, outcomes[0])
+            result: Any = self._undecided.pop(row.id)
+            self._runner.again(result, outcomes[0])
         else:
-            found = self._runner.settled(self._begun.pop(row.id), outcomes)
-        if isinstance(found, RepeatedScenario):
-            self._run_on(stream, found)
+            result = self._runner.settled(self._begun.pop(row.id), outcomes)
+        if isinstance(result, RepeatedScenario):
+            self._run_on(stream, result)
             return
-        if isinstance(found, Undecided) and found.wanted is not None:
-            self._undecided[row.id] = found
-            stream.give(row.id, partial(self._outcomes, self._runner.concretes(self._runner.begun(row))), found.wanted)
+        if isinstance(result, Undecided) and result.wanted is not None:
+            self._undecided[row.id] = result
+            stream.give(row.id, partial(self._outcomes, self._runner.concretes(self._runner.begun(row))), result.wanted)
             return
-        score = self._runner.stored(found) if isinstance(found, Undecided) else found
+        score = self._runner.stored(result) if isinstance(result, Undecided) else result
         if score is not None:
             self._scores[row.id] = score
         self._came.append(self._pending.pop(row.id))
         self._runner.require_results()
 
     def _tell_all(self) -> None:
-        """Tell what came since the last time, in the order in which it came."""
+        """Tell the optimizer the new results in the order of their arrival."""
         if self._came:
             self._tell(self._came, self._scores)
         self._came, self._scores = [], {}
@@ -200,7 +172,7 @@ class AsynchronousExplorer(ScenarioExplorer):
             self._stale = 0 if self._best.add(score[None]) else self._stale + 1
 
     def _enough(self) -> str | None:
-        """Judge no more often than a search in rounds does."""
+        """Check stop criteria no more often than a search in rounds does."""
         rounds = self._results // self._configuration.batch
         if rounds == self._judged:
             return None
@@ -208,5 +180,5 @@ class AsynchronousExplorer(ScenarioExplorer):
         return super()._enough()
 
     def _points(self, rows: Sequence[Row]) -> FloatArray:
-        """Points of those scenarios that the search is told of, shape (p, d)."""
+        """Points of the rows that are not audits, shape (p, d)."""
         return np.array([row.point for row in self._searched(rows)]).reshape(-1, self._space.dimension)

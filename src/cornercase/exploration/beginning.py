@@ -1,4 +1,4 @@
-"""What another study of the same parameters knows, for a search to begin from."""
+"""Warm start: read the scores of another study with the same parameters."""
 
 from __future__ import annotations
 
@@ -21,16 +21,10 @@ _FEWEST: Final = 10
 
 @dataclass(frozen=True, eq=False)
 class Beginning:
-    """Scores of another study, in the space of a new one.
+    """Scores of another study in the space of a new one.
 
-    Attributes
-    ----------
-    points : ndarray of float64, shape (n, d)
-        In the unit cube of the new study's space.
-    scores : ndarray of float64, shape (n,)
-        Oriented, of what the new study searches.
-    about : dict of str to object
-        What `StudyMeta.elsewhere` says of it.
+    `points`, shape (n, d), are in the unit cube of the new space, `scores`, shape (n,), are minimized; `about` is the
+    content of `StudyMeta.elsewhere`.
     """
 
     points: FloatArray
@@ -41,47 +35,27 @@ class Beginning:
 def read_beginning(
     path: Path, space: ParameterSpace, objective: Objective, ego: str, others: Sequence[str]
 ) -> Beginning:
-    """Read what another study knows of the scores that are to be searched.
+    """Read points and minimized scores of another study, to warm-start a search.
 
-    Scenarios that failed, and those with a value that the new space does not have, are left out. Metrics that the other
-    study has not, or has of other entities, are measured from its recordings.
-
-    Parameters
-    ----------
-    path : Path
-        The other study.
-    space : ParameterSpace
-        Of the new one.
-    objective : Objective
-        What is searched.
-    ego : str
-    others : sequence of str
-
-    Returns
-    -------
-    Beginning
-
-    Raises
-    ------
-    InputError
-        There is no such study, its parameters are others, its recordings cannot be measured, or fewer than 10 different
-        scores are left.
+    Failed scenarios and those with values outside the new space are skipped. Metrics that the other study lacks, or
+    measured for other entities, are measured from its recordings. Raises `InputError` if the parameters differ, the
+    recordings cannot be measured, or fewer than 10 different scores remain.
     """
-    # An explorer may be writing to it.
+    # A snapshot, since another process may be writing to it.
     with Study.open(path, readonly=True) as study, study.snapshot():
         _require_same_parameters(path, study.space, space)
-        ended = study.rows()
-        every = [row for row in ended if row.state == "done"]
-        rows = [row for row in every if _holds(space, row.values)]
+        all_rows = study.rows()
+        finished = [row for row in all_rows if row.state == "done"]
+        rows = [row for row in finished if _holds(space, row.values)]
         scores = _oriented(study, objective, rows, ego, tuple(others))
-        known = np.isfinite(scores)
-        points, scores = space.points([row.values for row in rows])[known], scores[known]
+        is_finite = np.isfinite(scores)
+        points, scores = space.points([row.values for row in rows])[is_finite], scores[is_finite]
         if len(scores) < _FEWEST or np.ptp(scores) == 0.0:
             raise InputError(
-                f"`from_study` {path}: {len(scores)} of its {len(every)} scenarios lie in this space and have a score;"
-                f" {_FEWEST} with different scores are needed."
+                f"`from_study` {path}: {len(scores)} of its {len(finished)} scenarios are in this space with a score;"
+                f" at least {_FEWEST} with different scores are needed."
             )
-        about = {
+        info = {
             "study": path.name,
             "fingerprint": study.meta.fingerprint,
             "simulator": study.meta.simulator,
@@ -89,59 +63,59 @@ def read_beginning(
             "scenarios": len(scores),
             "sha256": digest_of_scores(points, scores),
         }
-        return Beginning(points, scores, about)
+        return Beginning(points, scores, info)
 
 
 def _require_same_parameters(path: Path, there: ParameterSpace, here: ParameterSpace) -> None:
     for names, lacking, where in ((here, there, "its space has no"), (there, here, "this space has no")):
-        if missing := [one for one in names.names if one not in lacking.names]:
+        if missing := [name for name in names.names if name not in lacking.names]:
             raise InputError(
-                f"`from_study` {path}: {where} parameter '{missing[0]}'; begin from a study of the same parameters."
+                f"`from_study` {path}: {where} parameter '{missing[0]}'; use a study with the same parameters."
             )
 
 
 def _holds(space: ParameterSpace, values: Mapping[str, Value]) -> bool:
-    """Tell whether a space has these values."""
-    for one in space.parameters:
+    """Return whether a space contains these values."""
+    for parameter in space.parameters:
         try:
-            value = one.read(values)
+            value = parameter.read(values)
         except InputError:
             return False
-        if one.choices:
-            if str(value) not in one.choices:
+        if parameter.choices:
+            if str(value) not in parameter.choices:
                 return False
-        elif not one.low <= float(value) <= one.high:
+        elif not parameter.low <= float(value) <= parameter.high:
             return False
     return True
 
 
 def _oriented(study: Study, objective: Objective, rows: Sequence[Row], ego: str, others: tuple[str, ...]) -> FloatArray:
-    """Oriented scores of scenarios of a study, shape (n,); measured where the study does not have them."""
+    """Minimized scores of scenarios of a study, shape (n,); measured if they are not stored."""
     meta = study.meta
-    names = [one.name for one in objective.metrics]
-    # What no weight is of need not be known.
-    wanted = [name in objective.weights if objective.weights else k == 0 for k, name in enumerate(names)]
+    names = [metric.name for metric in objective.metrics]
+    # Metrics without weight are not needed.
+    is_needed = [name in objective.weights if objective.weights else k == 0 for k, name in enumerate(names)]
     scores = np.full((len(rows), len(names)), np.nan)
-    known = {row.id: k for k, row in enumerate(row for row in study.rows() if row.state == "done")}
-    places = [known[row.id] for row in rows]
-    same = (meta.ego, set(meta.others)) == (ego, set(others))
+    index_by_id = {row.id: k for k, row in enumerate(row for row in study.rows() if row.state == "done")}
+    indices = [index_by_id[row.id] for row in rows]
+    same_entities = (meta.ego, set(meta.others)) == (ego, set(others))
     missing = []
     for k, metric in enumerate(objective.metrics):
-        if not wanted[k]:
+        if not is_needed[k]:
             continue
-        if same and metric.name in meta.metrics:
-            scores[:, k] = study.scores(metric.name)[places]
+        if same_entities and metric.name in meta.metrics:
+            scores[:, k] = study.scores(metric.name)[indices]
         else:
             if condition := condition_of([metric.name]):
                 raise InputError(
-                    f"`from_study` {study.path}: was not searched for the condition '{condition}'; begin from one with"
+                    f"`from_study` {study.path}: was not searched for the condition '{condition}'; use a study with"
                     " the same `critical_if`."
                 )
             metric.require()
             missing.append((k, metric))
     if missing:
         for i, row in enumerate(rows):
-            found = measured([metric for _, metric in missing], study.recording(row.id), ego, others)
+            results = measured([metric for _, metric in missing], study.recording(row.id), ego, others)
             for k, metric in missing:
-                scores[i, k] = found[metric.name].score
+                scores[i, k] = results[metric.name].score
     return objective.oriented(scores)

@@ -1,98 +1,40 @@
-"""Everything that an exploration depends on."""
+"""Settings of an exploration, also as a stored study was explored with."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Any, Final
 
 from cornercase._common.arguments import by_name, flag, number, path, shown, text, texts, whole_number
 from cornercase._common.dask_client import cluster_argument
 from cornercase._common.errors import InputError
 from cornercase._common.texts import without_folders
-from cornercase.drivers import Driver, is_driver
+from cornercase.drivers import Driver, driver_changes, driver_command, driver_of_file, driver_text, is_driver
 from cornercase.exploration.objective import Objective
 from cornercase.exploration.stopping import Criterion
-from cornercase.metrics import EVERYBODY, METRICS, CriticalIf, name_others
+from cornercase.metrics import EVERYBODY, METRICS, CriticalIf, condition_of, name_others
 from cornercase.optimizers import optimizer_needs
-from cornercase.scenario import LogicalScenario
-from cornercase.simulators import MOST_FAILURES, MOST_WORKERS
-from cornercase.study import FEWEST_CLEAR_RUNS, MOST_AUDITS, StudyMeta, stored_path
+from cornercase.scenario import LogicalScenario, Scenario
+from cornercase.simulators import MOST_FAILURES, MOST_WORKERS, Simulator
+from cornercase.study import FEWEST_CLEAR_RUNS, MOST_AUDITS, Study, StudyMeta, explored_scenario, stored_path
 
 if TYPE_CHECKING:
     from distributed import Client
 
-# Whole numbers, and the least that each may be.
+# Minimum of each integer setting.
 _LEAST: Final = {"budget": 1, "batch": 1, "patience": 1, "seed": 0, "retries": 0, "max_failures": 0, "repeats": 1}
 
 
 @dataclass(frozen=True)
 class Configuration:
-    """Everything that an exploration depends on.
+    """Validated settings of an exploration; the fields are the parameters of `explore`.
 
-    Attributes
-    ----------
-    logical : LogicalScenario
-    ego : str
-        Name of the entity under test.
-    other : str or tuple of str
-        Whom it is measured against. A sequence of several names becomes a tuple, and ``"*"`` the names of all others.
-    metrics : tuple of str
-        All are stored; the first is searched where there are no weights.
-    optimizer : str
-    critical : float or None
-        Threshold: score from which a scenario is critical; None for the metric's own.
-    critical_if : str or None
-        Condition on collisions, scores and references that says instead what is critical; it is searched.
-    weights : mapping of str to float
-        By metric, for their weighted sum to be searched instead of the first.
-    pareto : bool
-        Whether to search the Pareto front of all metrics.
-    stop_when : tuple of str
-        What has to be known of the critical set to stop, as ``"missed<0.01"``; of several all.
-    budget, batch : int
-        Scenarios in all and per round.
-    asynchronous : bool
-        Whether the search is asked for the next scenario as soon as one has ended. As many results as a round has are
-        the unit of `patience`, and of how often it is judged whether to stop.
-    patience : int or None
-        Rounds without anything new after which to stop: none of them had a score at least as critical as the best
-        before. A score at the metric's cap is not critical and never new after the first.
-    max_seconds : float or None
-        Time in s after which no round is begun.
-    seed : int
-    simulator : str
-    workers : int
-        Simulators side by side.
-    cluster : str, distributed.Client or None
-        Dask cluster that they run on, as `cornercase.simulators.ClusterSimulator` takes it.
-    timeout : float or None
-        Time in s after which a scenario is given up.
-    retries : int
-        How often a scenario is run again after the simulator died or hung.
-    max_failures : int
-        Scenarios in a row in which the simulator dies or hangs, or scenarios that fail by exceptions before any gives
-        a result, after which the exploration ends; 0 for no limit.
-    repeats : int
-        How often each scenario is run, for a simulator that does not give the same twice; the median counts.
-    most_repeats : int or None
-        How often a scenario is run at most: `repeats` times more while it is open on which side of the threshold it is.
-        None where each is run `repeats` times, also where as many are given.
-    audit : float
-        Share of the scenarios that are drawn at random to judge the search, and that it is never told.
-    time_step, duration : float
-        s.
-    on_collision : {"continue", "stop"}
-    drivers : mapping of str to str or Driver
-        Who drives, by entity.
-    from_study : Path or None
-        Study of the same parameters whose scores the search begins from.
-
-    Raises
-    ------
-    InputError
-        Something is of another type or out of range, or what `stop_when` says is no criterion.
+    `other` becomes a tuple if it has several names, and ``"*"`` becomes the names of all others. `most_repeats` becomes
+    None if it equals `repeats`. Without rounds, `patience` and the stop criteria are evaluated after every `batch`
+    results. `patience` counts rounds without a score at least as critical as the best so far; a score at the metric's
+    cap is an improvement only once. Raises `InputError` for a wrong type, a value out of range or an invalid criterion.
     """
 
     logical: LogicalScenario
@@ -127,41 +69,41 @@ class Configuration:
     from_study: Path | str | None = None
 
     def __post_init__(self) -> None:
-        given = vars(self)
-        taken: dict[str, object] = {name: text(name, given[name]) for name in ("ego", "optimizer", "simulator")}
-        everybody = self.logical.scenario.entities if EVERYBODY in texts("other", self.other) else ()
-        others = name_others(self.other, text("ego", self.ego), everybody)
-        taken["other"] = others[0] if len(others) == 1 else others
+        arguments = vars(self)
+        checked: dict[str, object] = {name: text(name, arguments[name]) for name in ("ego", "optimizer", "simulator")}
+        all_entities = self.logical.scenario.entities if EVERYBODY in texts("other", self.other) else ()
+        others = name_others(self.other, text("ego", self.ego), all_entities)
+        checked["other"] = others[0] if len(others) == 1 else others
         if self.critical_if is not None:
-            taken["critical_if"] = text("critical_if", self.critical_if)
+            checked["critical_if"] = text("critical_if", self.critical_if)
             self._require_condition_alone()
-        taken |= {name: texts(name, given[name]) for name in ("metrics", "stop_when")}
-        taken |= {
-            name: whole_number(name, given[name], least)
+        checked |= {name: texts(name, arguments[name]) for name in ("metrics", "stop_when")}
+        checked |= {
+            name: whole_number(name, arguments[name], least)
             for name, least in _LEAST.items()
             if not (name == "patience" and self.patience is None)
         }
-        taken["workers"] = whole_number("workers", self.workers, 1, MOST_WORKERS)
-        taken |= {name: flag(name, given[name]) for name in ("asynchronous", "pareto")}
-        taken["on_collision"] = text("on_collision", self.on_collision, ("continue", "stop"))
-        taken |= {name: number(name, given[name], above=0.0) for name in ("time_step", "duration")}
-        taken["audit"] = number("audit", self.audit, least=0.0)
+        checked["workers"] = whole_number("workers", self.workers, 1, MOST_WORKERS)
+        checked |= {name: flag(name, arguments[name]) for name in ("asynchronous", "pareto")}
+        checked["on_collision"] = text("on_collision", self.on_collision, ("continue", "stop"))
+        checked |= {name: number(name, arguments[name], above=0.0) for name in ("time_step", "duration")}
+        checked["audit"] = number("audit", self.audit, least=0.0)
         if self.audit > MOST_AUDITS:
-            raise InputError(f"`audit` {self.audit:g}: give a share of the scenarios up to {MOST_AUDITS:g}.")
+            raise InputError(f"`audit` {self.audit:g}: give a fraction of the scenarios up to {MOST_AUDITS:g}.")
         if self.critical is not None:
-            taken["critical"] = number("critical", self.critical)
+            checked["critical"] = number("critical", self.critical)
         if self.from_study is not None:
-            taken["from_study"] = path("from_study", self.from_study)
+            checked["from_study"] = path("from_study", self.from_study)
         if self.cluster is not None:
-            taken["cluster"] = cluster_argument(self.cluster)
+            checked["cluster"] = cluster_argument(self.cluster)
         if self.max_seconds is not None:
-            taken["max_seconds"] = number("max_seconds", self.max_seconds, least=0.0)
+            checked["max_seconds"] = number("max_seconds", self.max_seconds, least=0.0)
         if self.timeout is not None:
-            taken["timeout"] = number("timeout", self.timeout, above=0.0)
+            checked["timeout"] = number("timeout", self.timeout, above=0.0)
         weights = by_name("weights", self.weights)
-        taken["weights"] = {name: number("weights", weight) for name, weight in weights.items()}
-        taken["drivers"] = {name: _driver(name, driver) for name, driver in by_name("drivers", self.drivers).items()}
-        for name, value in taken.items():
+        checked["weights"] = {name: number("weights", weight) for name, weight in weights.items()}
+        checked["drivers"] = {name: _driver(name, driver) for name, driver in by_name("drivers", self.drivers).items()}
+        for name, value in checked.items():
             object.__setattr__(self, name, value)
         object.__setattr__(self, "most_repeats", self._most_repeats())
         self.criteria()
@@ -172,46 +114,41 @@ class Configuration:
         return (self.other,) if isinstance(self.other, str) else tuple(self.other)
 
     def _require_condition_alone(self) -> None:
-        """Refuse what would say too what is critical, or is searched."""
-        says_too = {"critical": self.critical is not None, "weights": self.weights, "pareto": self.pareto}
-        for name in filter(says_too.get, says_too):
-            raise InputError(f"`critical_if` says what is critical, and is searched; leave `{name}` out.")
-        for name, given in {"repeats": self.repeats, "most_repeats": self.most_repeats}.items():
-            if given not in (None, 1):
-                raise InputError(f"`critical_if` is decided by one run of each scenario; leave `{name}` out.")
+        """Refuse arguments that contradict `critical_if`."""
+        conflicts = {"critical": self.critical is not None, "weights": self.weights, "pareto": self.pareto}
+        for name in filter(conflicts.get, conflicts):
+            raise InputError(f"`critical_if` already defines what is critical and searched; leave `{name}` out.")
+        for name, value in {"repeats": self.repeats, "most_repeats": self.most_repeats}.items():
+            if value not in (None, 1):
+                raise InputError(f"`critical_if` is evaluated on one run of each scenario; leave `{name}` out.")
 
     def _most_repeats(self) -> int | None:
-        """Take how often a scenario is run at most, where that is more than each is."""
+        """Return the checked upper limit of runs per scenario; None if it equals `repeats`."""
         if self.most_repeats is None:
             return None
-        most = whole_number("most_repeats", self.most_repeats, 1)
-        if most == self.repeats:
+        limit = whole_number("most_repeats", self.most_repeats, 1)
+        if limit == self.repeats:
             return None
         if self.pareto or self.weights:
             other = "pareto" if self.pareto else "weights"
             raise InputError(
-                f"`most_repeats` {most}: whether a run is critical is told by one metric; leave it or `{other}` out."
+                f"`most_repeats` {limit}: needs a single metric to decide if a run is critical; leave out `{other}`."
             )
         if self.repeats == 1:
             raise InputError(
-                f"`most_repeats` {most}: adds to scenarios that are run several times; give `repeats` of 2 or more."
+                f"`most_repeats` {limit}: only applies if scenarios are repeated; set `repeats` to 2 or more."
             )
-        if most < self.repeats:
-            raise InputError(f"`most_repeats` {most}: is less than `repeats` {self.repeats}; give more.")
-        if most < FEWEST_CLEAR_RUNS:
+        if limit < self.repeats:
+            raise InputError(f"`most_repeats` {limit}: is less than `repeats` {self.repeats}; give a larger number.")
+        if limit < FEWEST_CLEAR_RUNS:
             raise InputError(
-                f"`most_repeats` {most}: fewer than {FEWEST_CLEAR_RUNS} runs leave each scenario open; give"
-                f" {FEWEST_CLEAR_RUNS} or more, or `repeats` {most} alone."
+                f"`most_repeats` {limit}: fewer than {FEWEST_CLEAR_RUNS} runs never decide a scenario; give"
+                f" {FEWEST_CLEAR_RUNS} or more, or only `repeats` {limit}."
             )
-        return most
+        return limit
 
     def require_entities(self) -> None:
-        """Refuse an ego, other or driven entity that the scenario does not have.
-
-        Raises
-        ------
-        InputError
-        """
+        """Raise `InputError` if the ego, another or a driven entity is not in the scenario."""
         self.logical.scenario.require_entity(self.ego, "ego")
         for other in self.others:
             self.logical.scenario.require_entity(other, "other")
@@ -219,17 +156,7 @@ class Configuration:
             self.logical.scenario.require_entity(entity, "driven entity")
 
     def objective(self) -> Objective:
-        """What is searched.
-
-        Returns
-        -------
-        Objective
-
-        Raises
-        ------
-        InputError
-            There is no such metric, what it needs is not installed, or the weights or the front cannot be searched.
-        """
+        """Create the objective; `InputError` if a metric is unknown or unavailable, or weights and front do not fit."""
         metrics = [METRICS.create(name) for name in dict.fromkeys(self.metrics)]
         for metric in metrics:
             metric.require()
@@ -237,54 +164,21 @@ class Configuration:
         return Objective(metrics if condition is None else [condition, *metrics], self.weights, self.pareto)
 
     def condition(self) -> CriticalIf | None:
-        """Metric of the condition that says what is critical.
-
-        Returns
-        -------
-        CriticalIf or None
-            None without a condition.
-
-        Raises
-        ------
-        InputError
-            It is none, or what it needs is not installed.
-        """
+        """Create the metric of `critical_if`; None without a condition."""
         if self.critical_if is None:
             return None
-        found = CriticalIf.of(self.critical_if)
-        found.require_parts()
-        return found
+        condition = CriticalIf.of(self.critical_if)
+        condition.require_parts()
+        return condition
 
     def criteria(self) -> list[Criterion]:
-        """What has to be known to stop.
-
-        Returns
-        -------
-        list of Criterion
-
-        Raises
-        ------
-        InputError
-            A text is no criterion.
-        """
+        """Parse the criteria of `stop_when`."""
         return [Criterion.parse(text) for text in self.stop_when]
 
     def threshold(self, objective: Objective) -> float | None:
-        """Oriented score up to which a scenario is critical.
+        """Return the threshold as a minimized score; None if it is unknown and nothing needs it.
 
-        Parameters
-        ----------
-        objective : Objective
-
-        Returns
-        -------
-        float or None
-            None where nothing says it and nothing needs it.
-
-        Raises
-        ------
-        InputError
-            Nothing says it, but the optimizer, a criterion to stop or `most_repeats` needs it.
+        Raises `InputError` if it is unknown but the optimizer, a stop criterion or `most_repeats` needs it.
         """
         if self.stop_when or self.most_repeats is not None or "threshold" in optimizer_needs(self.optimizer):
             return objective.threshold(self.critical)
@@ -298,21 +192,9 @@ class Configuration:
         *,
         study: Path = Path("study.db"),
     ) -> StudyMeta:
-        """What a study of this exploration is about.
+        """Create the metadata of a study of this exploration.
 
-        Parameters
-        ----------
-        objective : Objective
-        settings : mapping of str to object
-            Those of the simulator.
-        elsewhere : mapping of str to object, optional
-            As `StudyMeta` has it.
-        study : Path, optional
-            Where it is, or will be, as it names the scenario file from there; by default in the current folder.
-
-        Returns
-        -------
-        StudyMeta
+        `study` is the path of the study, from which the scenario file is named.
         """
         threshold = self.threshold(objective)
         return StudyMeta(
@@ -323,7 +205,7 @@ class Configuration:
             other=self.others[0] if len(self.others) == 1 else self.others,
             metrics=tuple(metric.name for metric in objective.metrics),
             optimizer=self.optimizer,
-            # Its options may name files and programs.
+            # The options may contain paths of this machine.
             simulator=without_folders(self.simulator),
             settings=settings,
             critical=None if threshold is None else objective.flip(threshold),
@@ -346,3 +228,82 @@ def _driver(entity: str, driver: object) -> str | Driver:
     if not is_driver(driver):
         raise InputError(f"`drivers` {entity}={shown(driver)}: give the name of a driver, or an instance.")
     return driver
+
+
+def configuration_of(
+    study: Study,
+    file: Path,
+    scenario: Path | str | Scenario | None,
+    simulator: str | None,
+    drivers: Mapping[str, str | Driver],
+) -> Configuration:
+    """Rebuild the configuration that a study was explored with.
+
+    `file` is the study in messages, `scenario` the explored file (None: search for it), `simulator` None for the
+    study's own without options, `drivers` the user's own drivers by entity. Raises `InputError` if a file or driver is
+    missing.
+    """
+    meta, settings = study.meta, study.meta.settings
+    source = explored_scenario(study, scenario, where_named=True)
+    if source is None:
+        raise InputError(f"{file}: contains imported recordings, so no further scenario can be run.")
+    resolved_drivers: dict[str, str | Driver] = dict(by_name("drivers", drivers))
+    for entity, driver in settings.get("drivers", {}).items():
+        # A study file must not make us import a module.
+        if isinstance(driver, str) and _is_for_file(driver):
+            resolved_drivers.setdefault(entity, driver)
+        elif entity not in resolved_drivers:
+            command = driver_command(driver)
+            hint = "give it again" if command is None else f"give it again with `drivers` {entity}={command}"
+            raise InputError(
+                f"{file}: {driver_text(driver)} drove {entity}; code that a study names is not run, so {hint}."
+            )
+    run_settings: dict[str, Any] = {
+        name: settings[name] for name in ("time_step", "duration", "on_collision") if name in settings
+    }
+    condition = condition_of(meta.metrics)
+    return Configuration(
+        logical=LogicalScenario(source.path, meta.space, meta.fingerprint, source),
+        ego=meta.ego,
+        other=meta.other,
+        metrics=tuple(name for name in meta.metrics if not condition_of([name])),
+        optimizer=meta.optimizer,
+        critical=None if condition else meta.critical,
+        critical_if=condition or None,
+        weights=meta.weights,
+        pareto=meta.pareto,
+        budget=meta.budget,
+        batch=meta.batch,
+        asynchronous=meta.asynchronous,
+        seed=meta.seed,
+        repeats=meta.repeats,
+        most_repeats=meta.most_repeats,
+        audit=meta.audit,
+        simulator=meta.simulator.partition(":")[0] if simulator is None else simulator,
+        drivers=resolved_drivers,
+        **run_settings,
+    )
+
+
+def _is_for_file(driver: str) -> bool:
+    """Return whether a stored driver name may be resolved without running foreign code."""
+    try:
+        driver_of_file(driver)
+    except InputError:
+        return False
+    return True
+
+
+def require_same_runs(study: Path, meta: StudyMeta, simulator: Simulator) -> None:
+    """Raise `InputError` if the settings of a simulator differ from those stored in the study."""
+    own_settings: dict[str, Any] = dict(simulator.settings)
+    different = [
+        name for name in sorted({*own_settings, *meta.settings}) if own_settings.get(name) != meta.settings.get(name)
+    ]
+    if different:
+        changes = driver_changes(meta.settings.get("drivers"), own_settings.get("drivers"))
+        drivers = "".join(f"; {stored} drove {entity}, not {current}" for entity, stored, current, _ in changes)
+        raise InputError(
+            f"{study}: was explored with another {', '.join(different)}{drivers}; give the same `simulator` and"
+            " `drivers` as to `explore`."
+        )

@@ -1,4 +1,4 @@
-"""The paper's two experiments, at its size."""
+"""The paper's two experiments at their size."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ _DEMONSTRATIONS: Final[dict[str, dict[str, Any]]] = {
     "x-intersection": {
         "other": "Pedestrian",
         "metrics": ("wttc", "trajectory-distance"),
-        # By the metric's own threshold nearly all would be critical: the two meet in each scenario, but mostly slowly.
+        # With the metric's own threshold nearly all would be critical: the two always meet, but mostly slowly.
         "critical": 0.2,
         "budget": 400,
         "on_collision": "continue",
@@ -42,28 +42,10 @@ def demonstration(
     workers: int = 1,
     folder: Path | None = None,
 ) -> Configuration:
-    """Configuration of one of the paper's experiments, at its size.
+    """Return the configuration of one of the paper's experiments.
 
-    Parameters
-    ----------
-    name : {"x-intersection", "t-intersection"}
-    budget : int, optional
-    seed : int
-    driver : str, optional
-        Who drives the ego, instead of the file's own choice.
-    simulator : str
-    workers : int
-    folder : Path, optional
-        Where the example's files are written, to be explored there; default: those of the package are.
-
-    Returns
-    -------
-    Configuration
-
-    Raises
-    ------
-    InputError
-        There is no such example, or one of its files cannot be written, or was changed.
+    `driver` replaces the file's driver of the ego. `folder`: copy the example's files there and explore those. Raises
+    `InputError` for an unknown name, or if a file cannot be written or was changed.
     """
     if name not in _DEMONSTRATIONS:
         raise InputError(f"There is no example '{name}'; {suggestion(name, _DEMONSTRATIONS)}")
@@ -82,7 +64,7 @@ def demonstration(
 
 
 def _written(example: Path, folder: Path) -> Path:
-    """Copy the files of an example, and leave those that are there already."""
+    """Copy the files of an example; existing files must be identical."""
     for source in sorted(example.iterdir()):
         content, copy = source.read_bytes(), folder / source.name
         if not copy.exists():
@@ -94,17 +76,7 @@ def _written(example: Path, folder: Path) -> Path:
 
 
 def mutants_of_demonstration(name: str) -> int | None:
-    """How many mutants of the ego's driver choose the suite of tests that a demonstration keeps.
-
-    Parameters
-    ----------
-    name : {"x-intersection", "t-intersection"}
-
-    Returns
-    -------
-    int or None
-        None where it keeps none.
-    """
+    """Return how many driver mutants select the regression suite of a demonstration; None if it keeps none."""
     return _MUTANTS.get(name)
 
 
@@ -114,7 +86,7 @@ def examples() -> Path:
     Returns
     -------
     Path
-        In the package when it is installed, at the root of a checkout.
+        Inside the package if installed, otherwise at the root of the checkout.
     """
     package = Path(__file__).resolve().parents[1]
     return package / "examples" if (package / "examples").is_dir() else package.parents[1] / "examples"

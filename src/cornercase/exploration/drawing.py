@@ -1,4 +1,4 @@
-"""Scenarios of an estimate, drawn, run, and counted."""
+"""Draw, run and count the scenarios of a probability estimate."""
 
 from __future__ import annotations
 
@@ -22,27 +22,17 @@ from cornercase.metrics import METRICS
 from cornercase.simulators import Simulator
 from cornercase.study import Row, Study
 
-# Scenarios in a round once it is known where to draw; of a kill at most what was running is lost all the same.
+# Scenarios per round after learning.
 _ROUND: Final = 500
-# Scenarios of a space up to which it is looked at whether all that its constraints leave may be run.
+# Largest space that is listed, to check if the budget covers all scenarios within the constraints.
 _MOST_LISTED: Final = 100_000
 
 
 class ProbabilityEstimator:
-    """Draws scenarios until the budget is used up, and says how probable what came out of them is.
+    """Draws and runs scenarios until the budget is used up, and estimates probabilities of events.
 
-    Each scenario is stored the moment it has ended; an estimator that is given a study goes on where that one stopped.
-
-    Parameters
-    ----------
-    configuration : Configuration
-    simulator : Simulator
-    sampling : ImportanceSampling
-        A fresh one: it is told what the study holds.
-    study : Study
-        Open for writing.
-    within : float
-        Gap in m up to which two entities have an encounter.
+    Each scenario is stored as soon as it has ended; an existing study is resumed. `sampling` has to be a fresh one: it
+    is told what the study contains. `within` is the gap in m up to which two entities have an encounter.
     """
 
     def __init__(
@@ -60,29 +50,29 @@ class ProbabilityEstimator:
         self._clock = StageClock(study)
         self._runner = ScenarioRunner(configuration, simulator, self._objective, study, self._clock)
         self._stages: list[tuple[str, list[Row], Outcomes]] = []
-        # All scenarios of the space where all are run, and those of them that were not yet.
+        # If all scenarios of the space are run: all of them, and the remaining ones.
         self._every = self._rest = np.zeros((0, self._space.dimension))
         self._whole = self._runs_all()
         self._total = len(study.rows()) + len(self._rest) if self._whole else None
         self._word = ""
 
     def _runs_all(self) -> bool:
-        """Whether the budget is for all scenarios of a small space: then they say it without error."""
+        """Return whether the budget covers all scenarios of a small space; the result is then exact."""
         rows, budget, size = self._study.rows(), self._about.budget, self._space.size
         if size is None or size > max(budget, _MOST_LISTED):
             return False
-        every = self._space.lattice()
-        every = every[self._space.admits(every)]
-        keys, begun = row_keys(self._space.snap(every)), self._keys(rows)
-        ran = set(begun)
-        rest = every[[key not in ran for key in keys]]
+        lattice = self._space.lattice()
+        lattice = lattice[self._space.admits(lattice)]
+        keys, row_keys_done = row_keys(self._space.snap(lattice)), self._keys(rows)
+        done = set(row_keys_done)
+        rest = lattice[[key not in done for key in keys]]
         if not len(rest) or len(rows) + len(rest) <= budget:
-            self._every, self._rest = every, rest
+            self._every, self._rest = lattice, rest
             return True
-        if rows and begun == keys[: len(rows)]:
+        if rows and row_keys_done == keys[: len(rows)]:
             raise InputError(
-                f"{self._study.path}: runs all {len(every)} scenarios of the space one after the other; give `budget`"
-                f" {len(every)} or more."
+                f"{self._study.path}: enumerates all {len(lattice)} scenarios of the space; set `budget` to"
+                f" {len(lattice)} or more."
             )
         return False
 
@@ -90,17 +80,7 @@ class ProbabilityEstimator:
         return row_keys(self._space.snap(np.array([row.point for row in rows]).reshape(-1, self._space.dimension)))
 
     def run(self, progress: bool = False) -> Estimation:
-        """Draw and run scenarios until the budget is used up.
-
-        Parameters
-        ----------
-        progress : bool, default False
-            Show a bar with the probability so far; lines instead where there is no terminal.
-
-        Returns
-        -------
-        Estimation
-        """
+        """Draw and run scenarios until the budget is used up; `progress` shows the probability so far."""
         bar = ProgressBar(self._about.budget, "estimating", "scenarios") if progress else None
         interrupted = False
         try:
@@ -113,25 +93,25 @@ class ProbabilityEstimator:
                 bar.stop()
             self._clock.note()
             self._runner.notices.warn()
-        found = self._found(interrupted)
-        self._save(found)
-        return found
+        result = self._found(interrupted)
+        self._save(result)
+        return result
 
     def _save(self, found: Estimation) -> None:
-        """Keep the result, and how much each scenario that it was found from counts."""
-        counting = "whole" if self._whole else "estimate"
-        rows = [row for stage, members, _ in self._stages if stage == counting for row in members]
-        points, _ = self._of(counting)
+        """Store the result and the weights of its scenarios."""
+        stage_name = "whole" if self._whole else "estimate"
+        rows = [row for stage, members, _ in self._stages if stage == stage_name for row in members]
+        points, _ = self._of(stage_name)
         if rows:
             ids = np.array([row.id for row in rows])
             weights = self._space.shares(points) if self._whole else self._sampling.weights(points)
             if self._whole:
-                once = self._once(rows)
-                ids, weights = ids[once], weights[once]
+                first_indices = self._once(rows)
+                ids, weights = ids[first_indices], weights[first_indices]
             self._study.save_analysis("estimate", {"ids": ids, "weights": weights}, found.to_json())
 
     def _once(self, rows: Sequence[Row]) -> IntArray:
-        """Where each scenario is for the first time: what was drawn before all were run may have come again."""
+        """Indices of the first occurrence of each scenario; draws from before all were run may repeat."""
         return np.sort(np.unique(np.array(self._keys(rows)), return_index=True)[1])
 
     def _run(self, bar: ProgressBar | None, check_interrupt: Callable[[], None]) -> None:
@@ -155,47 +135,47 @@ class ProbabilityEstimator:
             self._clock.note()
 
     def _points(self, done: int) -> FloatArray:
-        """Points of the next round; none once all are run."""
+        """Points of the next round; empty when done."""
         if self._whole:
-            new, self._rest = self._rest[:_ROUND], self._rest[_ROUND:]
-            return new
-        most = min(_ROUND, self._about.budget - done)
-        return self._sampling.ask(most) if most > 0 else np.zeros((0, self._space.dimension))
+            points, self._rest = self._rest[:_ROUND], self._rest[_ROUND:]
+            return points
+        count = min(_ROUND, self._about.budget - done)
+        return self._sampling.ask(count) if count > 0 else np.zeros((0, self._space.dimension))
 
     def _take(self, rows: Sequence[Row], bar: ProgressBar | None) -> None:
-        """Run what of a round was not run yet, and learn from all of it."""
+        """Run the pending scenarios of a round, and learn from all of it."""
         for number, _ in self._runner.run([row for row in rows if row.state == "pending"]):
             if bar is not None:
                 bar.update(number, self._word)
         self._runner.try_repeatability()
-        ended = self._study.rows_of(rows[0].round)
-        outcomes = self._outcomes(ended)
+        rows_of_round = self._study.rows_of(rows[0].round)
+        outcomes = self._outcomes(rows_of_round)
         stage = "whole" if self._whole else self._sampling.stage
-        self._stages.append((stage, ended, outcomes))
+        self._stages.append((stage, rows_of_round, outcomes))
         if not self._whole:
-            points = np.array([row.point for row in ended])
+            points = np.array([row.point for row in rows_of_round])
             with self._clock("optimize"):
                 self._sampling.tell(points, outcomes.scores, outcomes.events)
-        found = self._probability(lambda one: one.critical)
-        if found.met and found.error is None:
-            self._word = f"critical {found.low:.2g} to {found.high:.2g}"
+        probability = self._probability(lambda outcomes: outcomes.critical)
+        if probability.met and probability.error is None:
+            self._word = f"critical {probability.low:.2g} to {probability.high:.2g}"
         else:
-            self._word = f"critical {found.value:.2g}" if found.met else "looking for critical ones"
+            self._word = f"critical {probability.value:.2g}" if probability.met else "looking for critical ones"
 
     def _outcomes(self, rows: Sequence[Row]) -> Outcomes:
-        """Read what came out of scenarios."""
+        """Read the outcomes of scenarios."""
         done = [row for row in rows if row.state == "done"]
-        known = np.array([row.state == "done" for row in rows], dtype=np.bool_)
+        is_done = np.array([row.state == "done" for row in rows], dtype=np.bool_)
         scores = np.full(len(rows), np.nan)
         collision, encounter = np.zeros(len(rows), dtype=np.bool_), np.zeros(len(rows), dtype=np.bool_)
         if done:
-            # A course alone does not say that both touch.
-            each = [self._study.scores_of(row.id) for row in done]
-            found = [[one[metric.name] for metric in self._objective.metrics] for one in each]
-            scores[known] = self._objective.oriented(np.array(found))
+            # The time series of a metric alone does not show contact; recordings are checked below.
+            scores_by_metric = [self._study.scores_of(row.id) for row in done]
+            raw_scores = [[values[metric.name] for metric in self._objective.metrics] for values in scores_by_metric]
+            scores[is_done] = self._objective.oriented(np.array(raw_scores))
         ego, others = self._about.ego, self._about.others
         with self._clock("measure"):
-            for k, row in zip(np.flatnonzero(known).tolist(), done, strict=True):
+            for k, row in zip(np.flatnonzero(is_done).tolist(), done, strict=True):
                 recording = self._study.recording(row.id)
                 collision[k] = any(recording.first_collision(ego, other) is not None for other in others)
                 gaps = [self._clearance.score(self._clearance.course(recording, ego, other)) for other in others]
@@ -203,38 +183,40 @@ class ProbabilityEstimator:
         return Outcomes(scores, scores <= self._threshold, collision, encounter)
 
     def _of(self, *stages: str) -> tuple[FloatArray, Outcomes]:
-        """Points and outcomes of the rounds of some stages."""
-        chosen = [(rows, outcomes) for stage, rows, outcomes in self._stages if stage in stages]
-        points = [row.point for rows, _ in chosen for row in rows]
-        return np.array(points).reshape(-1, self._space.dimension), Outcomes.joined([one for _, one in chosen])
+        """Points and outcomes of all rounds of some stages."""
+        selected = [(rows, outcomes) for stage, rows, outcomes in self._stages if stage in stages]
+        points = [row.point for rows, _ in selected for row in rows]
+        return np.array(points).reshape(-1, self._space.dimension), Outcomes.joined([part for _, part in selected])
 
     def _probability(self, event: Callable[[Outcomes], BoolArray]) -> Probability:
-        """Probability of an event, from what was drawn for it."""
+        """Estimate the probability of an event from the draws."""
         points, outcomes = self._of("whole" if self._whole else "estimate")
         if self._whole:
-            once = self._once([row for _, rows, _ in self._stages for row in rows])
-            others = float(self._space.shares(self._every).sum()) if len(once) < len(self._every) else None
-            return of_all(self._space.shares(points)[once], event(outcomes)[once], others)
+            first_indices = self._once([row for _, rows, _ in self._stages for row in rows])
+            other_share = (
+                float(self._space.shares(self._every).sum()) if len(first_indices) < len(self._every) else None
+            )
+            return of_all(self._space.shares(points)[first_indices], event(outcomes)[first_indices], other_share)
         if not len(points) or not event(outcomes).any():
-            # What the law itself brought is the only bound there is.
+            # Only the draws from the space's own distribution give a bound.
             _, outcomes = self._of("law")
             return of_law(event(outcomes))
         return of_weights(self._sampling.weights(points), event(outcomes), self._sampling.weights_error)
 
     def _found(self, interrupted: bool) -> Estimation:
-        """Put together what the scenarios so far say."""
+        """Create the result from the scenarios so far."""
         _, law = self._of("whole" if self._whole else "law")
-        _, every = self._of("law", "learn", "estimate", "whole")
+        _, all_outcomes = self._of("law", "learn", "estimate", "whole")
         _, learned = self._of("law", "learn")
-        critical = self._probability(lambda one: one.critical)
-        collision = self._probability(lambda one: one.collision)
-        encounter = self._probability(lambda one: one.encounter) if self._whole else of_law(law.encounter)
+        critical = self._probability(lambda outcomes: outcomes.critical)
+        collision = self._probability(lambda outcomes: outcomes.collision)
+        encounter = self._probability(lambda outcomes: outcomes.encounter) if self._whole else of_law(law.encounter)
         warnings = [] if self._whole else [
             *warnings_of("critical scenario", critical, of_law(law.critical)),
             *warnings_of("collision", collision, of_law(law.collision)),
         ]  # fmt: skip
-        if failed := int(every.failed.sum()):
-            warnings.append(f"{failed} scenarios failed, and count as neither critical nor as a collision.")
+        if failed := int(all_outcomes.failed.sum()):
+            warnings.append(f"{failed} scenarios failed and count as neither critical nor a collision.")
         return Estimation(
             study=self._study.path,
             criterion=self._criterion(),
@@ -242,9 +224,13 @@ class ProbabilityEstimator:
             critical=critical,
             collision=collision,
             encounter=encounter,
-            critical_given_encounter=quotient(self._probability(lambda one: one.critical & one.encounter), encounter),
-            collision_given_encounter=quotient(self._probability(lambda one: one.collision & one.encounter), encounter),
-            scenarios=len(every.scores),
+            critical_given_encounter=quotient(
+                self._probability(lambda outcomes: outcomes.critical & outcomes.encounter), encounter
+            ),
+            collision_given_encounter=quotient(
+                self._probability(lambda outcomes: outcomes.collision & outcomes.encounter), encounter
+            ),
+            scenarios=len(all_outcomes.scores),
             learned=len(learned.scores),
             failed=failed,
             warnings=tuple(warnings),

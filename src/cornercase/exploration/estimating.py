@@ -1,4 +1,4 @@
-"""From a study to the probability of its critical scenarios."""
+"""Estimate the probability of critical scenarios of a study."""
 
 from __future__ import annotations
 
@@ -19,8 +19,7 @@ from cornercase._common.files import require_other_file
 from cornercase._common.typing import FloatArray
 from cornercase.drivers import Driver
 from cornercase.evidence import ImportanceSampling, guessed_proposal
-from cornercase.exploration.again import configuration_of, require_same_runs
-from cornercase.exploration.configuration import Configuration
+from cornercase.exploration.configuration import Configuration, configuration_of, require_same_runs
 from cornercase.exploration.drawing import ProbabilityEstimator
 from cornercase.exploration.estimation import Estimation
 from cornercase.exploration.exploring import configured_simulator
@@ -34,11 +33,11 @@ if TYPE_CHECKING:
 _LEARN_SHARE: Final = 0.4
 _FEWEST: Final = 100
 _EVENTS: Final = 2
-# What the search of an estimate is called in its study.
+# Stored name of the optimizer of an estimate.
 _NAME = re.compile(r"importance-sampling:learn=(?P<learn>\d+),known=(?P<known>\d+)-(?P<digest>[0-9a-f]+)")
 
 
-# Its parameters are the options of the command.
+# The parameters are the options of the command.
 def estimate(
     study: Path | str,
     output: Path | str,
@@ -57,49 +56,48 @@ def estimate(
     max_failures: int = MOST_FAILURES,
     progress: bool = False,
 ) -> Estimation:
-    """Estimate how probable critical scenarios and collisions are under the distributions of a study's space.
+    """Estimate the probability of critical scenarios and collisions under the distributions of a study's space.
 
-    New scenarios are run, by the simulator and with the settings of the study, and stored in a study of their own.
-    Where to draw them is learned first, from what the study holds and in rounds; what is drawn then is independent, and
-    gives an estimate without bias. The same call again goes on where it stopped; with a larger budget it goes on from
-    there.
+    New scenarios are run with the study's simulator and settings, and stored in a study of their own. The sampling
+    distribution is learned first, from the study and in rounds; the independent draws after that give an unbiased
+    estimate. If you call it again, it resumes where it stopped; with a larger `budget` it continues from there.
 
     Parameters
     ----------
     study : path
-        What was explored; it is only read.
+        The explored study; it is only read.
     output : path
-        Study to write or continue.
+        Study file to create or resume.
     budget : int, default 2000
-        Scenarios in all; 40 % of the first budget, at most, are for learning where to draw.
+        Number of scenarios in total; at most 40 % of the first budget are used for learning.
     critical : float, optional
-        Threshold: score from which a scenario is critical; by default that of the study.
+        Threshold: score from which a scenario is critical. Default: that of the study.
     encounter : float, default 10.0
-        The ego and the other have an encounter where the gap between their boxes is at most so many m at some instant.
+        The ego and the other have an encounter if the gap between their boxes is at most this many m at some time.
     seed : int, default 0
         The same seed gives the same result.
     scenario : path or Scenario, optional
-        File that was explored. By default it is looked for where the study names it, beside the study and in the
-        current folder, and known by its fingerprint.
+        The explored file. By default it is searched for at its stored path, next to the study and in the current
+        folder, and recognized by its fingerprint.
     simulator : str, optional
-        By default that of the study, without options.
+        Default: that of the study, without options.
     drivers : mapping of str to str or Driver, optional
-        Drivers of your own, by entity, where the study has some; presets are those of the study.
+        Your own drivers by entity, if the study has such; presets are taken from the study.
     workers : int, default 1
-        Simulators side by side.
+        Number of simulators that run in parallel.
     cluster : str or distributed.Client, optional
-        Dask cluster to run on: ``"local"`` for `workers` processes here, the address of a scheduler, the file that a
-        scheduler wrote, or a connection, which stays open.
+        Dask cluster to run on: ``"local"`` for `workers` local processes, the address of a scheduler, a scheduler file,
+        or a client, which stays open.
     timeout : float, optional
-        Time in s after which a scenario is given up.
+        Time in s after which a scenario is cancelled.
     retries : int, default 1
         How often a scenario is run again after the simulator died or hung.
     max_failures : int, default 5
-        Scenarios in a row in which the simulator dies or hangs, after which nothing more is run; 0 for no limit. An
-        exception of a driver, the simulator or a metric is a failure of its scenario alone, however many there are. But
-        if there are as many, and no scenario has given a result yet, nothing more is run either.
+        Stop after this many consecutive scenarios in which the simulator died or hung; 0 for no limit. An exception of
+        a driver, the simulator or a metric fails its scenario only, unless that many scenarios have failed before any
+        gave a result.
     progress : bool, default False
-        Show how far it is on standard error.
+        Show progress on standard error.
 
     Returns
     -------
@@ -108,42 +106,48 @@ def estimate(
     Raises
     ------
     InputError
-        Something cannot be used, the study has no threshold or is of something else, or the output is.
+        An argument cannot be used, the study has no threshold or belongs to something else, or the output does.
 
     See Also
     --------
-    cornercase.explore : Makes the study.
+    cornercase.explore : Creates the study.
+
+    Examples
+    --------
+    The study has to be explored before::
+
+        probability = cornercase.estimate("study.db", "estimate.db", budget=5000).critical
     """
-    file, made = path("study", study), path("output", output)
-    require_other_file(made, file)
+    study_file, output_file = path("study", study), path("output", output)
+    require_other_file(output_file, study_file)
     budget, seed = whole_number("budget", budget, least=_FEWEST), whole_number("seed", seed)
     encounter = number("encounter", encounter, least=0.0)
     flag("progress", progress)
-    with Study.open(file, readonly=True) as source:
+    with Study.open(study_file, readonly=True) as source:
         if _NAME.fullmatch(source.meta.optimizer):
-            raise InputError(f"{file}: is an estimate itself; name the study that it was made from.")
-        about = _configuration(source, scenario, budget, critical, seed, simulator, drivers or {})
-        about = replace(about, workers=workers, cluster=cluster, timeout=timeout)
-        about = replace(about, retries=retries, max_failures=max_failures)
-        learn, known = _agreed(made, round(_LEARN_SHARE * budget))
-        objective = about.objective()
-        threshold = objective.threshold(about.critical)
+            raise InputError(f"{study_file}: is an estimate itself; name the study that it is based on.")
+        config = _configuration(source, scenario, budget, critical, seed, simulator, drivers or {})
+        config = replace(config, workers=workers, cluster=cluster, timeout=timeout)
+        config = replace(config, retries=retries, max_failures=max_failures)
+        learn, n_known = _agreed(output_file, round(_LEARN_SHARE * budget))
+        objective = config.objective()
+        threshold = objective.threshold(config.critical)
         points, scores = source.points(), objective.oriented_of(source)
-    known = len(points) if known is None else min(known, len(points))
-    points, scores = points[:known], scores[:known]
-    begun = time.monotonic()
-    with configured_simulator(about) as running:
-        meta = about.meta(objective, running.settings, study=made)
-        name = f"importance-sampling:learn={learn},known={known}-{_digest(points, scores)}"
+    n_known = len(points) if n_known is None else min(n_known, len(points))
+    points, scores = points[:n_known], scores[:n_known]
+    start = time.monotonic()
+    with configured_simulator(config) as running:
+        meta = config.meta(objective, running.settings, study=output_file)
+        name = f"importance-sampling:learn={learn},known={n_known}-{_digest(points, scores)}"
         meta = replace(meta, critical=objective.flip(threshold), optimizer=name)
-        require_same_runs(file, source.meta, running)
-        guess = guessed_proposal(about.logical.space, points, scores, threshold, seed)
-        sampling = ImportanceSampling(about.logical.space, _EVENTS, learn, seed, guess)
-        with begun_study(made, meta) as opened:
+        require_same_runs(study_file, source.meta, running)
+        initial_proposal = guessed_proposal(config.logical.space, points, scores, threshold, seed)
+        sampling = ImportanceSampling(config.logical.space, _EVENTS, learn, seed, initial_proposal)
+        with begun_study(output_file, meta) as opened:
             opened.continue_with(meta)
-            opened.add_elapsed("files", time.monotonic() - begun)
-            found = ProbabilityEstimator(about, running, sampling, opened, encounter).run(progress)
-    return found
+            opened.add_elapsed("files", time.monotonic() - start)
+            result = ProbabilityEstimator(config, running, sampling, opened, encounter).run(progress)
+    return result
 
 
 def _configuration(
@@ -155,13 +159,13 @@ def _configuration(
     simulator: str | None,
     drivers: Mapping[str, str | Driver],
 ) -> Configuration:
-    """What the study was explored with, with another budget and seed."""
+    """Return the study's configuration with another budget and seed."""
     if study.meta.pareto:
-        raise InputError(f"{study.path}: was searched for a Pareto front, so nothing says what is critical.")
-    about = configuration_of(study, study.path, scenario, simulator, drivers)
-    # What else the search was, new draws are not.
+        raise InputError(f"{study.path}: was searched for a Pareto front, so it has no threshold.")
+    config = configuration_of(study, study.path, scenario, simulator, drivers)
+    # Draws need none of the other search settings.
     return replace(
-        about,
+        config,
         optimizer="random",
         critical=study.meta.critical if critical is None else critical,
         budget=budget,
@@ -175,10 +179,10 @@ def _configuration(
 
 
 def _agreed(output: Path, learn: int) -> tuple[int, int | None]:
-    """How many scenarios are for learning, and how many of the study count: as when the output was begun."""
+    """Return the numbers of scenarios for learning and of the study; a resumed output keeps its own."""
     if output.exists():
-        with suppress(InputError), Study.open(output, readonly=True) as begun:
-            if (match := _NAME.fullmatch(begun.meta.optimizer)) is not None:
+        with suppress(InputError), Study.open(output, readonly=True) as existing:
+            if (match := _NAME.fullmatch(existing.meta.optimizer)) is not None:
                 return int(match["learn"]), int(match["known"])
     return learn, None
 

@@ -1,4 +1,4 @@
-"""What an estimate of probabilities found."""
+"""The result of a probability estimate."""
 
 from __future__ import annotations
 
@@ -11,21 +11,17 @@ import numpy as np
 from cornercase._common.typing import BoolArray, FloatArray
 from cornercase.evidence import Probability, of_counts
 
-# Below so many effective scenarios, or with such a share of one scenario, an interval may not hold.
+# An interval may be too narrow below this effective sample size, or above this share of a single scenario.
 _FEW: Final = 30.0
 _LARGE: Final = 0.2
 
 
 @dataclass(frozen=True, eq=False)
 class Outcomes:
-    """What came out of the scenarios of an estimate.
+    """Outcomes of the scenarios of an estimate.
 
-    Attributes
-    ----------
-    scores : ndarray of float64, shape (n,)
-        Oriented; NaN for a scenario that failed.
-    critical, collision, encounter : ndarray of bool, shape (n,)
-        All False for a scenario that failed.
+    `scores`, shape (n,), are minimized, NaN if failed; `critical`, `collision` and `encounter`, shape (n,), are False
+    if failed.
     """
 
     scores: FloatArray
@@ -35,32 +31,23 @@ class Outcomes:
 
     @property
     def events(self) -> BoolArray:
-        """Critical, and collision, shape (n, 2)."""
+        """Critical and collision as columns, shape (n, 2)."""
         return np.stack([self.critical, self.collision], axis=1)
 
     @property
     def failed(self) -> BoolArray:
-        """Which scenarios could not be run, shape (n,)."""
+        """Which scenarios failed, shape (n,)."""
         return np.isnan(self.scores)
 
     @classmethod
     def joined(cls, parts: list[Outcomes]) -> Outcomes:
-        """Put parts one after the other.
-
-        Parameters
-        ----------
-        parts : list of Outcomes
-
-        Returns
-        -------
-        Outcomes
-        """
+        """Concatenate outcomes."""
         names = ("scores", "critical", "collision", "encounter")
-        kinds = (np.float64, np.bool_, np.bool_, np.bool_)
+        dtypes = (np.float64, np.bool_, np.bool_, np.bool_)
         return cls(
             *(
-                np.concatenate([np.zeros(0, kind), *(getattr(one, name) for one in parts)])
-                for name, kind in zip(names, kinds, strict=True)
+                np.concatenate([np.zeros(0, dtype), *(getattr(part, name) for part in parts)])
+                for name, dtype in zip(names, dtypes, strict=True)
             )
         )
 
@@ -72,19 +59,19 @@ class Estimation:
     Attributes
     ----------
     study : Path
-        Holds all scenarios that were run for it.
+        Contains all scenarios that were run for the estimate.
     criterion : str
-        What is critical, as ``"ttc <= 0.5 s"``.
+        What is critical, such as ``"ttc <= 0.5 s"``.
     within : float
         Gap in m up to which two entities have an encounter.
     critical, collision, encounter : Probability
         That a scenario is critical; that the ego and the other collide; that they have an encounter.
     critical_given_encounter, collision_given_encounter : Probability or None
-        None where it is not known.
+        None if unknown.
     scenarios, learned, failed : int
-        Scenarios in all; those from which only was learned where to draw; those that could not be run.
+        Number of scenarios in total; used for learning only; failed.
     warnings : tuple of str
-        Why not to trust it, as sentences.
+        Reasons not to trust the result, as sentences.
     interrupted : bool
         Whether it ended before its budget was used up.
     """
@@ -110,14 +97,14 @@ class Estimation:
         )
 
     def to_json(self) -> dict[str, Any]:
-        """Return plain values, as a study holds them.
+        """Return the result as plain values.
 
         Returns
         -------
         dict of str to object
-            By words; ``cornercase estimate --json`` prints identifiers in their place.
+            By words; ``cornercase estimate --json`` prints identifiers instead.
         """
-        given = {
+        conditional = {
             "critical given an encounter": self.critical_given_encounter,
             "collision given an encounter": self.collision_given_encounter,
         }
@@ -127,7 +114,10 @@ class Estimation:
             "critical": self.critical.to_json(),
             "collision": self.collision.to_json(),
             "encounter": self.encounter.to_json(),
-            **{name: None if one is None else one.to_json() for name, one in given.items()},
+            **{
+                name: None if probability is None else probability.to_json()
+                for name, probability in conditional.items()
+            },
             "scenarios": self.scenarios,
             "to learn where to draw": self.learned,
             "failed": self.failed,
@@ -136,56 +126,37 @@ class Estimation:
 
 
 def warnings_of(name: str, found: Probability, plain: Probability) -> list[str]:
-    """Say why not to trust a probability.
+    """Describe why a probability may be wrong, in sentences.
 
-    Parameters
-    ----------
-    name : str
-        Of the event, as ``"collision"``.
-    found : Probability
-    plain : Probability
-        Of the same event, from the scenarios that were drawn by the law.
-
-    Returns
-    -------
-    list of str
-        Sentences.
+    `found` is the probability of the event `name`, `plain` the one from the draws of the space's own distributions
+    only.
     """
     if found.error == 0.0:
         return []
     if not found.met:
         return [
-            f"No {name} was met; the {plain.scenarios} scenarios that were drawn by the distributions themselves bound"
-            f" its probability by {plain.high:.3g} (95 %)."
+            f"No {name} occurred. The {plain.scenarios} scenarios that were drawn from the distributions themselves"
+            f" bound its probability by {plain.high:.3g} (95 %)."
         ]
-    said = []
+    sentences = []
     if found.effective < _FEW:
-        said.append(
-            f"The probability of a {name} rests on {found.effective:.0f} effective scenarios; its interval may be too"
-            " narrow. Give a larger budget."
+        sentences.append(
+            f"The probability of a {name} is based on {found.effective:.0f} effective scenarios; its interval may be"
+            " too narrow. Use a larger budget."
         )
     elif found.largest > _LARGE:
-        said.append(
-            f"One scenario makes {found.largest:.0%} of the probability of a {name}; its interval may be too narrow."
-            " Give a larger budget."
+        sentences.append(
+            f"One scenario accounts for {found.largest:.0%} of the probability of a {name}; its interval may be too"
+            " narrow. Use a larger budget."
         )
     if found.high < plain.low or found.low > plain.high:
-        said.append(
-            f"The {plain.scenarios} scenarios that were drawn by the distributions themselves say that the probability"
-            f" of a {name} is {plain}, and the others {found}; some region may not have been found."
+        sentences.append(
+            f"The estimates of the probability of a {name} differ: {plain} from the {plain.scenarios} scenarios drawn"
+            f" from the distributions themselves, {found} from the others. A region may have been missed."
         )
-    return said
+    return sentences
 
 
 def of_law(met: BoolArray) -> Probability:
-    """Probability of an event from scenarios that were drawn by the law itself.
-
-    Parameters
-    ----------
-    met : ndarray of bool, shape (n,)
-
-    Returns
-    -------
-    Probability
-    """
+    """Probability of an event from draws of the space's own distributions, `met` of shape (n,)."""
     return of_counts(int(met.sum()), len(met))

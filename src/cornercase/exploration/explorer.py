@@ -1,4 +1,4 @@
-"""The loop of the paper's figure "scenario exploration workflow"."""
+"""The exploration loop: the paper's figure "scenario exploration workflow"."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ from cornercase.optimizers import Optimizer
 from cornercase.simulators import Simulator
 from cornercase.study import Row, Study
 
-# Scenarios of a space up to which those within its constraints are counted.
+# Largest space whose scenarios within the constraints are counted.
 _MOST_COUNTED: Final = 1 << 18
 
 
@@ -41,18 +41,18 @@ class ExplorationResult:
     ----------
     study : Path
     done, failed : int
-        Scenarios in the study that were run, and that could not be.
+        Number of scenarios in the study that gave a result, and that failed.
     reason : str
         Why it ended, as a part of a sentence.
     interrupted : bool
     alike : tuple of str
-        A sentence for each metric that is searched and by which all scenarios are the same.
+        A sentence for each searched metric that has the same score in all scenarios.
     notes : tuple of str
-        The same of metrics that are not searched, where it was not said before of this study.
+        The same for metrics that are not searched, unless this was reported before for this study.
     same : bool or None
-        Whether the results in the study gave the same proposals again; None where that was not asked.
+        Whether the stored results led to the same proposals again; None if this was not checked.
     reasons : mapping of str to int
-        How many scenarios failed for which reason, the most frequent first.
+        Number of failed scenarios by reason, the most frequent first.
     """
 
     study: Path
@@ -67,7 +67,7 @@ class ExplorationResult:
 
     @classmethod
     def of(cls, study: Study, reason: str, interrupted: bool = False, before: int | None = None) -> ExplorationResult:
-        """Count the scenarios of an open study.
+        """Create the result from an open study.
 
         Parameters
         ----------
@@ -75,16 +75,17 @@ class ExplorationResult:
         reason : str
         interrupted : bool, default False
         before : int, optional
-            How many scenarios the study held when this search began or went on; by default nothing new is said.
+            Number of scenarios that the study held when this search started or was resumed; by default no notes are
+            made.
 
         Returns
         -------
         ExplorationResult
         """
-        alike = tell_alike(study)
-        searched = [alike.pop(name) for name in study.meta.searched if name in alike]
-        # It has been said when there were enough of them.
-        notes = tuple(alike.values()) if before is not None and before < ENOUGH_ALIKE else ()
+        messages = tell_alike(study)
+        searched = [messages.pop(name) for name in study.meta.searched if name in messages]
+        # Reported once, when the study reaches the minimum number of scenarios.
+        notes = tuple(messages.values()) if before is not None and before < ENOUGH_ALIKE else ()
         failed = study.failed()
         reasons = {why: len(rows) for why, rows in group_reasons(row.error or "" for row in failed).items()}
         return cls(
@@ -93,7 +94,7 @@ class ExplorationResult:
 
     @property
     def ended(self) -> int:
-        """Number of scenarios that were run or could not be."""
+        """Number of scenarios that gave a result or failed."""
         return self.done + self.failed
 
     def __repr__(self) -> str:
@@ -102,29 +103,11 @@ class ExplorationResult:
 
 
 class ScenarioExplorer:
-    """Looks for the critical concrete scenarios of a logical one.
+    """Searches a logical scenario in rounds, steps (1) to (6) of the paper's activity diagram.
 
-    Steps (1) to (6) of the paper's activity diagram: the optimizer chooses parameters, the simulator runs them, the
-    metrics evaluate them, until a termination criterion is fulfilled. Each scenario is stored the moment it has
-    ended; an explorer that is given a study goes on where that one stopped.
-
-    Parameters
-    ----------
-    configuration : Configuration
-    simulator : Simulator
-    optimizer : Optimizer
-        A fresh one: it is told what the study holds.
-    study : Study
-        Open for writing.
-    objective : Objective, optional
-        What of which metrics is searched; by default that of the configuration.
-    references : mapping of str to Simulator, optional
-        With the references of the configuration's condition at the wheel of the ego, by name.
-
-    Raises
-    ------
-    InputError
-        Something of the configuration cannot be used.
+    The optimizer chooses parameters, the simulator runs them, the metrics evaluate them, until a termination criterion
+    holds. Each scenario is stored as soon as it has ended; an existing study is resumed. `optimizer` has to be a fresh
+    one: it is told what the study contains. `references` are simulators with a reference driver in the ego, by name.
     """
 
     def __init__(
@@ -154,21 +137,11 @@ class ScenarioExplorer:
         self._best, self._stale = Best(self._objective), 0
         self._patience, self._things = configuration.patience, "rounds"
         self._wants_features = "features" in optimizer.needs
-        if (known := study.elsewhere()) is not None:
-            optimizer.begin_from(*known)
+        if (warm_start := study.elsewhere()) is not None:
+            optimizer.begin_from(*warm_start)
 
     def run(self, progress: bool = False) -> ExplorationResult:
-        """Explore until a termination criterion is fulfilled.
-
-        Parameters
-        ----------
-        progress : bool, default False
-            Show a bar with the best score so far, rate and time left; lines instead where there is no terminal.
-
-        Returns
-        -------
-        ExplorationResult
-        """
+        """Explore until a termination criterion holds; `progress` shows best score, rate and remaining time."""
         self._search = Search(self._optimizer, self._study.meta.asynchronous)
         self._proposer = Proposer(self._search, self._study)
         before = len(self._study.done())
@@ -186,15 +159,15 @@ class ScenarioExplorer:
         return ExplorationResult.of(self._study, reason, before=before)
 
     def _run(self, bar: ProgressBar | None, check_interrupt: Callable[[], None]) -> str:
-        """Run rounds until a criterion says why to end."""
-        begun = time.monotonic()
+        """Run rounds and return why the search ended."""
+        start = time.monotonic()
         done, number = self._go_on(bar)
         while True:
             self._runner.try_repeatability()
             check_interrupt()
             if bar is not None:
                 bar.update(done, self._best.text)
-            if (reason := self._reason(done, time.monotonic() - begun)) is not None:
+            if (reason := self._reason(done, time.monotonic() - start)) is not None:
                 return reason
             number += 1
             rows = self._next(number, done, min(self._configuration.batch, self._configuration.budget - done))
@@ -205,7 +178,7 @@ class ScenarioExplorer:
             self._clock.note()
 
     def _next(self, number: int, done: int, wanted: int) -> list[Row]:
-        """Propose a round, and store it; none when there are no more."""
+        """Propose and store one round; empty if the search has no more proposals."""
         with self._clock("optimize"):
             points = self._proposer.propose(done, wanted)
         if len(points) == 0:
@@ -214,61 +187,61 @@ class ScenarioExplorer:
             return self._study.propose(number, points, self._space.values(points))
 
     def _reason(self, done: int, seconds: float) -> str | None:
-        """Say which criterion ends the search; None for none."""
-        limits = self._configuration
-        if done >= limits.budget:
-            return f"the budget of {limits.budget} scenarios is used up"
+        """Return the termination criterion that holds; None if none does."""
+        config = self._configuration
+        if done >= config.budget:
+            return f"the budget of {config.budget} scenarios is used up"
         if self._patience is not None and self._stale >= self._patience:
-            return f"{self._patience} {self._things} brought nothing new"
-        if limits.max_seconds is not None and seconds >= limits.max_seconds:
-            return f"{limits.max_seconds:g} s have passed"
+            return f"{self._patience} {self._things} brought no improvement"
+        if config.max_seconds is not None and seconds >= config.max_seconds:
+            return f"{config.max_seconds:g} s have passed"
         return self._enough()
 
     def _used_up(self, done: int) -> str:
-        """Say why a search ends that proposes nothing more: it may be a grid, or find nothing within constraints."""
+        """Return why the search proposes nothing more: the space is exhausted, or the constraints leave nothing."""
         size = self._space.size
-        # Audits may be scenarios that the search runs, too.
+        # An audit may be the same scenario as a proposal of the search.
         points = np.array([row.point for row in self._study.rows()]).reshape(-1, self._space.dimension)
-        ran = len(set(row_keys(self._space.snap(points))))
-        if size is not None and ran < size <= _MOST_COUNTED:
+        n_run = len(set(row_keys(self._space.snap(points))))
+        if size is not None and n_run < size <= _MOST_COUNTED:
             size = int(self._space.admits(self._space.lattice()).sum())
-        if size is not None and ran >= size:
+        if size is not None and n_run >= size:
             return f"all {size} scenarios of the space were run"
-        return f"the search proposes no more than these {done} scenarios"
+        return f"the search has no proposals after these {done} scenarios"
 
     def _enough(self) -> str | None:
-        """Say why enough is known of the critical set; None while it is not."""
+        """Return which stop criteria on the critical set hold; None unless all do."""
         if not self._stopping.ready:
             return None
         with self._clock("judge"):
             return self._stopping.reason()
 
     def _go_on(self, bar: ProgressBar | None) -> tuple[int, int]:
-        """Finish what a killed explorer left pending, tell the optimizer everything, and count scenarios and rounds."""
+        """Run pending scenarios and tell the optimizer all results; return the numbers of scenarios and rounds."""
         rows = self._study.rows()
-        known = self._objective.oriented_of(self._study)
-        scores = dict(zip((row.id for row in rows if row.state == "done"), known, strict=True))
+        minimized = self._objective.oriented_of(self._study)
+        scores = dict(zip((row.id for row in rows if row.state == "done"), minimized, strict=True))
         for _, members in groupby(rows, key=lambda row: row.round):
-            again = list(members)
-            scores |= self._simulate([row for row in again if row.state == "pending"], bar)
-            self._tell(again, scores)
+            round_rows = list(members)
+            scores |= self._simulate([row for row in round_rows if row.state == "pending"], bar)
+            self._tell(round_rows, scores)
         return len(rows), rows[-1].round if rows else 0
 
     def _simulate(self, rows: list[Row], bar: ProgressBar | None) -> dict[int, Any]:
-        """Run scenarios; the oriented scores of those that did not fail, by id."""
+        """Run scenarios; return the minimized scores of the successful ones by id."""
         scores: dict[int, Any] = {}
         best, farthest = copy(self._best), 0
         for number, score in self._runner.run(rows):
             scores[number] = score
             best.add(score[None])
-            # One that needed more runs ends after later ones.
+            # A scenario with extra runs ends after later ones.
             farthest = max(farthest, number)
             if bar is not None:
                 bar.update(farthest, best.text)
         return scores
 
     def _tell(self, rows: list[Row], by_scenario: Mapping[int, Any]) -> None:
-        """Give the scores of one round to all who learn from them; those of audits only to who judges."""
+        """Pass the scores of one round to the optimizer and the stop criteria; audits only to the latter."""
         failed = np.full_like(self._objective.uncritical, np.nan)
         missing = failed if self._objective.pareto else np.nan
         scores = np.array([by_scenario.get(row.id, missing) for row in rows])
@@ -280,7 +253,7 @@ class ScenarioExplorer:
         if not searched:
             return
         points, scores = points[~audits], scores[~audits]
-        # Some take the features of the recordings too.
+
         features = (self._features(searched, by_scenario),) if self._wants_features else ()
         with self._clock("judge"):
             self._stopping.tell(points, scores, *features)
@@ -289,11 +262,11 @@ class ScenarioExplorer:
         self._look_for_news(scores)
 
     def _look_for_news(self, scores: FloatArray) -> None:
-        """Count how long there was nothing new, by the scores of one round."""
+        """Count the rounds without an improvement."""
         self._stale = 0 if self._best.add(scores) else self._stale + 1
 
     def _features(self, rows: list[Row], by_scenario: Mapping[int, Any]) -> FloatArray:
-        """What happened in the scenarios of one round, of the recordings that are stored, shape (m, f)."""
+        """Features of the stored recordings of one round, shape (m, f)."""
         with self._clock("measure"):
             recordings = [self._study.recording(row.id) if row.id in by_scenario else None for row in rows]
             return features_of(recordings, self._configuration.ego, self._configuration.others)

@@ -1,4 +1,4 @@
-"""From a logical scenario to a study."""
+"""Explore a logical scenario into a study."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ if TYPE_CHECKING:
     from distributed import Client
 
 
-# Its parameters are the options of the command.
+# The parameters are the options of the command.
 def explore(
     scenario: LogicalScenario | Path | str | None,
     study: Path | str,
@@ -82,96 +82,94 @@ def explore(
 ) -> ExplorationResult:
     """Search a logical scenario for its critical concrete scenarios.
 
-    Each scenario is stored the moment it has ended. The same call again goes on where it stopped; with a larger
-    budget it goes on from there.
+    Each scenario is stored as soon as it has ended. If you call it again with the same arguments, it resumes where it
+    stopped; with a larger `budget` it continues from there.
 
     Parameters
     ----------
     scenario : path or LogicalScenario or None
-        OpenSCENARIO file; None for the one that `space` names.
+        OpenSCENARIO file. None: the file that `space` names.
     study : path
-        Study to write or continue.
+        Study file to create or resume.
     ego : str
         Name of the entity under test.
     other : str or sequence of str
-        Whom it is measured against; of several the one counts to whom it is most critical. ``"*"`` stands for all
-        others.
+        Entities that the ego is measured against; the most critical one counts. ``"*"`` means all others.
     metrics : sequence of str
-        Criticality metrics; all are stored, the first is searched where there are no weights.
+        Criticality metrics. All are stored; the first is searched unless `weights` are given.
     space : path, optional
-        ParameterValueDistribution file. Like `ranges`, `vary` and `continuous` only for the path of a scenario.
+        ParameterValueDistribution file. Like `ranges`, `vary` and `continuous`, only if `scenario` is a path.
     ranges : sequence of str
         ``NAME=LOW:HIGH[:STEP]``; they add parameters to the space or replace them.
     vary : sequence of str
-        ``NAME=LOW:HIGH[:STEP]``, or ``NAME``, of numbers that stand in the file, by the names that
-        `cornercase.scenario.variables` gives them. The scenario with parameters in their place is written beside the
-        study, as ``STUDY.varied.xosc``, and that one is explored.
+        ``NAME=LOW:HIGH[:STEP]`` or ``NAME`` for numbers in the file, under the names that
+        `cornercase.scenario.variables` gives them. A copy of the scenario with parameters in their place is written
+        next to the study as ``STUDY.varied.xosc`` and explored.
     continuous : bool, default False
         Search ranges with steps as continuous intervals.
     optimizer : str, default "bayes"
-        Options stand after a colon, as in ``"bayes:filling=0"``.
+        Options follow a colon: ``"bayes:filling=0"``.
     critical : float, optional
-        Threshold: score from which a scenario is critical; by default the metric's own.
+        Threshold: score from which a scenario is critical. Default: the metric's own.
     critical_if : str, optional
-        Condition that says instead what is critical, and is searched: ``"collision and not reference:cc-human"``. It is
-        made of ``collision`` (of the ego, with anybody), ``reference:NAME`` (the ego would collide with this driver at
-        the wheel), bounds on scores such as ``ttc < 1``, ``and``, ``or``, ``not`` and brackets. Where it depends on a
-        reference, the scenario is run a second time.
+        Condition that replaces metric and threshold, and is searched: ``"collision and not reference:cc-human"``. It
+        consists of ``collision`` (of the ego with anybody), ``reference:NAME`` (the ego would also collide if this
+        driver drove it), bounds on scores such as ``ttc < 1``, ``and``, ``or``, ``not`` and brackets. If the result
+        depends on a reference, the scenario is run a second time.
     weights : mapping of str to float, optional
-        By metric: search their weighted sum, in which what is critical when high counts with the opposite sign.
+        By metric: search the weighted sum of the scores. Metrics that are critical when high count with a minus sign.
     pareto : bool, default False
         Search the Pareto front of all metrics.
     stop_when : sequence of str
-        Stop when so much is known of the critical set, as ``"missed<0.01"``; of several all.
+        Stop when the critical set is known this well, such as ``"missed<0.01"``; all criteria must hold.
     budget, batch : int
-        Scenarios in all and per round.
+        Number of scenarios in total and per round.
     asynchronous : bool, default False
-        Have no rounds: ask the search for the next scenario as soon as one has ended. With one simulator the same seed
-        gives the same result; with several the result depends on the order in which scenarios end, which is stored.
+        Search without rounds: ask for the next scenario as soon as one has ended. With one simulator, the same seed
+        gives the same result. With several, the result depends on the order in which scenarios end, which is stored.
     patience : int, optional
-        Rounds without anything new after which to stop; without rounds as many scenarios.
+        Stop after this many rounds without an improvement; without rounds, after as many scenarios.
     max_seconds : float, optional
-        Time in s after which no round is begun.
+        Time in s after which no new round starts.
     seed : int, default 0
         The same seed gives the same result.
     simulator : str, default "builtin"
     workers : int, default 1
-        Simulators side by side.
+        Number of simulators that run in parallel.
     cluster : str or distributed.Client, optional
-        Dask cluster to run on: ``"local"`` for `workers` processes here, the address of a scheduler, the file that a
-        scheduler wrote, or a connection, which stays open.
+        Dask cluster to run on: ``"local"`` for `workers` local processes, the address of a scheduler, a scheduler file,
+        or a client, which stays open.
     timeout : float, optional
-        Time in s after which a scenario is given up.
+        Time in s after which a scenario is cancelled.
     retries : int, default 1
         How often a scenario is run again after the simulator died or hung.
     max_failures : int, default 5
-        Scenarios in a row in which the simulator dies or hangs, after which nothing more is run; 0 for no limit. An
-        exception of a driver, the simulator or a metric is a failure of its scenario alone, however many there are. But
-        if there are as many, and no scenario has given a result yet, nothing more is run either.
+        Stop after this many consecutive scenarios in which the simulator died or hung; 0 for no limit. An exception of
+        a driver, the simulator or a metric fails its scenario only, unless that many scenarios have failed before any
+        gave a result.
     repeats : int, default 1
-        How often each scenario is run; its score is the median.
+        How often each scenario is run; the median score counts.
     most_repeats : int, optional
-        How often a scenario is run at most: it is run `repeats` times more, again and again, while it is open on which
-        side of the threshold it is, that is while the 90 % interval of the probability that a run is critical
-        (`cornercase.study.Study.critical_runs`) holds 0.5. By default each is run `repeats` times.
+        Upper limit of runs per scenario. A scenario gets `repeats` further runs as long as it is undecided on which
+        side of the threshold it is: while the 90 % interval of the probability that a run is critical
+        (`cornercase.study.Study.critical_runs`) contains 0.5. Default: each scenario is run `repeats` times.
     audit : float, default 0.0
-        Share of the scenarios, up to 0.5, that are drawn at random and kept from the search, to judge what it found.
+        Fraction of the scenarios, up to 0.5, that are drawn at random and hidden from the search, to assess its result.
     time_step, duration : float
-        s.
+        In s.
     on_collision : {"continue", "stop"}
-        What a collision does to the run.
+        Whether a run goes on after a collision.
     drivers : mapping of str to str or Driver, optional
-        Who drives, by entity: a preset or ``package.module:Class``, either with options after a colon, or a driver.
+        By entity: a preset or ``package.module:Class``, both with options after a colon, or a driver object.
     replay : bool, default False
-        Simulate nothing; look whether the results in the study give the same proposals again.
+        Simulate nothing; check that the stored results lead to the same proposals.
     from_study : path, optional
-        Study of the same parameters, of another driver, simulator or time step, whose scores the search begins from.
-        They are copied; a search that goes on needs them no more.
+        Study with the same parameters but another driver, simulator or time step, whose scores warm-start the search.
+        They are copied; a search that is resumed does not need that study.
     retry_failed : bool, default False
-        Run scenarios of the study that failed once more before it goes on, as after a failure from outside. What was
-        proposed since then stays.
+        First run the failed scenarios of the study again, for example after an external failure. Later proposals stay.
     progress : bool, default False
-        Show how far it is on standard error.
+        Show progress on standard error.
 
     Returns
     -------
@@ -180,17 +178,27 @@ def explore(
     Raises
     ------
     InputError
-        Something cannot be used, or the study is of another exploration; it is left as it is.
+        An argument cannot be used, or the study belongs to another exploration; it is left unchanged.
 
     Warns
     -----
     NoticeWarning
         Something in the scenario's files has no effect in the simulator.
+
+    Examples
+    --------
+    >>> import cornercase
+    >>> files = "examples/x_intersection/x_intersection"
+    >>> cornercase.explore(
+    ...     f"{files}.xosc", "study.db", space=f"{files}.space.xosc", ego="Ego", other="Pedestrian", metrics=["wttc"],
+    ...     optimizer="sobol", budget=4,
+    ... )
+    <ExplorationResult: 4 scenarios done in study.db; the budget of 4 scenarios is used up>
     """
     file = path("study", study)
-    with explored_file(scenario, file, space, ranges, vary, continuous) as logical:
-        configuration = Configuration(
-            logical=logical,
+    with explored_file(scenario, file, space, ranges, vary, continuous) as logical_scenario:
+        config = Configuration(
+            logical=logical_scenario,
             ego=ego,
             other=other,
             metrics=texts("metrics", metrics),
@@ -222,22 +230,22 @@ def explore(
             from_study=from_study,
         )
         if flag("replay", replay):
-            return _replay(configuration, file)
-        return explore_configuration(configuration, file, progress, retry_failed=retry_failed)
+            return _replay(config, file)
+        return explore_configuration(config, file, progress, retry_failed=retry_failed)
 
 
 def _replay(one: Configuration, study: Path) -> ExplorationResult:
     one.require_entities()
     objective, optimizer = _searched_by(one)
-    known = _known(one, study, objective, optimizer)
-    with Study.open(study, readonly=True) as opened:
-        elsewhere = opened.meta.elsewhere if known is None else known.about
-        meta = one.meta(objective, opened.meta.settings, elsewhere, study=study)
+    warm_start = _known(one, study, objective, optimizer)
+    with Study.open(study, readonly=True) as opened_study:
+        warm_start_info = opened_study.meta.elsewhere if warm_start is None else warm_start.about
+        meta = one.meta(objective, opened_study.meta.settings, warm_start_info, study=study)
     return replay_proposals(study, meta, objective, optimizer)
 
 
 def _searched_by(one: Configuration) -> tuple[Objective, Optimizer]:
-    """What is searched, and a fresh optimizer for it."""
+    """Create the objective and a fresh optimizer for it."""
     objective = one.objective()
     threshold = one.threshold(objective)
     optimizer = create_optimizer(one.optimizer, one.logical.space, one.seed, threshold=threshold, budget=one.budget)
@@ -247,7 +255,7 @@ def _searched_by(one: Configuration) -> tuple[Objective, Optimizer]:
 
 
 def _known(one: Configuration, study: Path, objective: Objective, optimizer: Optimizer) -> Beginning | None:
-    """What the search begins from, if it is given another study."""
+    """Load the study that warm-starts the search; None without one."""
     if one.from_study is None:
         return None
     require_other_file(study, one.from_study, "study")
@@ -259,129 +267,86 @@ def _known(one: Configuration, study: Path, objective: Objective, optimizer: Opt
 def explore_configuration(
     configuration: Configuration, study: Path | str, progress: bool = False, *, retry_failed: bool = False
 ) -> ExplorationResult:
-    """Explore into a study, or go on with the one that is there; as `explore`.
-
-    Parameters
-    ----------
-    configuration : Configuration
-    study : path
-    progress : bool, default False
-    retry_failed : bool, default False
-        Whether scenarios that failed are run once more.
-
-    Returns
-    -------
-    ExplorationResult
-
-    Raises
-    ------
-    InputError
-        Something cannot be used, or the study is of another exploration; it is left as it is.
-    """
+    """Explore into a new or existing study, like `explore`."""
     file = path("study", study)
     flag("progress", progress)
     flag("retry_failed", retry_failed)
     try:
         return _explore(configuration, file, progress, retry_failed)
     except KeyboardInterrupt:
-        # Interrupted at the very beginning or end, when the explorer does not handle it itself.
+        # Interrupted before or after the part in which the explorer handles it itself.
         with suppress(InputError), Study.open(file, readonly=True) as opened:
             return ExplorationResult.of(opened, "it was interrupted", interrupted=True)
         raise
 
 
 def _explore(one: Configuration, path: Path, progress: bool, retry_failed: bool) -> ExplorationResult:
-    begun = time.monotonic()
+    start = time.monotonic()
     one.require_entities()
     objective, optimizer = _searched_by(one)
-    known = _known(one, path, objective, optimizer)
+    warm_start = _known(one, path, objective, optimizer)
     with (
-        _on_one_cluster(one) as there,
-        configured_simulator(there) as simulator,
-        started_references(there) as references,
+        _on_one_cluster(one) as shared_config,
+        configured_simulator(shared_config) as simulator,
+        started_references(shared_config) as references,
     ):
-        # Asked before a study is made, since without these means no scenario can be run.
-        some = one.logical.space.values(one.logical.space.samples())
-        require_usable(simulator, [one.logical.scenario], [one.logical.concrete(values) for values in some])
+        # Before the study is created: without these features no scenario can run.
+        sample_values = one.logical.space.values(one.logical.space.samples())
+        require_usable(simulator, [one.logical.scenario], [one.logical.concrete(values) for values in sample_values])
         warn_of(_notices(one))
         warn_if_nobody_drives(simulator, [one.logical.scenario], one.ego)
-        meta = one.meta(objective, simulator.settings, None if known is None else known.about, study=path)
+        meta = one.meta(objective, simulator.settings, None if warm_start is None else warm_start.about, study=path)
         with begun_study(path, meta) as study:
-            if known is None:
-                # What it began from is in the study.
+            if warm_start is None:
+                # A resumed study holds its warm-start data itself.
                 meta = replace(meta, elsewhere=study.meta.elsewhere)
             study.continue_with(meta, same_budget="budget" in optimizer_needs(one.optimizer))
-            if known is not None:
-                study.keep_elsewhere(known.points, known.scores)
+            if warm_start is not None:
+                study.keep_elsewhere(warm_start.points, warm_start.scores)
             had_ended = any(row.state != "pending" for row in study.rows())
             if retry_failed:
                 study.retry_failed()
-            study.add_elapsed("files", time.monotonic() - begun)
-            kind = AsynchronousExplorer if one.asynchronous else ScenarioExplorer
+            study.add_elapsed("files", time.monotonic() - start)
+            explorer_class = AsynchronousExplorer if one.asynchronous else ScenarioExplorer
             try:
-                return kind(one, simulator, optimizer, study, objective, references).run(progress)
+                return explorer_class(one, simulator, optimizer, study, objective, references).run(progress)
             except InputError:
-                # What nothing could be run with must not keep out the corrected command. What had failed before stays.
+                # Remove a study in which nothing ran, so that the corrected command can start. Earlier failures stay.
                 if not had_ended and not study.done():
                     study.clear()
                 raise
 
 
 def _notices(one: Configuration) -> tuple[Notice, ...]:
-    """What of the scenario has no effect, as it is read in the middle of the space."""
-    middle = one.logical.space.values(one.logical.space.middle())
-    return notices_of(one.simulator, one.logical.scenario, middle[0] if middle else None)
+    """List what has no effect in the simulator, for a scenario in the middle of the space."""
+    middle_values = one.logical.space.values(one.logical.space.middle())
+    return notices_of(one.simulator, one.logical.scenario, middle_values[0] if middle_values else None)
 
 
 def configured_simulator(one: Configuration) -> Simulator:
-    """Start the simulator of a configuration.
-
-    Parameters
-    ----------
-    one : Configuration
-
-    Returns
-    -------
-    Simulator
-        To be closed.
-    """
+    """Create the configured simulator; the caller closes it."""
     return _started(one, one.drivers)
 
 
 @contextmanager
 def _on_one_cluster(one: Configuration) -> Iterator[Configuration]:
-    """Connect with the cluster once, for the simulator and all references."""
+    """Connect to the Dask cluster once, for the simulator and all reference simulators."""
     with connected(one.cluster, one.workers) as client:
         yield one if client is None else replace(one, cluster=client, workers=1)
 
 
 @contextmanager
 def started_references(one: Configuration) -> Iterator[dict[str, Simulator]]:
-    """Start a simulator for each reference of the condition of a configuration, with it at the wheel of the ego.
-
-    Parameters
-    ----------
-    one : Configuration
-
-    Yields
-    ------
-    dict of str to Simulator
-        By name of the reference; empty without a condition.
-
-    Raises
-    ------
-    InputError
-        There is no such driver, or the simulator takes none.
-    """
+    """Create one simulator per reference driver of the condition, with that driver in the ego; by reference name."""
     condition = one.condition()
     with ExitStack() as stack:
-        found = {}
+        simulators = {}
         for name in () if condition is None else condition.references:
             try:
-                found[name] = stack.enter_context(_started(one, {**one.drivers, one.ego: name}))
+                simulators[name] = stack.enter_context(_started(one, {**one.drivers, one.ego: name}))
             except InputError as error:
                 raise InputError(f"`critical_if`, reference:{name}: {error}") from error
-        yield found
+        yield simulators
 
 
 def _started(one: Configuration, drivers: Mapping[str, str | Driver]) -> Simulator:

@@ -1,4 +1,4 @@
-"""What of a study may judge a search, since the search did not choose it by what it had learned."""
+"""Estimate the critical set of a study, from scenarios that were chosen independently of scores."""
 
 from __future__ import annotations
 
@@ -13,73 +13,39 @@ from cornercase.optimizers import GridOptimizer, RandomOptimizer, SobolOptimizer
 from cornercase.scenario import ParameterSpace
 from cornercase.study import Study
 
-# Keeps the audits apart from all that is drawn with the seed of the search.
+# Separates the random numbers of audits from those of the search.
 _AUDITS = 0xA0D17
 
 
 def audits_of(space: ParameterSpace, seed: int) -> RandomOptimizer:
-    """Sequence of the audits of a study: independent points of the space, each once.
+    """Create the sampler of a study's audits: independent random points, each once.
 
-    Parameters
-    ----------
-    space : ParameterSpace
-    seed : int
-        Of the study.
-
-    Returns
-    -------
-    RandomOptimizer
-        It is never told anything, so that what it draws depends on nothing else.
+    It is never told anything, so its draws depend on nothing else.
     """
     return RandomOptimizer(space, int(np.random.SeedSequence([seed, _AUDITS]).generate_state(1)[0]))
 
 
 def chosen_blindly(optimizer: str, space: ParameterSpace, seed: int, points: FloatArray) -> BoolArray:
-    """Tell which points fill the space, whatever the scores are.
+    """Return which points were chosen independently of scores, shape (n,): the initial design, or all of a grid.
 
-    Those are the first ones of the sequence that the searches fill the space with, as far as all of it was run: which
-    points these are does not depend on scores, also where a search came to one of them by itself. Of a grid it is all.
-
-    Parameters
-    ----------
-    optimizer : str
-        Name of the search, with its options.
-    space : ParameterSpace
-    seed : int
-        Of the search.
-    points : ndarray of float64, shape (n, d)
-        All that the search was told.
-
-    Returns
-    -------
-    ndarray of bool, shape (n,)
+    `points`, shape (n, d), are all points that the search was told. The initial design is the longest completely run
+    prefix of the search's space-filling sequence; a point counts even if the search also proposed it because of scores.
     """
     name = optimizer.partition(":")[0]
     if name == GridOptimizer.name:
         return np.ones(len(points), dtype=np.bool_)
-    kind = RandomOptimizer if name == RandomOptimizer.name else SobolOptimizer
+    sampler_class = RandomOptimizer if name == RandomOptimizer.name else SobolOptimizer
     keys = row_keys(space.snap(points))
-    ran, filling = set(keys), set[bytes]()
-    for key in row_keys(kind(space, seed).ask(len(points))):
+    ran, initial_design = set(keys), set[bytes]()
+    for key in row_keys(sampler_class(space, seed).ask(len(points))):
         if key not in ran:
             break
-        filling.add(key)
-    return np.array([key in filling for key in keys], dtype=np.bool_)
+        initial_design.add(key)
+    return np.array([key in initial_design for key in keys], dtype=np.bool_)
 
 
 def learns_from_features(optimizer: str) -> bool:
-    """Tell whether a search learns from features of recordings; then what is found is told by them too.
-
-    Parameters
-    ----------
-    optimizer : str
-        Name of the search, with its options.
-
-    Returns
-    -------
-    bool
-        False for one that is not known here.
-    """
+    """Return whether a search uses recording features; False if it is unknown here."""
     try:
         return "features" in optimizer_needs(optimizer)
     except InputError:
@@ -87,72 +53,46 @@ def learns_from_features(optimizer: str) -> bool:
 
 
 def elsewhere_of(study: Study, threshold: float) -> Elsewhere | None:
-    """What another study predicts, where the search of a study began from one.
+    """Model of the study that warm-started a study's search; None without one, or if all its scores are equal.
 
-    Parameters
-    ----------
-    study : Study
-    threshold : float
-        Oriented score up to which a scenario is critical.
-
-    Returns
-    -------
-    Elsewhere or None
-        None also where all that is known elsewhere is the same.
+    `threshold` is a minimized score.
     """
-    known = study.elsewhere()
-    if known is None or np.ptp(known[1]) == 0.0:
+    warm_start = study.elsewhere()
+    if warm_start is None or np.ptp(warm_start[1]) == 0.0:
         return None
-    return Elsewhere(encoded(study.space, known[0]), known[1], threshold)
+    return Elsewhere(encoded(study.space, warm_start[0]), warm_start[1], threshold)
 
 
 def critical_set_of(
     study: Study, scores: FloatArray, threshold: float, *, last: int | None = None, seed: int | None = None
 ) -> CriticalSet:
-    """Estimate the critical set of a study; its audits judge, and say nothing of what is found.
+    """Estimate the critical set of a study; audits only assess it.
 
-    Parameters
-    ----------
-    study : Study
-    scores : ndarray of float64, shape (n,)
-        Oriented, of all scenarios that were run, audits too.
-    threshold : float
-        Oriented score up to which a scenario is critical.
-    last : int, optional
-        Id of a scenario: only it and those that were proposed before it count, as when it had just been run.
-    seed : int, optional
-        Of what is drawn; by default the study's. Two sets are compared with the same one.
-
-    Returns
-    -------
-    CriticalSet
-
-    Raises
-    ------
-    ValueError
-        There are fewer than 10 scores without audits, or all are the same.
+    `scores`, shape (n,), are minimized and of all successful scenarios including audits. `last` is the id of the last
+    scenario that counts. `seed` replaces the study's (two sets are compared with the same one). Raises ValueError for
+    fewer than 10 scores without audits, or equal scores.
     """
     meta = study.meta
-    every = [row for row in study.rows() if last is None or row.id <= last]
-    ended = [row for row in every if row.state == "done"]
+    candidates = [row for row in study.rows() if last is None or row.id <= last]
+    ended = [row for row in candidates if row.state == "done"]
     audits = np.array([meta.is_audit(row.id) for row in ended], dtype=np.bool_)
     points = np.array([row.point for row in ended]).reshape(-1, study.space.dimension)
     scores = scores[: len(ended)]
-    # Also what failed was chosen by the sequence.
-    rows = [row for row in every if not meta.is_audit(row.id)]
-    blindly = chosen_blindly(meta.optimizer, study.space, meta.seed, np.array([row.point for row in rows]))
-    happened = None
+    # Failed scenarios belong to the initial design as well.
+    rows = [row for row in candidates if not meta.is_audit(row.id)]
+    score_independent = chosen_blindly(meta.optimizer, study.space, meta.seed, np.array([row.point for row in rows]))
+    features = None
     if learns_from_features(meta.optimizer):
         recordings = (study.recording(row.id) for row in rows if row.state == "done")
-        happened = known_features(), features_of(recordings, meta.ego, meta.others)
+        features = known_features(), features_of(recordings, meta.ego, meta.others)
     return CriticalSet(
         study.space,
         points[~audits],
         scores[~audits],
         threshold,
         meta.seed if seed is None else seed,
-        filling=blindly[[row.state == "done" for row in rows]],
+        filling=score_independent[[row.state == "done" for row in rows]],
         audits=(points[audits], scores[audits]),
-        happened=happened,
+        happened=features,
         elsewhere=elsewhere_of(study, threshold),
     )

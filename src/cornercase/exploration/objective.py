@@ -1,4 +1,4 @@
-"""What is searched: the score of one metric, a weighted sum of several, or the Pareto front of all."""
+"""The score that is searched: one metric, a weighted sum of several, or the Pareto front of all."""
 
 from __future__ import annotations
 
@@ -13,23 +13,10 @@ from cornercase.study import Study, StudyMeta
 
 
 class Objective:
-    """Turns the scores of the metrics into oriented scores, which a search makes as low as it can.
+    """Converts the scores of the metrics into scores to minimize: the first metric, a weighted sum, or all for a front.
 
-    What is searched is the first metric, or with weights the sum of weight times oriented score. For a Pareto front
-    each metric stays by itself.
-
-    Parameters
-    ----------
-    metrics : sequence of Metric
-    weights : mapping of str to float, optional
-        By metric, per unit of its score; a metric without weight does not count.
-    pareto : bool, default False
-
-    Raises
-    ------
-    InputError
-        There is no metric, a weight is of none of them or not above 0, there are weights of a Pareto front, or a
-        front of one metric.
+    `weights` are per unit of a metric's score; a metric without weight does not count. Raises `InputError` without
+    metrics, for an unknown or non-positive weight, weights of a front, or a front of one metric.
     """
 
     def __init__(
@@ -39,27 +26,18 @@ class Objective:
             raise InputError("There is no metric to search; name one with `metrics`.")
         self.metrics, self.weights, self.pareto = list(metrics), dict(weights or {}), pareto
         if pareto and (self.weights or len(metrics) < 2):
-            raise InputError("`pareto`: takes two metrics or more, and no `weights`.")
+            raise InputError("`pareto`: needs two metrics or more, and no `weights`.")
         names = [metric.name for metric in metrics]
         for name, weight in self.weights.items():
             if name not in names:
-                raise InputError(f"`weights` {name}: is none of the metrics; {suggestion(name, names)}")
+                raise InputError(f"`weights` {name}: is not one of the metrics; {suggestion(name, names)}")
             if not 0.0 < weight < np.inf:
                 raise InputError(f"`weights` {name}={weight:g}: give a number above 0.")
         self._factors = self._matrix()
 
     @classmethod
     def of_study(cls, meta: StudyMeta) -> Objective:
-        """Make the objective of a study.
-
-        Parameters
-        ----------
-        meta : StudyMeta
-
-        Returns
-        -------
-        Objective
-        """
+        """Create the objective of a stored study."""
         metrics = [METRICS.create(name) for name in meta.metrics]
         return cls(metrics, meta.weights, meta.pareto)
 
@@ -68,78 +46,41 @@ class Objective:
         if self.pareto:
             return np.diag(signs)
         weights = [self.weights.get(metric.name, 0.0) for metric in self.metrics]
-        chosen = np.array(weights) if self.weights else np.eye(len(signs))[0]
-        return np.asarray((chosen * signs)[:, None])
+        weight_vector = np.array(weights) if self.weights else np.eye(len(signs))[0]
+        return np.asarray((weight_vector * signs)[:, None])
 
     def oriented(self, scores: FloatArray) -> FloatArray:
-        """Oriented scores of what is searched.
-
-        Parameters
-        ----------
-        scores : ndarray of float64, shape (m, metrics)
-
-        Returns
-        -------
-        ndarray of float64, shape (m,), or (m, metrics) for a Pareto front
-        """
-        # Left out of the sum, since NaN times 0 is NaN.
-        used = self._factors.any(axis=1)
-        # Weights without measure give infinite sums.
+        """Return scores to minimize, shape (m,) or (m, metrics) for a front, from raw scores of shape (m, metrics)."""
+        # Skip unused metrics: NaN times 0 is NaN.
+        has_weight = self._factors.any(axis=1)
+        # Extreme weights may overflow.
         with np.errstate(over="ignore", invalid="ignore"):
-            values = scores[:, used] @ self._factors[used]
+            values = scores[:, has_weight] @ self._factors[has_weight]
         return np.asarray(values if self.pareto else values[:, 0])
 
     def oriented_of(self, study: Study) -> FloatArray:
-        """Oriented scores of all scenarios of a study that did not fail.
-
-        Parameters
-        ----------
-        study : Study
-
-        Returns
-        -------
-        ndarray of float64, shape (n,), or (n, metrics) for a Pareto front
-        """
+        """Return scores to minimize for all successful scenarios of a study, shape (n,) or (n, metrics) for a front."""
         return self.oriented(self._scores(study))
 
     def _scores(self, study: Study) -> FloatArray:
         return np.stack([study.scores(metric.name) for metric in self.metrics], axis=1)
 
     def critical(self, scores: FloatArray, threshold: float | None) -> BoolArray:
-        """Tell which scenarios are critical.
+        """Return which scenarios are critical, shape (m,), for raw scores (m, metrics) and a stored (raw) threshold.
 
-        Parameters
-        ----------
-        scores : ndarray of float64, shape (m, metrics)
-            In the metrics' units.
-        threshold : float or None
-            As `StudyMeta.critical` has it.
-
-        Returns
-        -------
-        ndarray of bool, shape (m,)
-            None is where no threshold says so, or a Pareto front is searched.
+        All False without a threshold and for a Pareto front.
         """
         if threshold is None or self.pareto:
             return np.zeros(len(scores), dtype=np.bool_)
         return np.asarray(self.oriented(scores) <= self.flip(threshold))
 
     def critical_of(self, study: Study) -> BoolArray:
-        """Tell which scenarios of a study are critical, of all that did not fail.
-
-        Parameters
-        ----------
-        study : Study
-
-        Returns
-        -------
-        ndarray of bool, shape (n,)
-        """
+        """Return which of the successful scenarios of a study are critical, shape (n,)."""
         return self.critical(self._scores(study), study.critical)
 
     @property
     def text(self) -> str:
-        """What is searched, in words."""
+        """Label of the objective, such as ``2 ttc + 1 (-speed)``."""
         if self.pareto:
             return "Pareto front of " + ", ".join(metric.name for metric in self.metrics)
         if not self.weights:
@@ -152,58 +93,31 @@ class Objective:
 
     @property
     def lower_is_critical(self) -> bool:
-        """Whether less of what is searched is more critical; of a weighted sum it is."""
+        """Whether lower raw values are more critical; always for a weighted sum."""
         return bool(self.weights) or self.metrics[0].lower_is_critical
 
     @property
     def unit(self) -> str:
-        """Unit of what is searched; empty for a weighted sum."""
+        """Unit of the objective; empty for a weighted sum or a front."""
         return "" if self.weights or self.pareto or self.metrics[0].unit == "1" else self.metrics[0].unit
 
     def threshold(self, given: float | None) -> float:
-        """Oriented score up to which a scenario is critical.
+        """Return the threshold as a minimized score; `given` is a raw score or weighted sum, None the metric's own.
 
-        Parameters
-        ----------
-        given : float, optional
-            As the user says it: a score of the metric that is searched, or a weighted sum. By default the metric's
-            own threshold.
-
-        Returns
-        -------
-        float
-
-        Raises
-        ------
-        InputError
-            A Pareto front has none; or there is none of its own, and none is given.
+        Raises `InputError` for a Pareto front, or if neither is available.
         """
         if self.pareto:
-            raise InputError("`pareto`: what is critical needs one score; weigh the metrics with `weights` instead.")
+            raise InputError(
+                "`pareto`: a Pareto front has no threshold; use `weights` to combine the metrics into one score."
+            )
         if self.weights:
             if given is None:
-                raise InputError("`weights`: give with `critical` the weighted sum up to which a scenario is critical.")
+                raise InputError("`weights`: set `critical` to the weighted sum up to which a scenario is critical.")
             return float(given)
         return self.flip(self.metrics[0].find_threshold(given))
 
     def known_threshold(self, given: float | None) -> float | None:
-        """Oriented score up to which a scenario is critical, where that is known.
-
-        Parameters
-        ----------
-        given : float, optional
-            As for `threshold`.
-
-        Returns
-        -------
-        float or None
-            None where none is given and the metric has none of its own.
-
-        Raises
-        ------
-        InputError
-            The one that is given cannot be used.
-        """
+        """Return the threshold as `threshold` does, but None if none is given and the metric has none."""
         try:
             return self.threshold(given)
         except InputError:
@@ -212,76 +126,46 @@ class Objective:
             return None
 
     def flip(self, value: float) -> float:
-        """Orient one score of what is searched, or turn an oriented one back.
-
-        Parameters
-        ----------
-        value : float
-
-        Returns
-        -------
-        float
-            A weighted sum is oriented already, and stays as it is.
-        """
+        """Convert one score between raw and minimized; a weighted sum is minimized already."""
         return value if self.weights else self.metrics[0].oriented(value)
 
     @property
     def uncritical(self) -> FloatArray:
-        """Oriented scores of a scenario with every score at its cap, shape (1,) or (metrics,)."""
+        """Minimized scores of a scenario in which every metric is at its cap, shape (1,) or (metrics,)."""
         return self.oriented(np.array([[metric.cap for metric in self.metrics]])).ravel()
 
 
 def on_front(values: FloatArray) -> BoolArray:
-    """Tell which rows lie on the Pareto front: no other is lower or equal in all columns, and lower in one.
+    """Return which rows are on the Pareto front (not dominated, lower is better), shape (m,); never rows with NaN.
 
-    Parameters
-    ----------
-    values : ndarray of float64, shape (m, k)
-        A row with NaN is on no front.
-
-    Returns
-    -------
-    ndarray of bool, shape (m,)
-
-    Notes
-    -----
     Source: H. T. Kung, F. Luccio, F. P. Preparata, "On finding the maxima of a set of vectors", Journal of the ACM 22
     (1975); implemented in moocore.
     """
-    known = np.isfinite(values).all(axis=1)
-    if not known.any():
-        return np.asarray(known)
-    front = known.copy()
+    is_finite = np.isfinite(values).all(axis=1)
+    if not is_finite.any():
+        return np.asarray(is_finite)
+    front = is_finite.copy()
     if values.shape[1] == 1:
-        front[known] = values[known, 0] == values[known].min()
+        front[is_finite] = values[is_finite, 0] == values[is_finite].min()
     else:
-        # Slow to import, and only fronts need it.
+        # Imported late: slow to import.
         from moocore import is_nondominated
 
-        front[known] = is_nondominated(values[known], keep_weakly=True)
+        front[is_finite] = is_nondominated(values[is_finite], keep_weakly=True)
     return np.asarray(front)
 
 
 class Best:
-    """The most critical there was so far: a value, or a Pareto front."""
+    """The most critical result so far: a score, or a Pareto front."""
 
     def __init__(self, objective: Objective) -> None:
         self._objective = objective
         self._front = np.zeros((0, 1))
 
     def add(self, scores: FloatArray) -> bool:
-        """Take the oriented scores of a round.
+        """Add minimized scores, shape (m,) or (m, k), NaN if failed; return whether any is an improvement.
 
-        Parameters
-        ----------
-        scores : ndarray of float64, shape (m,) or (m, k)
-            NaN for a scenario that failed.
-
-        Returns
-        -------
-        bool
-            Whether any is new: nothing that was known dominates it, and it is not known already with every score at
-            its cap.
+        An improvement is dominated by no earlier score. A score with every metric at its cap counts only once.
         """
         values = scores.reshape(len(scores), -1)
         values = values[np.isfinite(values).all(axis=1)]
@@ -293,21 +177,21 @@ class Best:
         worse = (before[:, None] <= values).all(axis=2) & (before[:, None] < values).any(axis=2)
         same = (before[:, None] == values).all(axis=2).any(axis=0)
         capped = (values >= self._objective.uncritical).all(axis=1)
-        news = ~worse.any(axis=0) & ~(same & capped)
-        everyone = np.unique(np.concatenate([self._front.reshape(-1, values.shape[1]), values]), axis=0)
-        self._front = everyone[on_front(everyone)]
-        return bool(news.any())
+        is_new = ~worse.any(axis=0) & ~(same & capped)
+        candidates = np.unique(np.concatenate([self._front.reshape(-1, values.shape[1]), values]), axis=0)
+        self._front = candidates[on_front(candidates)]
+        return bool(is_new.any())
 
     def _add_single(self, values: FloatArray) -> bool:
-        """As `add`, of one score each: it is called for each scenario, and a front is its lowest score."""
+        """Like `add` for single scores; faster, since it is called for every scenario."""
         best = float(self._front[0, 0]) if len(self._front) else np.inf
-        news = (values <= best) & ~((values == best) & (values >= self._objective.uncritical))
+        is_new = (values <= best) & ~((values == best) & (values >= self._objective.uncritical))
         self._front = np.full((1, 1), min(best, float(values.min())))
-        return bool(news.any())
+        return bool(is_new.any())
 
     @property
     def text(self) -> str:
-        """In a few words; empty before anything is known."""
+        """Short label such as ``best 0.3 s``; empty before the first score."""
         if not len(self._front):
             return ""
         if self._objective.pareto:

@@ -1,4 +1,4 @@
-"""What is run next, and what a search was told before it said so."""
+"""Propose the next scenarios, and repeat the rounds of a stored study."""
 
 from __future__ import annotations
 
@@ -17,17 +17,9 @@ from cornercase.study import Row, Study, count_audits
 
 
 class Search:
-    """An optimizer that is asked in rounds, or without rounds beside what is being run.
+    """An optimizer behind one interface for rounds and for asynchronous search.
 
-    Parameters
-    ----------
-    optimizer : Optimizer
-    asynchronous : bool
-
-    Attributes
-    ----------
-    pending : ndarray of float64, shape (p, d)
-        Points that are being run while it is asked, of a search without rounds.
+    `pending`, shape (p, d), are the points that are running while an asynchronous search is asked.
     """
 
     def __init__(self, optimizer: Optimizer, asynchronous: bool) -> None:
@@ -45,60 +37,41 @@ class Search:
             return self._optimizer.ask_beside(n, points, *self._lies(len(points)))
 
     def tell(self, points: FloatArray, *results: FloatArray) -> None:
-        """Take scores, shape (m,) or (m, k), and features, shape (m, f), of points, shape (m, d)."""
+        """Pass scores, shape (m,) or (m, k), and features, shape (m, f), of points, shape (m, d)."""
         tell: Any = self._optimizer.tell
         with guarded(self._name, self._optimizer, "in tell"):
             tell(points, *results)
         if self._asynchronous:
-            # Sums and numbers, so that a lie takes no longer when much was told.
-            finite = [np.isfinite(one) for one in results]
-            new = [np.where(good, one, 0.0).sum(axis=0) for good, one in zip(finite, results, strict=True)]
-            counts = [good.sum(axis=0) for good in finite]
-            before = self._sums or [[np.zeros_like(one), np.zeros_like(one)] for one in new]
+            # Running sums and counts, so that the mean costs the same however many results there are.
+            finite = [np.isfinite(result) for result in results]
+            new = [np.where(mask, result, 0.0).sum(axis=0) for mask, result in zip(finite, results, strict=True)]
+            counts = [mask.sum(axis=0) for mask in finite]
+            before = self._sums or [[np.zeros_like(result), np.zeros_like(result)] for result in new]
             self._sums = [[a + n, b + c] for (a, b), n, c in zip(before, new, counts, strict=True)]
 
     def _lies(self, count: int) -> list[FloatArray]:
-        """What a constant liar tells of so many points: the mean of all that was told, NaN where nothing was."""
+        """Pseudo-results of a constant liar for `count` points: the mean of all results, NaN if there are none."""
         with np.errstate(invalid="ignore"):
             return [np.repeat((total / number)[None], count, axis=0) for total, number in self._sums]
 
 
 class Proposer:
-    """Chooses the scenarios that are run: those of a search, with audits among them.
-
-    Parameters
-    ----------
-    search : Search
-    study : Study
-        Says which scenarios are audits.
-    """
+    """Chooses the scenarios to run: proposals of a search, with random audits among them."""
 
     def __init__(self, search: Search, study: Study) -> None:
         self._search, self._study = search, study
         self._audits = audits_of(study.space, study.meta.seed)
 
     def propose(self, done: int, wanted: int) -> FloatArray:
-        """Choose scenarios.
-
-        Parameters
-        ----------
-        done : int
-            Number of those that were chosen before.
-        wanted : int
-
-        Returns
-        -------
-        ndarray of float64, shape (m, d)
-            Snapped; m < wanted only when there are no more.
-        """
+        """Choose `wanted` scenarios after the first `done`: snapped points, shape (m, d); m < `wanted` if exhausted."""
         meta, space = self._study.meta, self._study.space
         audits = [meta.is_audit(done + k + 1) for k in range(wanted)]
-        searched = iter(self._search.ask(wanted - sum(audits)) if not all(audits) else ())
+        proposals = iter(self._search.ask(wanted - sum(audits)) if not all(audits) else ())
         first, last = (count_audits(meta.audit, count) for count in (done, done + wanted))
-        drawn = iter(self._audits.ask(last)[first:])
+        audit_points = iter(self._audits.ask(last)[first:])
         points = []
         for audit in audits:
-            point = next(drawn if audit else searched, None)
+            point = next(audit_points if audit else proposals, None)
             if point is None:
                 break
             points.append(point)
@@ -109,14 +82,8 @@ class Proposer:
 class Turn:
     """A round of a study, and what was known when it was proposed.
 
-    Attributes
-    ----------
-    ended : tuple of Row
-        Scenarios whose results had come since the round before, in the order in which they came.
-    pending : tuple of Row
-        Scenarios that were being run.
-    proposed : tuple of Row
-        Those of the round; empty of results that no round was proposed with yet.
+    `ended`: rows whose results came since the round before, in that order; `pending`: rows that were running;
+    `proposed`: rows of the round, empty if no round was proposed after these results.
     """
 
     ended: tuple[Row, ...]
@@ -125,17 +92,7 @@ class Turn:
 
 
 def turns_of(study: Study) -> Iterator[Turn]:
-    """Go through the rounds of a study again.
-
-    Parameters
-    ----------
-    study : Study
-
-    Yields
-    ------
-    Turn
-        Of each round in turn. In a study without rounds a last one has the results that no round was proposed with yet.
-    """
+    """Iterate over the rounds of a study; without rounds, the last one has the results that came after it."""
     rows = study.rows()
     rounds = {number: tuple(members) for number, members in groupby(rows, key=lambda row: row.round)}
     if not study.meta.asynchronous:
@@ -145,14 +102,14 @@ def turns_of(study: Study) -> Iterator[Turn]:
             ended = members
         return
     by_id = {row.id: row for row in rows}
-    came: dict[int, list[Row]] = {}
+    results_by_round: dict[int, list[Row]] = {}
     for scenario, turn in study.results():
-        came.setdefault(turn, []).append(by_id[scenario])
+        results_by_round.setdefault(turn, []).append(by_id[scenario])
     pending: dict[int, Row] = {}
-    for number in sorted({*rounds, *came}):
-        known = tuple(came.get(number, ()))
-        for row in known:
+    for number in sorted({*rounds, *results_by_round}):
+        new_results = tuple(results_by_round.get(number, ()))
+        for row in new_results:
             del pending[row.id]
         proposed = rounds.get(number, ())
-        yield Turn(known, tuple(pending.values()), proposed)
+        yield Turn(new_results, tuple(pending.values()), proposed)
         pending |= {row.id: row for row in proposed}

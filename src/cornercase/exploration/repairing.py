@@ -1,4 +1,4 @@
-"""A damaged study brought back: what is lost of it is run again."""
+"""Repair a damaged study: lost scenarios are run again."""
 
 from __future__ import annotations
 
@@ -22,8 +22,8 @@ from cornercase._common.memory import DEFAULT_MEMORY, MemoryLimit, size_in_words
 from cornercase._common.pending_files import OF_SQLITE
 from cornercase._common.platform import alone_in, force_file
 from cornercase.drivers import Driver
-from cornercase.exploration.again import configuration_of, require_same_runs
 from cornercase.exploration.asynchronous import AsynchronousExplorer
+from cornercase.exploration.configuration import configuration_of, require_same_runs
 from cornercase.exploration.explorer import ScenarioExplorer
 from cornercase.exploration.exploring import configured_simulator, started_references
 from cornercase.exploration.proposing import Proposer, Search
@@ -32,23 +32,23 @@ from cornercase.scenario import Scenario
 from cornercase.study import IMPORTED, HeldFile, Remains, Row, Study, rebuild, verify
 
 _DAMAGED: Final = ".damaged"
-# Its rows, and those of a table that is read once more.
+# Memory needed, relative to the size of the file: all rows, and those of one table a second time.
 _COPIES: Final = 1.5
 
 
 @dataclass(frozen=True)
 class Repaired:
-    """What became of a damaged study.
+    """Result of repairing a study.
 
     Attributes
     ----------
     study : Path
     damaged : Path or None
-        Where the damaged file is now; None where nothing was to be mended.
+        Where the damaged file is now; None if there was nothing to repair.
     again : tuple of int
-        Scenarios that were run again.
+        Ids of the scenarios that were run again.
     lost : tuple of str
-        What could not be brought back, in words.
+        What could not be recovered, as parts of a sentence.
     """
 
     study: Path
@@ -66,27 +66,26 @@ def repair(
     workers: int = 1,
     memory: str | float = DEFAULT_MEMORY,
 ) -> Repaired:
-    """Bring back a damaged study.
+    """Repair a damaged study.
 
-    What is as it was written is kept. Scenarios of which something is lost are run again, with the simulator and the
-    settings of the study; where it is lost which they were, its search is asked for them again, and where it is lost
-    how many, it goes on until its budget is used up. The damaged file is kept under another name. Until it is replaced
-    nobody else can write to it.
+    Intact content is kept. Scenarios that lost content are run again with the study's simulator and settings. If their
+    parameters are lost, the optimizer proposes them again. If their number is lost, the exploration continues up to its
+    budget. The damaged file is kept under another name. The study is locked for other writers until it is replaced.
 
     Parameters
     ----------
     study : path
     scenario : path or Scenario, optional
-        File that was explored. By default it is looked for where the study names it, beside the study and in the
-        current folder, and known by its fingerprint.
+        The explored file. By default it is searched for at its stored path, next to the study and in the current
+        folder, and recognized by its fingerprint.
     simulator : str, optional
-        By default that of the study, without options.
+        Default: that of the study, without options.
     drivers : mapping of str to str or Driver, optional
-        Drivers of your own, by entity, where the study has some; presets are those of the study.
+        Your own drivers by entity, if the study has such; presets are taken from the study.
     workers : int, default 1
-        Simulators side by side.
+        Number of simulators that run in parallel.
     memory : str or float, default "4 GB"
-        How much the process may take in all, as text or in bytes.
+        Memory limit of the process, as text or in bytes.
 
     Returns
     -------
@@ -95,15 +94,15 @@ def repair(
     Raises
     ------
     InputError
-        It cannot be brought back, what it takes is not here, another one writes to it, it changed meanwhile, or it
-        needs more memory; the study is left as it is.
+        The study cannot be repaired, something needed is missing, another process writes to it, it changed meanwhile,
+        or more memory is needed; the study is left unchanged.
 
     See Also
     --------
-    cornercase.study.verify : Tells what is damaged.
+    cornercase.study.verify : Lists the damage.
     """
     file = path("study", study)
-    # A link stays one.
+    # Replace the target of a symbolic link, not the link.
     file = file.resolve()
     workers = whole_number("workers", workers, least=1)
     limit = MemoryLimit.of(memory)
@@ -111,57 +110,57 @@ def repair(
         _take_back(file)
     if verify(file).sound:
         return Repaired(file, None, (), ())
-    # What stands beside a temporary name is removed after it; what keeps others out ends when the file is replaced.
-    with _said(file), ExitStack() as ends, _undone(file), HeldFile(file) as held:
+
+    with _said(file), ExitStack() as exit_stack, _undone(file), HeldFile(file) as held:
         size = file.stat().st_size
         need = _COPIES * size
         limit.require(need, f"the contents of a study of {size_in_words(size)}", "give more")
         state_need("The contents of the study", need)
-        with written_whole(file) as made, _named(made, file):
-            made.unlink()
-            remains = rebuild(file, made)
+        with written_whole(file) as temporary, _named(temporary, file):
+            temporary.unlink()
+            remains = rebuild(file, temporary)
             lost = list(remains.lost)
             held.lock()
             if remains.again or not remains.counted:
                 _require_runnable(file, remains)
-                _run_again(file, made, remains, scenario, simulator, drivers or {}, workers)
+                _run_again(file, temporary, remains, scenario, simulator, drivers or {}, workers)
             if not remains.counted:
                 lost.append(f"how many scenarios it had; its search went on to its budget of {remains.meta.budget}")
-            lost += _still_other(made, remains)
-            # That takes time, and nothing may take time after it was looked whether the file is the same.
-            force_file(made)
-            # Another repair would undo what is half done.
-            ends.enter_context(alone_in(file.parent))
+            lost += _still_other(temporary, remains)
+            # Flush now: nothing slow may come between `require_same` and the replacement.
+            force_file(temporary)
+            # Another repair would undo this one halfway.
+            exit_stack.enter_context(alone_in(file.parent))
             held.require_same()
             held.release_to_rename()
-            kept = _keep(file)
-            held.moved(kept)
-    return Repaired(file, kept, remains.again, tuple(lost))
+            damaged_copy = _keep(file)
+            held.moved(damaged_copy)
+    return Repaired(file, damaged_copy, remains.again, tuple(lost))
 
 
 @contextmanager
 def _said(file: Path) -> Iterator[None]:
-    """Say in a sentence that a study cannot be repaired for want of room or rights."""
+    """Turn file system and SQLite errors into one sentence."""
     try:
         yield
     except (OSError, sqlite3.Error) as error:
-        why = error.strerror if isinstance(error, OSError) else error
-        raise InputError(f"{file}: cannot be repaired ({why}); make room, or copy it elsewhere.") from error
+        reason = error.strerror if isinstance(error, OSError) else error
+        raise InputError(f"{file}: cannot be repaired ({reason}); make room, or copy it elsewhere.") from error
 
 
 @contextmanager
 def _named(made: Path, file: Path) -> Iterator[None]:
-    """Name a study as the user does: the file that is being made has another name until it is whole."""
+    """Replace the name of the temporary file in errors by the user's."""
     try:
         yield
     except InputError as error:
-        words = str(error).replace(str(made), str(file))
-        raise error if words == str(error) else InputError(words) from error
+        text = str(error).replace(str(made), str(file))
+        raise error if text == str(error) else InputError(text) from error
 
 
 @contextmanager
 def _undone(file: Path) -> Iterator[None]:
-    """Take back the other name of a file that is not replaced after all."""
+    """Remove the second name of the damaged file if the study is not replaced after all."""
     try:
         yield
     except BaseException:
@@ -171,42 +170,42 @@ def _undone(file: Path) -> Iterator[None]:
 
 
 def _keep(file: Path) -> Path:
-    """Give a damaged file another name besides its own, so that there is always one of its own."""
-    kept = _free_name(file)
+    """Give the damaged file a second name, so that its own name always exists."""
+    damaged_copy = _free_name(file)
     try:
-        os.link(file, kept)
+        os.link(file, damaged_copy)
     except OSError:
-        # Not all file systems have such names.
-        with written_whole(kept) as copy:
+        # Not all file systems have hard links.
+        with written_whole(damaged_copy) as copy:
             shutil.copyfile(file, copy)
     for ending in OF_SQLITE:
-        beside = file.with_name(file.name + ending)
-        if beside.exists():
-            os.replace(beside, kept.with_name(kept.name + ending))
-    return kept
+        companion = file.with_name(file.name + ending)
+        if companion.exists():
+            os.replace(companion, damaged_copy.with_name(damaged_copy.name + ending))
+    return damaged_copy
 
 
 def _take_back(file: Path) -> None:
-    """Undo the keeping of a damaged file that a killed repair left with two names."""
-    for kept in takewhile(Path.exists, _names(file)):
-        if not kept.samefile(file):
+    """Undo `_keep` if a killed repair left the damaged file with two names."""
+    for damaged_copy in takewhile(Path.exists, _names(file)):
+        if not damaged_copy.samefile(file):
             continue
         for ending in OF_SQLITE:
-            beside, own = kept.with_name(kept.name + ending), file.with_name(file.name + ending)
-            if own.exists() and own.stat().st_size:
-                # Somebody has written to it since.
-                beside.unlink(missing_ok=True)
-            elif beside.exists():
-                os.replace(beside, own)
-        kept.unlink()
+            companion, original = damaged_copy.with_name(damaged_copy.name + ending), file.with_name(file.name + ending)
+            if original.exists() and original.stat().st_size:
+                # Another process has written to the study since.
+                companion.unlink(missing_ok=True)
+            elif companion.exists():
+                os.replace(companion, original)
+        damaged_copy.unlink()
 
 
 def _free_name(file: Path) -> Path:
-    return next(one for one in _names(file) if not one.exists())
+    return next(name for name in _names(file) if not name.exists())
 
 
 def _names(file: Path) -> Iterator[Path]:
-    """Names of damaged files, the first first."""
+    """Names for damaged files, in order."""
     yield file.with_name(file.name + _DAMAGED)
     yield from (file.with_name(f"{file.name}{_DAMAGED}-{number}") for number in count(2))
 
@@ -215,24 +214,26 @@ def _require_runnable(file: Path, remains: Remains) -> None:
     meta, again = remains.meta, len(remains.again)
     if meta.simulator == IMPORTED or meta.optimizer == "none" or meta.optimizer.startswith("importance-sampling:"):
         command = "import" if meta.simulator == IMPORTED else "test" if meta.suite else "estimate"
-        what = f"{again} of its scenarios are damaged" if again else "the number of its scenarios is lost"
+        problem = f"{again} of its scenarios are damaged" if again else "the number of its scenarios is lost"
         raise InputError(
-            f"{file}: {what}, and no search can make them again; make it again with `{command}`, under another name."
+            f"{file}: {problem}, and no search can propose them again; run `{command}` again, with another file name."
         )
     if meta.asynchronous and not all(remains.rounds.values()):
         raise InputError(
             f"{file}: the list of its scenarios is lost, and a search without rounds cannot be repeated; run"
-            " `explore` again, into another study."
+            " `explore` again with another study."
         )
 
 
 def _still_other(made: Path, remains: Remains) -> list[str]:
-    """Name tables that are not what they were, where that is known."""
+    """Name tables that differ from their stored row counts and checksums."""
     with Study.open(made) as opened:
-        now = opened.tallies()
+        totals = opened.tallies()
     skipped = ("notes", "outcomes", "analyses", "arrays")
-    other = [name for name, one in remains.tallies.items() if name not in skipped and now.get(name, (0, 0)) != one]
-    return [f"its table {name} is not what it was" for name in sorted(other)]
+    different = [
+        name for name, total in remains.tallies.items() if name not in skipped and totals.get(name, (0, 0)) != total
+    ]
+    return [f"its table {name} is not what it was" for name in sorted(different)]
 
 
 def _run_again(
@@ -245,15 +246,19 @@ def _run_again(
     workers: int,
 ) -> None:
     with Study.open(made, readonly=False) as opened:
-        about = replace(configuration_of(opened, file, scenario, simulator, drivers), workers=workers)
-        objective = about.objective()
+        config = replace(configuration_of(opened, file, scenario, simulator, drivers), workers=workers)
+        objective = config.objective()
         optimizer = create_optimizer(
-            about.optimizer, about.logical.space, about.seed, threshold=about.threshold(objective), budget=about.budget
+            config.optimizer,
+            config.logical.space,
+            config.seed,
+            threshold=config.threshold(objective),
+            budget=config.budget,
         )
-        with configured_simulator(about) as running, started_references(about) as references:
+        with configured_simulator(config) as running, started_references(config) as references:
             require_same_runs(file, opened.meta, running)
-            kind = _Repairer if remains.counted or not about.asynchronous else AsynchronousExplorer
-            explorer = kind(about, running, optimizer, opened, objective, references)
+            explorer_class = _Repairer if remains.counted or not config.asynchronous else AsynchronousExplorer
+            explorer = explorer_class(config, running, optimizer, opened, objective, references)
             if isinstance(explorer, _Repairer):
                 explorer.repair(remains.rounds, remains.counted)
             else:
@@ -261,36 +266,32 @@ def _run_again(
 
 
 class _Repairer(ScenarioExplorer):
-    """Runs pending scenarios of a study, and asks its search for those that are lost."""
+    """Runs the pending scenarios of a study, and asks its optimizer for lost ones."""
 
     def repair(self, rounds: Mapping[int, int], counted: bool) -> None:
-        """Go through the rounds of the study, and bring each back.
+        """Restore the study round by round.
 
-        Parameters
-        ----------
-        rounds : mapping of int to int
-            Round of each scenario by id; 0 where it is not known.
-        counted : bool
-            Whether these are all; otherwise the search goes on until its budget is used up.
+        `rounds` maps scenario ids to rounds, 0 if unknown. If not `counted`, the number of scenarios is lost and the
+        search continues up to its budget.
         """
         self._counted = counted
         if not counted:
             rounds = dict.fromkeys(range(1, self._configuration.budget + 1), 0) | dict(rounds)
         elif all(rounds.values()):
-            # Nothing is asked, so nothing has to be told.
+            # All rounds are known, so the optimizer is not needed.
             self._simulate([row for row in self._study.rows() if row.state == "pending"], None)
             return
         self._search = Search(self._optimizer, self._study.meta.asynchronous)
         self._proposer = Proposer(self._search, self._study)
-        known = self._objective.oriented_of(self._study)
-        scores: dict[int, Any] = dict(zip((row.id for row in self._study.done()), known, strict=True))
+        minimized = self._objective.oriented_of(self._study)
+        scores: dict[int, Any] = dict(zip((row.id for row in self._study.done()), minimized, strict=True))
         batch, done = self._configuration.batch, 0
-        for number, members in groupby(_filled(rounds, batch).items(), key=lambda one: one[1]):
-            ids = [one for one, _ in members]
-            there = {row.id: row for row in self._study.rows_of(number)}
-            if missing := [one for one in ids if one not in there]:
-                there |= self._proposed_again(number, ids, missing, done, there)
-            rows = [there[one] for one in ids if one in there]
+        for number, members in groupby(_filled(rounds, batch).items(), key=lambda item: item[1]):
+            ids = [scenario for scenario, _ in members]
+            rows_by_id = {row.id: row for row in self._study.rows_of(number)}
+            if missing := [scenario for scenario in ids if scenario not in rows_by_id]:
+                rows_by_id |= self._proposed_again(number, ids, missing, done, rows_by_id)
+            rows = [rows_by_id[scenario] for scenario in ids if scenario in rows_by_id]
             if not rows:
                 return
             scores |= self._simulate([row for row in rows if row.state == "pending"], None)
@@ -302,31 +303,31 @@ class _Repairer(ScenarioExplorer):
     ) -> dict[int, Row]:
         points = self._proposer.propose(done, len(ids))
         if not self._counted:
-            # It may have no more.
+            # The search may have fewer proposals.
             ids = ids[: len(points)]
-            missing = [one for one in missing if one in ids]
+            missing = [scenario for scenario in missing if scenario in ids]
         same = len(points) == len(ids) and all(
-            np.array_equal(points[k], there[one].point) for k, one in enumerate(ids) if one in there
+            np.array_equal(points[k], there[scenario].point) for k, scenario in enumerate(ids) if scenario in there
         )
         if not same:
             raise InputError(
-                f"{self._study.path}: its search does not propose the same scenarios again, as with another version"
-                " of cornercase; run `explore` again, into another study."
+                f"{self._study.path}: its search does not propose the same scenarios again, for example because of"
+                " another version of cornercase; run `explore` again with another study."
             )
-        wanted = [ids.index(one) for one in missing]
-        rows = self._study.propose(number, points[wanted], self._space.values(points[wanted]), missing)
+        indices = [ids.index(scenario) for scenario in missing]
+        rows = self._study.propose(number, points[indices], self._space.values(points[indices]), missing)
         return {row.id: row for row in rows}
 
 
 def _filled(rounds: Mapping[int, int], batch: int) -> dict[int, int]:
-    """Rounds of all scenarios: those that are not known are in that of the one before, until it is full."""
-    later, last = {}, math.inf
-    for one in sorted(rounds, reverse=True):
-        later[one] = last = rounds[one] or last
+    """Fill in unknown rounds: that of the scenario before, until the round is full."""
+    next_round, last = {}, math.inf
+    for scenario in sorted(rounds, reverse=True):
+        next_round[scenario] = last = rounds[scenario] or last
     filled: dict[int, int] = {}
     current, count = 1, 0
-    for one in sorted(rounds):
-        turn = rounds[one] or int(min(current if count < batch else current + 1, later[one]))
-        current, count = turn, count + 1 if turn == current else 1
-        filled[one] = turn
+    for scenario in sorted(rounds):
+        round_number = rounds[scenario] or int(min(current if count < batch else current + 1, next_round[scenario]))
+        current, count = round_number, count + 1 if round_number == current else 1
+        filled[scenario] = round_number
     return filled

@@ -1,4 +1,4 @@
-"""The first scenario of a study, run a second time to see whether runs repeat themselves."""
+"""Check if runs are deterministic: run the first scenario of a study twice."""
 
 from __future__ import annotations
 
@@ -12,29 +12,11 @@ from cornercase.study import Row, Study
 
 
 def try_repeatability(study: Study, again: Callable[[Row], Recording | SimulationError], advice: str) -> bool:
-    """Run the first scenario of a study a second time, alone, and store whether its recording is the same.
+    """Run the first finished scenario again by `again`, and store whether the recording is identical.
 
-    It is done once for a study. A simulator that does not claim to repeat itself is not tried. One try proves nothing,
-    but finds what draws random numbers, or keeps something from one run to the next.
-
-    Parameters
-    ----------
-    study : Study
-        Open for writing.
-    again : callable
-        Runs a scenario.
-    advice : str
-        What to do where runs differ, for a warning; empty for none.
-
-    Returns
-    -------
-    bool
-        False as long as no scenario has been run.
-
-    Warns
-    -----
-    NoticeWarning
-        Runs differ, or the second run failed.
+    Done once per study, and only for simulators that claim to be deterministic. One check proves nothing, but finds
+    random numbers and state that is kept between runs. `advice` is appended to the warning if runs differ; empty for no
+    warning. Returns False as long as no scenario has finished.
     """
     row = next((row for row in study.rows() if row.state == "done"), None)
     if row is None:
@@ -44,10 +26,10 @@ def try_repeatability(study: Study, again: Callable[[Row], Recording | Simulatio
         if isinstance(outcome, PartError):
             study.save_repeatability(row.id, False, None)
         elif isinstance(outcome, SimulationError):
-            # It may have reasons outside, such as a time-out on a busy machine.
+            # The cause may be external, such as a time-out on a busy machine.
             warn(
-                f"scenario {row.id} could not be run a second time ({outcome}), so it is not known whether runs repeat"
-                " themselves; the same command tries it again"
+                f"scenario {row.id} could not be run a second time ({outcome}), so it is unknown whether runs are"
+                " deterministic; run the same command again to retry"
             )
         else:
             first = study.recording(row.id)
@@ -59,7 +41,7 @@ def try_repeatability(study: Study, again: Callable[[Row], Recording | Simulatio
 
 
 def _claims_to_repeat_itself(simulator: str) -> bool:
-    """Whether a simulator declares it; one that Python code hands to an explorer need not be registered."""
+    """Return whether the simulator declares that it is deterministic; False if it is not registered."""
     try:
         return SIMULATORS.class_of(simulator).repeats_itself
     except InputError:

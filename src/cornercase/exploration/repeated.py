@@ -1,4 +1,4 @@
-"""Scenarios that are run several times, and more often where it is open whether they are critical."""
+"""Repeated runs of a scenario, and extra runs while it is undecided whether it is critical."""
 
 from __future__ import annotations
 
@@ -18,19 +18,10 @@ from cornercase.study import Row, are_open
 
 @dataclass(eq=False)
 class RepeatedScenario:
-    """A scenario, and what came of its runs so far.
+    """A scenario and its runs so far.
 
-    Attributes
-    ----------
-    row : Row
-    wanted : int
-        Number of runs that it needs next; 0 if it needs none.
-    ran : int
-        Number of runs so far, including those that failed.
-    runs : list of (Recording, dict of str to Measured)
-        The recording of each run that did not fail, and its course and score by metric.
-    error : SimulationError or None
-        Why the first of the failed runs failed.
+    `wanted`: runs to do next, 0 for none; `ran`: runs done, including failed ones; `runs`: recording and results by
+    metric of each successful run; `error`: error of the first failed run.
     """
 
     row: Row
@@ -41,22 +32,11 @@ class RepeatedScenario:
 
 
 class Repetition:
-    """Says how often scenarios are run.
+    """Decides how often scenarios are run.
 
-    Each is run `repeats` times. A scenario is open while its runs do not tell on which side of the threshold it is
-    (`are_open`). With `most_repeats`, an open scenario is run `repeats` times more, again and again, until it is no
-    longer open or has had `most_repeats` runs. A scenario whose runs all failed is not run again.
-
-    Parameters
-    ----------
-    configuration : Configuration
-    objective : Objective
-        Its metrics are measured.
-
-    Raises
-    ------
-    InputError
-        Nothing says what is critical, but `most_repeats` needs it.
+    Each is run `repeats` times. With `most_repeats`, a scenario gets `repeats` further runs, up to `most_repeats`,
+    while its runs do not tell on which side of the threshold it is (`are_open`). If all runs failed, there are no more.
+    Raises `InputError` if `most_repeats` needs a threshold and there is none.
     """
 
     def __init__(self, configuration: Configuration, objective: Objective) -> None:
@@ -64,55 +44,29 @@ class Repetition:
         self._threshold = configuration.threshold(objective)
 
     def begin(self, row: Row) -> RepeatedScenario:
-        """Begin with a scenario that was not run yet.
-
-        Parameters
-        ----------
-        row : Row
-
-        Returns
-        -------
-        RepeatedScenario
-        """
+        """Create the state of a scenario without runs."""
         return RepeatedScenario(row, self._about.repeats)
 
     def take(self, one: RepeatedScenario, outcomes: Sequence[Recording | SimulationError]) -> None:
-        """Measure runs of a scenario, and say whether it needs more.
-
-        Parameters
-        ----------
-        one : RepeatedScenario
-        outcomes : sequence of Recording or SimulationError
-            Of the runs that were wanted.
-        """
-        about = self._about
+        """Measure finished runs, and set how many more are needed."""
+        config = self._about
         for outcome in outcomes:
             try:
                 if isinstance(outcome, SimulationError):
                     raise outcome
-                one.runs.append((outcome, measured(self._objective.metrics, outcome, about.ego, about.others)))
+                one.runs.append((outcome, measured(self._objective.metrics, outcome, config.ego, config.others)))
             except SimulationError as error:
                 one.error = one.error or error
         one.ran += len(outcomes)
         one.wanted = self._more(one)
 
     def scores(self, one: RepeatedScenario) -> FloatArray:
-        """Oriented scores of the runs of a scenario.
-
-        Parameters
-        ----------
-        one : RepeatedScenario
-            One of its runs at least did not fail.
-
-        Returns
-        -------
-        ndarray of float64, shape (n,), or (n, metrics) for a Pareto front
-        """
-        return self._objective.oriented(np.array([[each.score for each in run.values()] for _, run in one.runs]))
+        """Minimized scores of the successful runs, shape (n,) or (n, metrics) for a front."""
+        return self._objective.oriented(np.array([[result.score for result in run.values()] for _, run in one.runs]))
 
     def _more(self, one: RepeatedScenario) -> int:
-        most = self._about.most_repeats
-        if most is None or self._threshold is None or not one.runs:
+        limit = self._about.most_repeats
+        if limit is None or self._threshold is None or not one.runs:
             return 0
-        more = min(self._about.repeats, most - one.ran)
-        return more if more and are_open(self.scores(one).tolist(), self._threshold) else 0
+        n_more = min(self._about.repeats, limit - one.ran)
+        return n_more if n_more and are_open(self.scores(one).tolist(), self._threshold) else 0

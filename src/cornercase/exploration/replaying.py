@@ -1,4 +1,4 @@
-"""Proposals made again from the results that a study holds."""
+"""Verify that the results in a study lead to the same proposals."""
 
 from __future__ import annotations
 
@@ -18,48 +18,34 @@ from cornercase.study import Row, Study, StudyMeta
 
 
 def replay_proposals(path: Path, meta: StudyMeta, objective: Objective, optimizer: Optimizer) -> ExplorationResult:
-    """Ask a search again for all scenarios of a study, with the stored results; nothing is simulated.
+    """Ask a fresh optimizer for all scenarios of a study again, with the stored results; nothing is simulated.
 
-    Parameters
-    ----------
-    path : Path
-        The study, which is only read.
-    meta : StudyMeta
-        What it has to be about; the settings of the simulator are not looked at.
-    objective : Objective
-    optimizer : Optimizer
-        A fresh one.
-
-    Returns
-    -------
-    ExplorationResult
-        Its `same` tells whether all proposals were the same, and its `reason` which was the first that was not.
-
-    Raises
-    ------
-    InputError
-        There is no such study, it is of another exploration, or it is read while an explorer writes to it.
+    `meta` is what the study has to match, except for the simulator's settings. The result's `same` is True if all
+    proposals agree; otherwise `reason` names the first that differs. Raises `InputError` if the study belongs to
+    another exploration or is being written.
     """
     with Study.open(path, readonly=True) as study, study.snapshot():
         study.meta.require_same(meta, path, same_budget="budget" in optimizer.needs)
-        other = _first_other(study, objective, optimizer)
+        first_difference = _first_other(study, objective, optimizer)
         count = len(study.rows())
-        said = f"the same {count} scenarios were proposed again" if other is None else (
-            f"the scenario {other} of {count} is proposed otherwise from the same results"
+        reason = f"the same {count} scenarios were proposed again" if first_difference is None else (
+            f"scenario {first_difference} of {count} is proposed differently from the same results"
         )  # fmt: skip
-        return ExplorationResult(path, len(study.done()), len(study.failed()), said, same=other is None)
+        return ExplorationResult(path, len(study.done()), len(study.failed()), reason, same=first_difference is None)
 
 
 def _first_other(study: Study, objective: Objective, optimizer: Optimizer) -> int | None:
-    """Id of the first scenario that is proposed otherwise; None where all are the same."""
+    """Id of the first scenario that is proposed differently; None if all agree."""
     results = _Results(study, objective, "features" in optimizer.needs)
-    if (known := study.elsewhere()) is not None:
-        optimizer.begin_from(*known)
+    if (warm_start := study.elsewhere()) is not None:
+        optimizer.begin_from(*warm_start)
     search = Search(optimizer, study.meta.asynchronous)
     rows = study.rows()
-    ran = study.space.values(np.array([row.point for row in rows]).reshape(-1, study.space.dimension))
-    if other := next((row.id for row, values in zip(rows, ran, strict=True) if dict(row.values) != values), None):
-        return other
+    stored_values = study.space.values(np.array([row.point for row in rows]).reshape(-1, study.space.dimension))
+    if mismatch := next(
+        (row.id for row, values in zip(rows, stored_values, strict=True) if dict(row.values) != values), None
+    ):
+        return mismatch
     proposer, done = Proposer(search, study), 0
     for turn in turns_of(study):
         if searched := [row for row in turn.ended if not study.meta.is_audit(row.id)]:
@@ -77,21 +63,19 @@ def _first_other(study: Study, objective: Objective, optimizer: Optimizer) -> in
 
 
 class _Results:
-    """What a search is told of the scenarios of a study."""
+    """The stored results, as a search receives them."""
 
     def __init__(self, study: Study, objective: Objective, with_features: bool) -> None:
         self._study, self._with_features = study, with_features
         ids = [row.id for row in study.done()]
         self._scores = dict(zip(ids, objective.oriented_of(study), strict=True))
-        uncritical = np.full_like(objective.uncritical, np.nan)
-        self._failed: Any = uncritical if objective.pareto else np.nan
+        missing = np.full_like(objective.uncritical, np.nan)
+        self._failed: Any = missing if objective.pareto else np.nan
 
     def of(self, rows: Sequence[Row]) -> list[Any]:
         """Points, scores and features of scenarios."""
         if pending := next((row.id for row in rows if row.state == "pending"), None):
-            raise InputError(
-                f"{self._study.path}: the scenario {pending} has not ended; let its exploration end first."
-            )
+            raise InputError(f"{self._study.path}: scenario {pending} has not ended; finish the exploration first.")
         points = np.array([row.point for row in rows])
         scores = np.array([self._scores.get(row.id, self._failed) for row in rows])
         if not self._with_features:

@@ -1,4 +1,4 @@
-"""Scenarios of a study run, measured and stored."""
+"""Run, measure and store scenarios of a study."""
 
 from __future__ import annotations
 
@@ -24,12 +24,7 @@ from cornercase.study import Row, Study
 
 
 class StageClock:
-    """Adds up how long the stages of an exploration take, and notes it in the study.
-
-    Parameters
-    ----------
-    study : Study
-    """
+    """Adds up how long the stages of an exploration take, and stores the sums in the study."""
 
     def __init__(self, study: Study) -> None:
         self._study = study
@@ -37,38 +32,27 @@ class StageClock:
 
     @contextmanager
     def __call__(self, stage: str) -> Iterator[None]:
-        """Take the time of a stage."""
-        begun = time.monotonic()
+        """Measure the time of a stage."""
+        start = time.monotonic()
         try:
             yield
         finally:
-            self._spent[stage] = self._spent.get(stage, 0.0) + time.monotonic() - begun
+            self._spent[stage] = self._spent.get(stage, 0.0) + time.monotonic() - start
 
     def note(self) -> None:
-        """Write down what was taken since the last time."""
+        """Store and reset the measured times."""
         if self._spent:
             self._study.add_all_elapsed(self._spent)
         self._spent.clear()
 
 
 class ScenarioRunner:
-    """Runs scenarios, measures them, and stores each the moment it has ended.
+    """Runs and measures scenarios, and stores each as soon as it has ended.
 
-    Parameters
-    ----------
-    configuration : Configuration
-        If each scenario is run several times, the run whose score is the median is stored (with an even number of
-        runs, the more critical of the two in the middle), and the scores of all runs. Failed runs are left out, unless
-        all failed. Scenarios that need more runs get them once each scenario of the round has had its first ones.
-    simulator : Simulator
-    objective : Objective
-        Its metrics are measured.
-    study : Study
-        Open for writing.
-    clock : StageClock
-    references : mapping of str to Simulator, optional
-        With the references of the configuration's condition at the wheel of the ego, by name. What depends on them is
-        stored when all scenarios have ended, and those that depend on them have been run again.
+    Of repeated runs, the run with the median score is stored (for an even number, the more critical of the middle two),
+    and the scores of all runs. Failed runs are ignored unless all failed. Extra repeats are run after all scenarios of
+    the round have had their first repeats. If the condition depends on references (simulators with a reference driver
+    in the ego, by name), a scenario is stored after all have ended and the reference runs are done.
     """
 
     def __init__(
@@ -84,68 +68,50 @@ class ScenarioRunner:
         self._study, self._clock = study, clock
         self._repetition = Repetition(configuration, objective)
         self.notices = RunNotices(simulator)
-        # Scenarios in which a driver, the simulator or a metric raised an exception.
+        # Number of scenarios that failed by an exception of a driver, the simulator or a metric, and the last error.
         self._raised, self._last = 0, SimulationError()
         condition = configuration.condition()
         self._second, self._tried = None, False
         if condition is not None:
             self._second = SecondRuns(configuration, condition, references or {}, self.outcomes)
             if missing := [name for name in condition.references if name not in (references or {})]:
-                raise InputError(f"`references`: there is no simulator with {missing[0]} at the wheel.")
+                raise InputError(f"`references`: there is no simulator in which {missing[0]} drives the ego.")
 
     def run(self, rows: Sequence[Row]) -> Iterator[tuple[int, Any]]:
-        """Run scenarios of the study.
+        """Run scenarios; yield id and minimized score (float, or shape (metrics,) for a front) of each successful one.
 
-        Parameters
-        ----------
-        rows : sequence of Row
-
-        Yields
-        ------
-        tuple of int and float, or ndarray of float64, shape (metrics,)
-            Id and oriented score of each that did not fail, once it is stored; several scores for a Pareto front.
-
-        Raises
-        ------
-        InputError
-            None of them can be run, or the simulator itself failed.
+        Raises `InputError` if none of them can be run, or the simulator itself failed.
         """
         if not rows:
             return
-        waiting, left = list[Undecided](), deque(self.begun(row) for row in rows)
-        while left:
-            needy = deque[RepeatedScenario]()
-            for one, outcomes in self._batch(left):
-                found = self.settled(one, outcomes)
-                if isinstance(found, RepeatedScenario):
-                    needy.append(found)
-                elif isinstance(found, Undecided):
-                    waiting.append(found)
-                elif found is not None:
-                    yield one.row.id, found
-            left = needy
+        waiting, remaining = list[Undecided](), deque(self.begun(row) for row in rows)
+        while remaining:
+            unfinished = deque[RepeatedScenario]()
+            for scenario, outcomes in self._batch(remaining):
+                result = self.settled(scenario, outcomes)
+                if isinstance(result, RepeatedScenario):
+                    unfinished.append(result)
+                elif isinstance(result, Undecided):
+                    waiting.append(result)
+                elif result is not None:
+                    yield scenario.row.id, result
+            remaining = unfinished
         if self._second is not None and waiting:
             with self._clock("simulate"):
                 decided = list(self._second.decide(waiting))
-            for ready in sorted(decided, key=lambda one: one.row.id):
-                score = self.stored(ready)
+            for pending in sorted(decided, key=lambda item: item.row.id):
+                score = self.stored(pending)
                 if score is not None:
-                    yield ready.row.id, score
+                    yield pending.row.id, score
         self.require_results()
 
     def try_repeatability(self) -> None:
-        """Run the first scenario of the study a second time, once it has ended, to see whether runs repeat themselves.
-
-        Raises
-        ------
-        InputError
-            The simulator itself failed.
-        """
+        """Run the first finished scenario of the study a second time, to check if runs are deterministic."""
         if self._tried:
             return
         advice = (
-            "a driver or the simulator draws random numbers, or keeps something from one run to the next: mend it, or"
-            " run each scenario several times with `repeats`"
+            "a driver or the simulator draws random numbers or keeps state between runs: fix it, or run each scenario"
+            " several times with `repeats`"
         )
         with self._clock("simulate"):
             self._tried = try_repeatability(
@@ -159,56 +125,32 @@ class ScenarioRunner:
     def _batch(
         self, scenarios: deque[RepeatedScenario]
     ) -> Iterator[tuple[RepeatedScenario, list[Recording | SimulationError]]]:
-        """Run each scenario as often as is wanted, all in one batch; those that came are taken out."""
-        results = self.outcomes(self._simulator, [each for one in scenarios for each in self.concretes(one)])
+        """Run all requested runs in one batch; scenarios are removed from the deque as their results come."""
+        results = self.outcomes(
+            self._simulator, [concrete for scenario in scenarios for concrete in self.concretes(scenario)]
+        )
         while scenarios:
-            one = scenarios.popleft()
+            scenario = scenarios.popleft()
             with self._clock("simulate"):
-                outcomes = [next(results) for _ in range(one.wanted)]
-            yield one, outcomes
-        # All are taken, so that the simulator clears up before the next batch.
+                outcomes = [next(results) for _ in range(scenario.wanted)]
+            yield scenario, outcomes
+        # Exhaust the iterator, so that the simulator cleans up before the next batch.
         for _ in results:
             pass
 
     def begun(self, row: Row) -> RepeatedScenario:
-        """Begin with a scenario that has to be run.
-
-        Parameters
-        ----------
-        row : Row
-
-        Returns
-        -------
-        RepeatedScenario
-        """
+        """Create the state of a scenario without runs."""
         return self._repetition.begin(row)
 
     def concretes(self, one: RepeatedScenario) -> list[ConcreteScenario]:
-        """Make the concrete scenarios that have to be run next of one: the same as often as is wanted.
-
-        Parameters
-        ----------
-        one : RepeatedScenario
-
-        Returns
-        -------
-        list of ConcreteScenario
-        """
+        """Create the concrete scenario once per requested run."""
         return [self._configuration.logical.concrete(one.row.values) for _ in range(one.wanted)]
 
     def settled(self, one: RepeatedScenario, outcomes: Sequence[Recording | SimulationError]) -> Any:
-        """Measure runs of a scenario, and store what came of it unless it needs more, or depends on a reference.
+        """Measure finished runs, and store the scenario if it needs no further run.
 
-        Parameters
-        ----------
-        one : RepeatedScenario
-        outcomes : sequence of Recording or SimulationError
-            Of the runs that were wanted.
-
-        Returns
-        -------
-        float, ndarray of float64, shape (metrics,), RepeatedScenario, Undecided or None
-            Its oriented score or scores; what has to be run again; None where it failed.
+        Returns its minimized score or scores, `RepeatedScenario` or `Undecided` if more runs are needed, None if it
+        failed.
         """
         row = one.row
         with self._clock("measure"):
@@ -231,39 +173,23 @@ class ScenarioRunner:
                 self._study.finish(row.id, recording, courses, repeats)
             return scores[middle]
         with self._clock("measure"):
-            looked = self._second.look(row, recording, courses)
-        return self.stored(looked) if looked.wanted is None else looked
+            pending = self._second.look(row, recording, courses)
+        return self.stored(pending) if pending.wanted is None else pending
 
     def again(self, one: Undecided, outcome: Recording | SimulationError) -> None:
-        """Take the run of a scenario with the reference that it depends on.
-
-        Parameters
-        ----------
-        one : Undecided
-        outcome : Recording or SimulationError
-        """
+        """Record the run with the reference driver that a scenario was waiting for."""
         if self._second is not None and one.wanted is not None:
             self._second.take(one, one.wanted, outcome)
 
     def stored(self, one: Undecided) -> Any:
-        """Store a scenario of which the condition is decided.
-
-        Parameters
-        ----------
-        one : Undecided
-
-        Returns
-        -------
-        float, or ndarray of float64, shape (metrics,), or None
-            Its oriented score; None where it failed.
-        """
+        """Store a scenario whose condition is decided; return its minimized score, None if a run failed."""
         if one.error is not None:
             self._fail(one.row, one.error)
             return None
         courses = one.decided()
         with self._clock("store"):
             self._study.finish(one.row.id, one.recording, courses, references=one.outcomes)
-        return self._objective.oriented(np.array([[each.score for each in courses.values()]]))[0]
+        return self._objective.oriented(np.array([[result.score for result in courses.values()]]))[0]
 
     def _fail(self, row: Row, error: SimulationError) -> None:
         self._study.fail(row.id, error)
@@ -271,13 +197,7 @@ class ScenarioRunner:
             self._raised, self._last = self._raised + 1, error
 
     def require_results(self) -> None:
-        """End the search if a driver, the simulator or a metric fails in all scenarios from the first one on.
-
-        Raises
-        ------
-        InputError
-            As many have failed so as the configuration says, and none has given a result.
-        """
+        """Raise `InputError` if `max_failures` scenarios failed by exceptions before any gave a result."""
         if 0 < self._configuration.max_failures <= self._raised and not self._study.done():
             raise InputError(
                 f"None of {self._raised} scenarios gave a result (`max_failures`); in the last one {self._last}. Fix"
@@ -287,37 +207,21 @@ class ScenarioRunner:
     def outcomes(
         self, simulator: Simulator, concretes: Sequence[ConcreteScenario]
     ) -> Iterator[Recording | SimulationError]:
-        """Run scenarios by a simulator, whose own failure is an error in a sentence.
-
-        Parameters
-        ----------
-        simulator : Simulator
-        concretes : sequence of ConcreteScenario
-
-        Yields
-        ------
-        Recording or SimulationError
-            One for each.
-
-        Raises
-        ------
-        InputError
-            None of them can be run, or the simulator itself failed.
-        """
+        """Run scenarios; yield one recording or error each. A crash of the simulator itself raises `InputError`."""
         try:
             yield from outcomes_of(simulator, concretes)
         except InputError:
             raise
         except Exception as error:
-            words = " ".join(f"{type(error).__name__}: {error}".split())
+            text = " ".join(f"{type(error).__name__}: {error}".split())
             raise InputError(
-                f"The simulator '{self._configuration.simulator}' failed ({words}); fix it, and run the same command"
-                " again to go on."
+                f"The simulator '{self._configuration.simulator}' failed ({text}); fix it, and run the same command"
+                " again to resume."
             ) from error
 
 
 def _middle(scores: FloatArray) -> int:
-    """Place of the median of scores, shape (n,) or (n, k); of several scores the first counts."""
+    """Index of the median of scores, shape (n,) or (n, k); of several scores the first counts."""
     first = scores.reshape(len(scores), -1)[:, 0].tolist()
     order = sorted(range(len(first)), key=first.__getitem__)
     return order[(len(order) - 1) // 2]

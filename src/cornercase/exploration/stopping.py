@@ -1,4 +1,4 @@
-"""When enough is known of a critical set to stop."""
+"""Stop criteria on how well the critical set is known."""
 
 from __future__ import annotations
 
@@ -16,8 +16,8 @@ from cornercase.exploration.judging import chosen_blindly
 from cornercase.metrics import known_features
 from cornercase.scenario import ParameterSpace
 
+# Minimum number of scenarios to judge a critical set.
 _LEAST: Final = 40
-"""Scenarios below which nothing is said about a critical set."""
 
 _FORM = re.compile(r"(?P<what>[a-z-]+)(?:\((?P<size>[^()]*)\))?<(?P<below>.+)")
 
@@ -27,18 +27,13 @@ _KINDS = ("missed", "interval", "audited-missed", *_SIZED)
 
 @dataclass(frozen=True)
 class Criterion:
-    """A quantity of a `CriticalSet` that is to fall below a number.
+    """An upper bound on a quantity of a `CriticalSet`.
 
-    Attributes
-    ----------
-    what : {"missed", "interval", "audited-missed", "overlooked", "unvisited"}
-        The upper end of the 90 % interval of the share of the critical set that is missed, and what a region that
-        nothing points to could add to it; the width of the interval of the critical share of the space; what is missed
-        at most by the audits; the probability that a critical region was overlooked; the share of the space around
-        which nothing was run.
-    below : float
-    size : float
-        Share of the space from which a region counts.
+    `what`: ``missed``: upper end of the 90 % interval of the missed fraction of the critical set, plus what an
+    undetected region could add; ``interval``: width of the interval of the critical fraction of the space;
+    ``audited-missed``: upper bound of the missed fraction by the audits; ``overlooked``: probability that a critical
+    region was overlooked; ``unvisited``: fraction of the space around which nothing was run. `size` is the smallest
+    region that counts, as a fraction of the space.
     """
 
     what: str
@@ -47,21 +42,7 @@ class Criterion:
 
     @classmethod
     def parse(cls, text: str) -> Criterion:
-        """Read a criterion such as ``missed<0.01`` or ``overlooked(0.02)<0.05``.
-
-        Parameters
-        ----------
-        text : str
-
-        Returns
-        -------
-        Criterion
-
-        Raises
-        ------
-        InputError
-            It is none.
-        """
+        """Parse a criterion such as ``missed<0.01`` or ``overlooked(0.02)<0.05``."""
         match = _FORM.fullmatch(text.replace(" ", ""))
         if match is None or match["what"] not in _KINDS:
             raise InputError(
@@ -69,12 +50,12 @@ class Criterion:
                 " unvisited(0.01)<0.05 or audited-missed<0.1, in quotes."
             )
         if match["size"] is not None and match["what"] not in _SIZED:
-            raise InputError(f"`stop_when` {text}: only overlooked and unvisited take a size.")
+            raise InputError(f"`stop_when` {text}: only overlooked and unvisited accept a size.")
         size = _share(match["size"], text) if match["size"] else REGION
         return cls(match["what"], _share(match["below"], text), size)
 
     def value(self, known: CriticalSet) -> float:
-        """Value of the quantity, from 0 to 1; 1 where nothing can be said of it."""
+        """Value of the quantity, from 0 to 1; 1 if it is unknown."""
         if self.what == "missed":
             return 1.0 if known.missed_doubt else min(known.missed.high + known.hidden, 1.0)
         if self.what == "audited-missed":
@@ -84,40 +65,23 @@ class Criterion:
         return known.overlooked(self.size) if self.what == "overlooked" else known.unvisited(self.size)
 
     def words(self, value: float) -> str:
-        """Say what was reached."""
+        """Describe the value that was reached."""
         if self.what == "missed":
             return f"at most {value:.2%} of the critical set is missed"
         if self.what == "audited-missed":
-            return f"by the audits at most {value:.2%} of the critical set is missed"
+            return f"according to the audits, at most {value:.2%} of the critical set is missed"
         if self.what == "interval":
             return f"the critical share is known within {value:.2%}"
         if self.what == "unvisited":
-            return f"a region of {self.size:.2%} in {value:.2%} of the space would hold nothing that was run"
+            return f"in {value:.2%} of the space, no scenario was run within a region of {self.size:.2%}"
         return f"with a probability of {value:.2%} a critical region of {self.size:.2%} or more was overlooked"
 
 
 class Stopping:
-    """Tells when enough is known of the critical set: when all criteria are fulfilled.
+    """Collects results and checks if all stop criteria hold.
 
-    Parameters
-    ----------
-    criteria : sequence of Criterion
-        Without any, never.
-    space : ParameterSpace
-    threshold : float or None
-        Oriented score up to which a scenario is critical.
-    seed : int
-    optimizer : str
-        Name of the search, which says what of it fills the space.
-    audited : bool, default False
-        Whether there are audits.
-    elsewhere : Elsewhere, optional
-        What the study that the search began from predicts.
-
-    Raises
-    ------
-    InputError
-        There are criteria but no threshold, or one that needs audits.
+    `threshold` is a minimized score, `optimizer` the search (it determines which points are independent of scores).
+    Raises `InputError` if there are criteria without a threshold, or ``audited-missed`` without audits.
     """
 
     def __init__(
@@ -130,10 +94,10 @@ class Stopping:
         audited: bool = False,
         elsewhere: Elsewhere | None = None,
     ) -> None:
-        if not audited and any(one.what == "audited-missed" for one in criteria):
-            raise InputError("`stop_when`: audited-missed needs audits; ask for some with `audit`, such as 0.1.")
+        if not audited and any(criterion.what == "audited-missed" for criterion in criteria):
+            raise InputError("`stop_when`: audited-missed needs audits; set `audit`, for example to 0.1.")
         if criteria and threshold is None:
-            raise InputError("`stop_when`: needs a threshold; give one with `critical`.")
+            raise InputError("`stop_when`: needs a threshold; set one with `critical`.")
         self._criteria, self._space, self._threshold, self._seed = tuple(criteria), space, threshold, seed
         self._optimizer, self._elsewhere = optimizer, elsewhere
         self._points, self._scores = np.zeros((0, space.dimension)), np.zeros(0)
@@ -141,32 +105,29 @@ class Stopping:
         self._features: list[FloatArray] = []
 
     def tell(self, points: FloatArray, scores: FloatArray, features: FloatArray | None = None) -> None:
-        """Take oriented scores, shape (m,), of points, shape (m, d); NaN for a scenario that failed.
-
-        Where the search learns from features of the recordings, of shape (m, f), they judge it too.
-        """
+        """Add points (m, d), minimized scores (m,), NaN if failed, and features (m, f) if the search uses them."""
         if self._criteria:
             self._features += [] if features is None else [features]
             self._points = np.concatenate([self._points, points])
             self._scores = np.concatenate([self._scores, scores])
 
     def tell_audits(self, points: FloatArray, scores: FloatArray) -> None:
-        """Take audits as in `tell`."""
+        """Add audits as in `tell`."""
         if self._criteria:
             self._audits = np.concatenate([self._audits, points])
             self._audited = np.concatenate([self._audited, scores])
 
     @property
     def ready(self) -> bool:
-        """Whether there are criteria, and enough scenarios to judge them."""
+        """Whether there are criteria and enough scenarios to check them."""
         return bool(self._criteria) and len(self._scores) >= _LEAST
 
     def reason(self) -> str | None:
-        """Say why enough is known; None while it is not."""
+        """Describe how well the critical set is known if all criteria hold, else None."""
         if not self.ready or self._threshold is None:
             return None
         try:
-            known = CriticalSet(
+            critical_set = CriticalSet(
                 self._space,
                 self._points,
                 self._scores,
@@ -179,10 +140,10 @@ class Stopping:
             )
         except ValueError:
             return None
-        values = [criterion.value(known) for criterion in self._criteria]
-        if any(value >= one.below for one, value in zip(self._criteria, values, strict=True)):
+        values = [criterion.value(critical_set) for criterion in self._criteria]
+        if any(value >= criterion.below for criterion, value in zip(self._criteria, values, strict=True)):
             return None
-        return " and ".join(one.words(value) for one, value in zip(self._criteria, values, strict=True))
+        return " and ".join(criterion.words(value) for criterion, value in zip(self._criteria, values, strict=True))
 
 
 def _share(text: str, whole: str) -> float:

@@ -1,4 +1,4 @@
-"""The scenario that a study explores, also where numbers of its file vary that are no parameters."""
+"""The scenario file to explore, also if numbers in it that are no parameters are varied."""
 
 from __future__ import annotations
 
@@ -22,68 +22,61 @@ def explored_file(
     vary: Sequence[str],
     continuous: bool,
 ) -> Iterator[LogicalScenario]:
-    """Read the logical scenario of an exploration; arguments are those of `explore`.
+    """Read the logical scenario of `explore`; with `vary`, write and read a copy with parameters next to the study.
 
-    Yields
-    ------
-    LogicalScenario
-        With `vary`, that of a file written beside the study; it is removed where no study comes of it.
-
-    Raises
-    ------
-    InputError
-        Something cannot be used, or the study is of another scenario.
+    The copy is removed if no study is created. Raises `InputError` if an argument cannot be used, or the study belongs
+    to another scenario.
     """
     if isinstance(scenario, LogicalScenario):
         if space is not None or ranges or vary or continuous:
             raise InputError(
-                "`space`, `ranges`, `vary` and `continuous` belong to a scenario file; this scenario has its space."
+                "`space`, `ranges`, `vary` and `continuous` apply to scenario files only; this scenario has a space."
             )
         yield scenario
         return
-    asked = texts("vary", vary)
-    if not asked:
+    variables = texts("vary", vary)
+    if not variables:
         yield LogicalScenario.read(scenario, space, ranges, continuous)
         return
     if scenario is None:
         if space is None:
-            raise InputError("`vary`: there is no scenario; name an OpenSCENARIO file.")
+            raise InputError("`vary`: no scenario given; name an OpenSCENARIO file.")
         scenario = ParameterSpace.scenario_file(space)
-    varied = VariedScenario.read(scenario, asked)
+    varied = VariedScenario.read(scenario, variables)
     file = study.with_name(f"{study.stem}.varied.xosc")
-    made = [one for one in (file, *file.parents) if not one.exists()]
-    beside = varied.beside(file.parent)
-    _write(varied, beside, file, study)
+    created = [target for target in (file, *file.parents) if not target.exists()]
+    extra_files = varied.beside(file.parent)
+    _write(varied, extra_files, file, study)
     try:
-        every = [*texts("ranges", ranges), *map(_range_text, varied.parameters)]
-        logical = LogicalScenario.read(file, space, every, continuous)
+        all_ranges = [*texts("ranges", ranges), *map(_range_text, varied.parameters)]
+        logical = LogicalScenario.read(file, space, all_ranges, continuous)
         _require_roads_here(logical, varied, file)
         yield replace(logical, space=varied.with_units(logical.space))
     except BaseException as error:
-        if file not in made or study.exists():
+        if file not in created or study.exists():
             raise
-        for one in (file, *beside):
-            one.unlink(missing_ok=True)
+        for target in (file, *extra_files):
+            target.unlink(missing_ok=True)
         with suppress(OSError):
-            for folder in made[1:]:
+            for folder in created[1:]:
                 folder.rmdir()
         if type(error) is InputError:
-            # What it names is not there any more.
+            # Name the user's file: the copy has been removed.
             raise InputError(str(error).replace(str(file), str(varied.source.path))) from error
         raise
 
 
 def _write(varied: VariedScenario, beside: Mapping[Path, bytes], file: Path, study: Path) -> None:
-    """Write the scenario beside the study; one that is there goes on with the same only."""
-    for one in varied.source.files():
-        require_other_file(file, one, "study")
+    """Write the copy; an existing study requires an identical one."""
+    for source_file in varied.source.files():
+        require_other_file(file, source_file, "study")
     content = varied.content(file.parent)
-    before = read_file(file) if file.exists() else None
-    if before == content:
+    previous = read_file(file) if file.exists() else None
+    if previous == content:
         return
-    if before is not None and study.exists():
+    if previous is not None and study.exists():
         raise InputError(
-            f"{study}: was begun with another scenario file or other names for `vary` ({file.name} differs); give the"
+            f"{study}: was created with another scenario file or other names for `vary` ({file.name} differs); give the"
             " same, or name another study."
         )
     write_files({**beside, file: content})
@@ -95,10 +88,10 @@ def _range_text(one: Parameter) -> str:
 
 
 def _require_roads_here(logical: LogicalScenario, varied: VariedScenario, file: Path) -> None:
-    """Refuse a space that names road files, where these are named from another folder."""
+    """Refuse a space that names road files relative to a folder other than that of the study."""
     roads = set(logical.space.assigns) & varied.source.path_parameters
     if roads and file.parent.resolve() != varied.source.path.parent.resolve():
         raise InputError(
-            f"{varied.source.path}: the parameter {min(roads)} names road files from the folder of the scenario; with"
-            f" `vary`, write the study into that folder, instead of {file.parent}."
+            f"{varied.source.path}: the parameter {min(roads)} names road files relative to the scenario's folder; with"
+            f" `vary`, write the study into that folder instead of {file.parent}."
         )

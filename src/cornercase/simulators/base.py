@@ -1,4 +1,4 @@
-"""The base class of simulators, and checks of the options that several have."""
+"""Base class of simulators, and checks of their common options."""
 
 from __future__ import annotations
 
@@ -18,16 +18,16 @@ from cornercase.scenario import ConcreteScenario, Scenario, Value
 
 @dataclass(frozen=True)
 class Availability:
-    """Whether a simulator can run here.
+    """Whether a simulator can run on this machine.
 
     Attributes
     ----------
     version : str
-        Empty where it is not known.
+        Empty if unknown.
     missing : str
-        What is missing and how to get it, as a sentence; empty where nothing is.
+        What is missing and how to get it, as a sentence; empty if the simulator can run.
     abilities : tuple of str
-        What it can do, in a few words each.
+        Short descriptions of optional features.
     """
 
     version: str = ""
@@ -38,40 +38,38 @@ class Availability:
 class Simulator(ABC):
     """Runs concrete scenarios; the base class of all simulators.
 
-    A simulator of your own is a subclass with `settings` and `run`, named in the entry-point group
-    ``cornercase.simulators``. What it declares besides has defaults that are right for a program that runs one
-    scenario after the other.
+    Your own simulator is a subclass with `settings` and `run`, registered in the entry-point group
+    ``cornercase.simulators``. The other declarations have defaults for a program that runs one scenario at a time.
 
-    The options of its constructor are keyword arguments. It gets those that it declares of ``time_step`` and
-    ``duration`` in s, ``on_collision``, which is ``"continue"`` or ``"stop"``, and ``drivers``, a driver or its name by
-    entity; drivers for a simulator that does not declare them are refused. More come from behind the colon of its name
-    (``"esmini:seed=3"``); those that it does not declare are refused, also if it takes ``**options``.
+    Constructor options are keyword arguments. Those of ``time_step`` and ``duration`` in s, ``on_collision``
+    (``"continue"`` or ``"stop"``) and ``drivers`` (driver or its name, by entity) that the constructor declares are
+    passed; drivers for a simulator that does not declare them are refused. Further options come after the colon of its
+    name (``"esmini:seed=3"``); undeclared ones are refused, also if it takes ``**options``.
 
     Attributes
     ----------
     name : str
-        As it is registered; with its options where it was made with some: ``"esmini:seed=3"``.
+        As registered, with its options if it was created with any: ``"esmini:seed=3"``.
     settings : dict
-        Everything besides the scenario that the recordings depend on, as plain JSON values. It is stored with a
-        study, and a study is continued only with the same settings.
+        Everything besides the scenario that the recordings depend on, as plain JSON values. It is stored with a study,
+        and a study is resumed only with the same settings.
     needs : tuple of str
-        Options that it gets besides: ``"ego"``, the name of the entity under test, and ``"worker"``, the number of its
+        Further options that it gets: ``"ego"``, the name of the entity under test, and ``"worker"``, the number of its
         worker process from 0 on.
     in_process : bool, default False
-        Whether it may run in cornercase's own process: it does not crash, does not hang, and leaves nothing behind.
+        Whether it may run in cornercase's own process: it neither crashes nor hangs, and leaves nothing behind.
     repeats_itself : bool, default False
-        Whether the same scenario with the same settings gives the same recording, to the last bit. Then any difference
-        of two recordings is one of what is tested. It is tried with the first scenario of each study.
+        Whether the same scenario with the same settings gives a bit-identical recording. Differences between recordings
+        then come from what is tested. This is checked with the first scenario of each study.
     takes_batches : bool, default False
-        Whether many scenarios in one call take less time than one after the other. Such a simulator is given as
-        many at once as there are; any other gets them one by one.
+        Whether one call with many scenarios is faster than single calls. It then gets as many scenarios as possible at
+        once, otherwise one at a time.
     values_by : {"name", "file"}, default "name"
-        How it takes the values of parameters. By name, ``concrete.values`` holds those of all parameters that the
-        scenario file declares, varied or not. By file, it reads the file, and ``concrete.values`` holds those that
-        differ from it: none, where the scenario is a file of its own, as in a suite.
+        How it takes parameter values. ``"name"``: ``concrete.values`` has the values of all parameters that the
+        scenario file declares. ``"file"``: it reads the file, and ``concrete.values`` has only the values that differ
+        from it (none for the scenarios of a suite).
     on_notice : callable
-        Takes a sentence for whoever runs scenarios. It becomes a `NoticeWarning`; in another process, it is sent to the
-        one that asks.
+        Called with sentences for the user. By default they become a `NoticeWarning`; worker processes forward them.
 
     Examples
     --------
@@ -113,17 +111,17 @@ class Simulator(ABC):
         Yields
         ------
         Recording or SimulationError
-            One for each scenario, in order, by which they are told apart: a scenario that cannot be run gives an error,
-            never nothing. Where fewer come than there are scenarios, the rest is run again, one by one.
+            One per scenario, in order; an error if the scenario cannot be run. If there are fewer results than
+            scenarios, the rest is run again one by one.
 
         Raises
         ------
         InputError
-            None of them can run, whatever its values are; the scenario file cannot be used, for one.
+            No scenario can be run, whatever its values, for example because the scenario file cannot be used.
         """
 
     def require_means(self, scenario: Scenario) -> None:  # noqa: B027 - optional
-        """Refuse a scenario that this simulator cannot run; asked before anything is run.
+        """Refuse a scenario that this simulator does not support; called before anything is run.
 
         Parameters
         ----------
@@ -132,32 +130,32 @@ class Simulator(ABC):
         Raises
         ------
         InputError
-            It lacks what the scenario asks for. By default nothing is refused.
+            The simulator lacks what the scenario needs. By default nothing is refused.
         """
 
     def require_runnable(self, concretes: Sequence[ConcreteScenario]) -> None:  # noqa: B027 - optional
-        """Refuse scenarios of which none can be run, without running any; asked before there is a study.
+        """Refuse scenarios none of which can be run, without running any; called before a study is created.
 
         Parameters
         ----------
         concretes : sequence of ConcreteScenario
-            Some of those that may be run.
+            A sample of the scenarios to run.
 
         Raises
         ------
         InputError
-            None of them can be run, as far as that shows beforehand. By default nothing is refused.
+            None of them can be run, as far as can be known beforehand. By default nothing is refused.
         """
 
     @classmethod
     def notices(cls, scenario: Scenario, values: Mapping[str, Value] | None = None) -> tuple[Notice, ...]:
-        """Name what of a scenario changes nothing in this simulator.
+        """List scenario content that has no effect in this simulator.
 
         Parameters
         ----------
         scenario : Scenario
         values : mapping of str to float or str, optional
-            Of its parameters, on which may depend what is read.
+            Parameter values, on which the content may depend.
 
         Returns
         -------
@@ -168,7 +166,7 @@ class Simulator(ABC):
 
     @classmethod
     def availability(cls) -> Availability:
-        """Tell whether it can run here.
+        """Return whether the simulator can run on this machine.
 
         Returns
         -------
@@ -178,12 +176,12 @@ class Simulator(ABC):
         return Availability()
 
     def notice(self, sentences: Iterable[str]) -> None:
-        """Tell whoever runs scenarios what they should know of these runs; each sentence once.
+        """Pass sentences about these runs to the user, each once.
 
         Parameters
         ----------
         sentences : iterable of str
-            Without a full stop. If several differ only behind a semicolon, the first of them is told.
+            Without a full stop. Of sentences that differ only after a semicolon, only the first is passed.
         """
         for sentence in sentences:
             subject = sentence.partition("; ")[0]
@@ -193,20 +191,20 @@ class Simulator(ABC):
                 self.on_notice(sentence)
 
     def beside(self) -> Sequence[Simulator]:
-        """Give the simulators that may run at the same time, each in a thread of its own.
+        """Return simulators that may run at the same time, each in its own thread.
 
         Returns
         -------
         sequence of Simulator
-            As many as there are places for a scenario by now. Empty by default: it runs in the thread that made it.
+            As many as scenarios can currently run in parallel. Empty by default: it runs in the thread that created it.
         """
         return ()
 
     def give_up(self) -> None:  # noqa: B027 - optional
-        """End what it runs in another thread, soon; by default nothing does."""
+        """Cancel what runs in another thread soon; by default nothing happens."""
 
     def close(self) -> None:  # noqa: B027 - optional
-        """End what it has started; by default there is nothing."""
+        """Release resources; by default there are none."""
 
     def __enter__(self) -> Self:
         return self
@@ -216,28 +214,12 @@ class Simulator(ABC):
             with guarded(f"the simulator '{self.name}'", self, "in close"):
                 self.close()
         except InputError as error:
-            # What it has run is there, and counts.
+            # Its results are valid, so only warn.
             self.on_notice(str(error).removesuffix("."))
 
 
 def checked_seed(seed: int, whose: str) -> int:
-    """Return a seed that a simulator takes.
-
-    Parameters
-    ----------
-    seed : int
-    whose : str
-        For the message.
-
-    Returns
-    -------
-    int
-
-    Raises
-    ------
-    InputError
-        It is not a whole number from 0 to 2147483647.
-    """
+    """Return a valid seed; `InputError` naming `whose` seed it is unless it is an integer from 0 to 2147483647."""
     if not (isinstance(seed, int) and 0 <= seed < 2**31):
         raise InputError(f"The seed of {whose} is {seed}; give a whole number from 0 to 2147483647.")
     return seed
@@ -246,12 +228,12 @@ def checked_seed(seed: int, whose: str) -> int:
 def checked_settings(
     time_step: float, duration: float, on_collision: str, drivers: Mapping[str, str | Driver] | None
 ) -> dict[str, object]:
-    """Return the settings that all simulators with a storyboard have, as plain values.
+    """Return the settings common to all simulators with a storyboard, as plain values.
 
     Parameters
     ----------
     time_step, duration : float
-        s.
+        In s.
     on_collision : str
     drivers : mapping of str to str or Driver, or None
         By entity.
@@ -263,7 +245,7 @@ def checked_settings(
     Raises
     ------
     InputError
-        One is out of range.
+        A value is out of range.
     """
     time_step, duration = number("time_step", time_step), number("duration", duration)
     if not 0.001 <= time_step <= 1.0:

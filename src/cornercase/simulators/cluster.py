@@ -1,4 +1,4 @@
-"""Simulations on the workers of a Dask cluster."""
+"""Run scenarios on the workers of a Dask cluster."""
 
 from __future__ import annotations
 
@@ -25,15 +25,15 @@ from cornercase.simulators.workers import MOST_FAILURES
 if TYPE_CHECKING:
     from distributed import Client, Future
 
-# How often Dask may give a scenario up before a worker has begun it.
+# How often Dask may lose a task before a worker has started it.
 _MOST_GIVEN_UP: Final = 5
-# s that workers have to end their simulators; a scheduler that is cut off never answers.
+# Time limit in s to close the simulators on the workers; a scheduler that is cut off never answers.
 _CLOSES: Final = 10.0
 
 
 @dataclass(frozen=True)
 class _Task:
-    """Scenarios that are run together, what is known of their workers, and how often Dask gave them up."""
+    """Scenarios of one Dask task, their attempt, and how often Dask lost the task before it started."""
 
     indices: tuple[int, ...]
     attempt: Attempt
@@ -43,33 +43,14 @@ class _Task:
 class ClusterSimulator(SimulatorElsewhere):
     """Runs concrete scenarios on the workers of a Dask cluster.
 
-    Each worker makes the simulator once, as `start_simulator` does on one machine. The content of the scenario's files
-    is sent, not their paths. Where workers offer a resource that is called like the simulator (``--resources
-    "carla=1"``), only they get scenarios, and never more at a time than they offer. Results are the same for any
-    number of workers.
+    Each worker creates the simulator once, like `create_simulator` on a single machine. The content of the scenario
+    files is sent, not their paths. If workers offer a resource with the simulator's name (``--resources "carla=1"``),
+    only they get scenarios, and no more at a time than they offer. Results do not depend on the number of workers.
 
-    Parameters
-    ----------
-    name : str
-        Registered simulator.
-    options : dict
-        What to make it with; has to be picklable.
-    cluster : str or distributed.Client
-        ``"local"`` for processes on this machine, the address of a scheduler (``"tcp://10.0.0.1:8786"``), the file
-        that a scheduler wrote, or a connection that stays open.
-    workers : int, default 1
-        Processes of a local cluster; any other has its own.
-    timeout : float, optional
-        s after which a scenario is given up.
-    retries : int, default 1
-        How often a scenario is run again after the simulator failed, or after its worker was lost.
-    max_failures : int, default 5
-        Scenarios in a row that cost their workers, after which the simulator is not tried any more; 0 for no limit.
-
-    Raises
-    ------
-    InputError
-        The simulator cannot be made so, Dask is not installed, or there is no such cluster.
+    `cluster` is ``"local"`` for `workers` processes on this machine, a scheduler's address (``"tcp://10.0.0.1:8786"``)
+    or file, or a client that stays open. `timeout` is in s per scenario. A scenario is run `retries` times more if its
+    worker was lost; `max_failures` consecutive losses end the run (0: no limit). Raises `InputError` if the simulator
+    cannot be created, Dask is not installed, or there is no such cluster.
     """
 
     def __init__(
@@ -88,7 +69,7 @@ class ClusterSimulator(SimulatorElsewhere):
         self._parcels: dict[str, tuple[ScenarioParcel, Future[Any]]] = {}
         self._client = connect(cluster, workers)
         self._owned = self._client is not cluster
-        # It comes with Dask, and takes classes of a notebook along.
+        # A dependency of Dask; it also pickles classes that are defined in a notebook.
         import cloudpickle
 
         self._job = Job(
@@ -101,62 +82,37 @@ class ClusterSimulator(SimulatorElsewhere):
             max_failures,
         )
         self._retries, self._lost = retries, 0
-        # The resource that its workers offer.
+        # Resource that restricts scenarios to some workers.
         self._bound: str | None = None
-        # What other threads wait for.
+        # Futures that other threads wait for.
         self._given: WeakSet[Future[Any]] = WeakSet()
 
     def require_means(self, scenario: Scenario) -> None:
-        """Let the simulator refuse a scenario that it cannot run, and refuse one that cannot be sent.
-
-        Parameters
-        ----------
-        scenario : Scenario
-
-        Raises
-        ------
-        InputError
-            It lacks what the scenario asks for, or its files are not beside each other.
-        """
+        """Refuse a scenario that the simulator does not support or whose files cannot be sent."""
         super().require_means(scenario)
         ScenarioParcel.of(scenario)
 
     def run(self, concretes: Sequence[ConcreteScenario]) -> Iterator[Outcome]:
-        """Run scenarios.
-
-        Parameters
-        ----------
-        concretes : sequence of ConcreteScenario
-
-        Yields
-        ------
-        Recording or SimulationError
-            One for each scenario, in order.
-
-        Raises
-        ------
-        InputError
-            The scenario file cannot be used, the workers cannot run the simulator, or the cluster is lost.
-        """
+        """Run scenarios, as `Simulator.run`; `InputError` also if the workers cannot run it or the cluster is lost."""
         if not concretes:
             return
         slots, resources = self._slots()
         size = -(-len(concretes) // slots) if self._batches else 1
-        every = range(len(concretes))
-        waiting = deque(self._task(tuple(every[k : k + size])) for k in every[::size])
+        indices = range(len(concretes))
+        waiting = deque(self._task(tuple(indices[k : k + size])) for k in indices[::size])
         running: dict[Future[Any], _Task] = {}
         done: dict[int, Outcome] = {}
-        given = 0
+        n_yielded = 0
         try:
-            while given < len(concretes):
+            while n_yielded < len(concretes):
                 while waiting:
                     task = waiting.popleft()
                     running[self._submit(task, concretes, resources)] = task
                 for future in ended(self._client, list(running), next(iter(resources), None)):
                     self._take(future, running.pop(future), waiting, done)
-                while given in done:
-                    yield done.pop(given)
-                    given += 1
+                while n_yielded in done:
+                    yield done.pop(n_yielded)
+                    n_yielded += 1
         except (OSError, CancelledError) as error:
             raise disconnected(self._client) from error
         finally:
@@ -164,30 +120,20 @@ class ClusterSimulator(SimulatorElsewhere):
                 self._client.cancel(list(running))
 
     def beside(self) -> Sequence[Simulator]:
-        """Give this simulator as often as the workers that are there now can run a scenario.
-
-        Returns
-        -------
-        sequence of ClusterSimulator
-
-        Raises
-        ------
-        InputError
-            There are no workers.
-        """
+        """Return this simulator once per slot of the current workers; `InputError` if there are none."""
         return [self] * self._slots()[0]
 
     def give_up(self) -> None:
-        """End all waiting in other threads; what workers have begun is not waited for."""
-        # Another thread may add to them meanwhile; it is asked for again.
+        """Cancel what other threads wait for; started tasks are not awaited."""
+        # RuntimeError: another thread adds a future meanwhile; the caller repeats the call.
         with suppress(OSError, CancelledError, TimeoutError, RuntimeError):
             if self._client.status == "running":
                 self._client.cancel(list(self._given))
 
     def close(self) -> None:
-        """End the simulators on the workers, and leave the cluster; a local one ends."""
+        """Close the simulators on the workers, and disconnect; a local cluster ends."""
         super().close()
-        # A cluster that is lost has nothing to be closed.
+        # A lost cluster has nothing to close.
         with suppress(OSError, CancelledError, TimeoutError):
             if self._client.status == "running":
                 client: Any = self._client
@@ -196,22 +142,24 @@ class ClusterSimulator(SimulatorElsewhere):
             leave(self._client)
 
     def _slots(self) -> tuple[int, dict[str, float]]:
-        """How many tasks may run at once, and what each takes of a worker's resources."""
-        kind = self.name.partition(":")[0]
+        """Number of tasks that may run at once, and the worker resources that each takes."""
+        resource = self.name.partition(":")[0]
         workers = workers_of(self._client, self._bound)
-        if offered := sum(int(worker["resources"].get(kind, 0.0)) for worker in workers):
-            # Also after all who offer it were lost: others may lack what it stands for.
-            self._bound = kind
-            return offered, {kind: 1.0}
+        if offered := sum(int(worker["resources"].get(resource, 0.0)) for worker in workers):
+            # Remembered even if all these workers are lost: others may lack what the resource stands for.
+            self._bound = resource
+            return offered, {resource: 1.0}
         return len(workers) if self._batches else sum(worker["nthreads"] for worker in workers), {}
 
     def _task(self, indices: tuple[int, ...]) -> _Task:
-        # A batch that has cost one worker is run one by one, and each of its scenarios has one life less.
+        # After losing a worker, a batch is split into single scenarios with one life less each.
         lives = self._retries + 1 if len(indices) == 1 else 1
         return _Task(indices, Attempt(f"cornercase-{uuid.uuid4().hex}", lives))
 
     def _submit(self, task: _Task, concretes: Sequence[ConcreteScenario], resources: dict[str, float]) -> Future[Any]:
-        groups = [(self._sent(one.scenario()), one.values) for one in (concretes[k] for k in task.indices)]
+        groups = [
+            (self._sent(concrete.scenario()), concrete.values) for concrete in (concretes[k] for k in task.indices)
+        ]
         parcels = dict.fromkeys(parcel for parcel, _ in groups)
         future = self._client.submit(
             run_job,
@@ -227,33 +175,33 @@ class ClusterSimulator(SimulatorElsewhere):
         return future
 
     def _sent(self, scenario: Scenario) -> Future[Any]:
-        """The parcel of a scenario as a result of the cluster, made again where the worker that holds it is lost."""
-        known = scenario.fingerprint() + str(scenario.path)
-        if known not in self._parcels or self._parcels[known][1].status not in ("pending", "finished"):
+        """Future of a scenario's bundle on the cluster; sent again if its worker was lost."""
+        key = scenario.fingerprint() + str(scenario.path)
+        if key not in self._parcels or self._parcels[key][1].status not in ("pending", "finished"):
             parcel = ScenarioParcel.of(scenario)
             future = self._client.submit(hand_over, parcel, key=f"cornercase-parcel-{uuid.uuid4().hex}", pure=False)
-            self._parcels[known] = parcel, future
-        return self._parcels[known][1]
+            self._parcels[key] = parcel, future
+        return self._parcels[key][1]
 
     def _take(self, future: Future[Any], task: _Task, waiting: deque[_Task], done: dict[int, Outcome]) -> None:
         from distributed.scheduler import KilledWorker
 
-        found, error = take(self._client, future)
+        ran, error = take(self._client, future)
         if error is None:
-            self._settle(found, task, waiting, done)
+            self._settle(ran, task, waiting, done)
         elif isinstance(error, InputError):
             raise error
         elif not isinstance(error, KilledWorker):
-            words = " ".join(f"{type(error).__name__}: {error}".split())[:300]
+            text = " ".join(f"{type(error).__name__}: {error}".split())[:300]
             raise InputError(
-                f"`cluster` {name_cluster(self._client)}: its workers cannot run '{self.name}' ({words}); install the"
+                f"`cluster` {name_cluster(self._client)}: its workers cannot run '{self.name}' ({text}); install the"
                 " same versions on each as here."
             ) from error
         elif task.given_up + 1 < _MOST_GIVEN_UP:
-            # Dask counts workers too that were lost before they began; what is known of the attempt goes on to hold.
+            # Dask also counts workers that were lost before they started the task; the attempt stays the same.
             waiting.appendleft(replace(task, given_up=task.given_up + 1))
         else:
-            raise self._broken("its workers end before they have begun a scenario")
+            raise self._broken("its workers end before they start a scenario")
 
     def _settle(self, found: Ran | None, task: _Task, waiting: deque[_Task], done: dict[int, Outcome]) -> None:
         if found is not None:
@@ -263,18 +211,18 @@ class ClusterSimulator(SimulatorElsewhere):
             return
         forget(task.attempt, self._client)
         if len(task.indices) > 1:
-            # What has happened to a batch says nothing of any one of its scenarios.
-            ones = [self._task((k,)) for k in reversed(task.indices)]
-            fewer = max(1, self._retries)
-            waiting.extendleft(replace(one, attempt=replace(one.attempt, lives=fewer)) for one in ones)
+            # It is unknown which scenario of the batch is at fault.
+            tasks = [self._task((k,)) for k in reversed(task.indices)]
+            lives = max(1, self._retries)
+            waiting.extendleft(replace(single, attempt=replace(single.attempt, lives=lives)) for single in tasks)
         else:
             self._lost += 1
             if 0 < self._max_failures <= self._lost:
                 raise self._broken(f"workers were lost in {self._lost} scenarios in a row (`max_failures`)")
-            each = "one worker was" if self._retries == 0 else f"{self._retries + 1} workers were"
-            done[task.indices[0]] = LostError(f"{each} lost while running the scenario")
+            count_text = "one worker was" if self._retries == 0 else f"{self._retries + 1} workers were"
+            done[task.indices[0]] = LostError(f"{count_text} lost while running the scenario")
 
     def _broken(self, what: str) -> InputError:
         return InputError(
-            f"`cluster` {name_cluster(self._client)}: {what}; fix the cause, and run the same command again to go on."
+            f"`cluster` {name_cluster(self._client)}: {what}; fix the cause, and run the same command again to resume."
         )

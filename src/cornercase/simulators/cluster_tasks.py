@@ -1,4 +1,4 @@
-"""What the workers of a cluster do: they keep simulators and scenario files, and run scenarios."""
+"""Code that runs on the workers of a cluster: holds simulators and scenario files, and runs scenarios."""
 
 from __future__ import annotations
 
@@ -28,21 +28,9 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Job:
-    """What runs the scenarios of one exploration or suite.
+    """Simulator and settings of one exploration or suite; `version` is that of the sender, `timeout` in s.
 
-    Attributes
-    ----------
-    key : str
-        Different for each.
-    version : str
-        Of the cornercase that asks.
-    simulator : str
-    options : bytes
-        What to make it with, pickled: a driver of one's own may not be known where this passes by.
-    timeout : float or None
-        s for each scenario.
-    retries : int
-    max_failures : int
+    `options` are pickled, since the scheduler may not know the user's driver classes.
     """
 
     key: str
@@ -56,15 +44,7 @@ class Job:
 
 @dataclass(frozen=True)
 class Attempt:
-    """What is counted of scenarios that are run together.
-
-    Attributes
-    ----------
-    name : str
-        Different for each.
-    lives : int
-        How many workers may begin them; where all of these were lost, no other one does.
-    """
+    """Identifies scenarios that run together; at most `lives` workers may start them before they are given up."""
 
     name: str
     lives: int
@@ -72,22 +52,14 @@ class Attempt:
 
 @dataclass(frozen=True)
 class Ran:
-    """What came of scenarios.
-
-    Attributes
-    ----------
-    outcomes : list of Recording or SimulationError
-        One for each, in order.
-    noticed : list of str
-        Sentences for whoever runs them, as `Simulator.notice` takes them.
-    """
+    """Results of scenarios in order, and sentences for the user."""
 
     outcomes: list[Outcome]
     noticed: list[str]
 
 
 class _Site:
-    """Simulators and files of one job in this process, each simulator used by one thread at a time."""
+    """Simulators and files of one job in this process; each simulator is used by one thread at a time."""
 
     def __init__(self, job: Job) -> None:
         self._job = job
@@ -103,7 +75,7 @@ class _Site:
         self._change = Condition()
         declared = SIMULATORS.class_of(job.simulator)
         self._numbered = "worker" in declared.needs
-        # One in this process has all of its cores to itself.
+        # An in-process simulator uses all cores of this process.
         self._here = declared.in_process and job.timeout is None
         self._folders: dict[str, TemporaryDirectory[str]] = {}
         self._scenarios: dict[str, Scenario] = {}
@@ -131,8 +103,8 @@ class _Site:
             return SIMULATORS.create(job.simulator, **options)
         if current_process().daemon:
             raise InputError(
-                "`cluster`: its workers may not start processes; set DASK_DISTRIBUTED__WORKER__DAEMON=False where they"
-                " are started."
+                "`cluster`: its workers may not start processes; set DASK_DISTRIBUTED__WORKER__DAEMON=False when you"
+                " start them."
             )
         return WorkerSimulator(job.simulator, options, 1, job.timeout, job.retries, job.max_failures)
 
@@ -141,16 +113,16 @@ class _Site:
 
         with self._change:
             if key not in self._scenarios:
-                # Of the worker, since Dask removes its folder when it could not do so itself.
-                place = get_worker().local_directory
-                folder = TemporaryDirectory(prefix="cornercase-", dir=place, ignore_cleanup_errors=True)
+                # In the worker's folder, which Dask removes if this process cannot.
+                worker_folder = get_worker().local_directory
+                folder = TemporaryDirectory(prefix="cornercase-", dir=worker_folder, ignore_cleanup_errors=True)
                 self._scenarios[key] = parcel.unpack(Path(folder.name))
                 self._folders[key] = folder
             return self._scenarios[key], Path(self._folders[key].name)
 
     def close(self) -> None:
-        for one in self._made:
-            one.close()
+        for simulator in self._made:
+            simulator.close()
         for folder in self._folders.values():
             folder.cleanup()
 
@@ -160,16 +132,7 @@ _LOCK: Final = Lock()
 
 
 def hand_over(parcel: ScenarioParcel) -> ScenarioParcel:
-    """Be the task that gives a parcel.
-
-    Parameters
-    ----------
-    parcel : ScenarioParcel
-
-    Returns
-    -------
-    ScenarioParcel
-    """
+    """Return the bundle: a task that puts it on the cluster."""
     return parcel
 
 
@@ -179,35 +142,20 @@ def run_job(
     parcels: Mapping[str, ScenarioParcel],
     scenarios: Sequence[tuple[str, Mapping[str, Value]]],
 ) -> Ran | None:
-    """Run scenarios in this process, or in one that it keeps.
+    """Run scenarios, given as bundle key and values, in this process or a child process that it keeps.
 
-    Parameters
-    ----------
-    job : Job
-    attempt : Attempt
-    parcels : mapping of str to ScenarioParcel
-    scenarios : sequence of (str, mapping of str to float or str)
-        The parcel of each, and its values.
-
-    Returns
-    -------
-    Ran or None
-        None where too many workers were lost with them.
-
-    Raises
-    ------
-    InputError
-        This process has another version of cornercase, or none of the scenarios can be run.
+    Returns None if too many workers were lost with them. Raises `InputError` for another version of cornercase, or if
+    no scenario can be run.
     """
     if job.version != __version__:
         raise InputError(
-            f"`cluster`: a worker has cornercase {__version__}, and this is {job.version}; install the same on each."
+            f"`cluster`: a worker has cornercase {__version__}, this machine has {job.version}; install the same."
         )
     with _LOCK:
         site = _SITES[job.key] if job.key in _SITES else _SITES.setdefault(job.key, _Site(job))
-    here = {key: site.unpacked(key, parcel) for key, parcel in parcels.items()}
-    concretes = [ConcreteScenario(here[key][0].path, values, here[key][0]) for key, values in scenarios]
-    places = {str(here[key][1]): parcel.folder for key, parcel in parcels.items()}
+    unpacked = {key: site.unpacked(key, parcel) for key, parcel in parcels.items()}
+    concretes = [ConcreteScenario(unpacked[key][0].path, values, unpacked[key][0]) for key, values in scenarios]
+    sender_folders = {str(unpacked[key][1]): parcel.folder for key, parcel in parcels.items()}
     with _begun(attempt) as may_run:
         if not may_run:
             return None
@@ -215,55 +163,50 @@ def run_job(
             with site.simulator() as simulator:
                 noticed = list[str]()
                 simulator.on_notice = noticed.append
-                found = list(outcomes_as_given(simulator, concretes))
+                results = list(outcomes_as_given(simulator, concretes))
         except InputError as error:
-            raise InputError(_with_own_paths(str(error), places)) from None
+            raise InputError(_with_own_paths(str(error), sender_folders)) from None
     outcomes = [
-        type(one)(_with_own_paths(str(one), places)) if isinstance(one, SimulationError) else one for one in found
+        type(result)(_with_own_paths(str(result), sender_folders)) if isinstance(result, SimulationError) else result
+        for result in results
     ]
     return Ran(outcomes, noticed)
 
 
 @contextmanager
 def _begun(attempt: Attempt) -> Iterator[bool]:
-    """Note at the scheduler that an attempt begins, for as long as it lasts, and say whether it may.
+    """Mark an attempt as started at the scheduler while it runs; yield whether it may start.
 
-    A worker that is lost leaves its note, so that the next one knows; `forget` takes them away. Dask itself counts lost
-    workers for each task too (``allowed-failures``), but with one bound for the whole cluster, and also those that had
-    not begun it.
+    The mark of a lost worker stays, so the next one knows; `forget_attempt` removes them. Dask also counts lost workers
+    per task (``allowed-failures``), but with one limit for the whole cluster, and including those that had not started
+    it.
     """
     from distributed import Event, get_client
 
     client = get_client()
     for life in range(attempt.lives):
-        note = Event(f"{attempt.name}-{life}", client)
-        if not note.is_set():
+        mark = Event(f"{attempt.name}-{life}", client)
+        if not mark.is_set():
             break
     else:
         yield False
         return
-    note.set()
+    mark.set()
     try:
         yield True
     finally:
-        note.clear()
+        mark.clear()
 
 
 def _with_own_paths(words: str, places: Mapping[str, str]) -> str:
-    """Name files as they are called where the scenarios come from."""
-    for here, there in places.items():
-        words = words.replace(here, there)
+    """Replace local folders in a text by the folders of the sender."""
+    for own_folder, sender_folder in places.items():
+        words = words.replace(own_folder, sender_folder)
     return words
 
 
 def forget(attempt: Attempt, client: Client) -> None:
-    """Take away what lost workers have left of an attempt.
-
-    Parameters
-    ----------
-    attempt : Attempt
-    client : distributed.Client
-    """
+    """Remove the marks that lost workers have left of an attempt."""
     from distributed import Event
 
     for life in range(attempt.lives):
@@ -271,13 +214,7 @@ def forget(attempt: Attempt, client: Client) -> None:
 
 
 def close_job(key: str) -> None:
-    """End what was kept for a job.
-
-    Parameters
-    ----------
-    key : str
-        Its key.
-    """
+    """Close the simulators and remove the files of a job."""
     with _LOCK:
         site = _SITES.pop(key, None)
     if site is not None:

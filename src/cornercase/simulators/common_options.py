@@ -1,4 +1,4 @@
-"""Options that every simulator is offered, and those that it declares."""
+"""Options that are offered to every simulator, and the ones it declares."""
 
 from __future__ import annotations
 
@@ -11,44 +11,24 @@ from cornercase._common.ledger import warn
 from cornercase._common.registry import declared_options
 from cornercase.simulators.base import Simulator
 
-# What is said of a run unless somebody wants it otherwise; a simulator that knows nothing of it need not be told.
+# Default values, which a simulator need not declare.
 _USUAL: Final[dict[str, Any]] = {"drivers": {}, "on_collision": "continue", "time_step": 0.05, "duration": 60.0}
 
 
 def take_options(name: str, simulator: type[Simulator], options: Mapping[str, Any]) -> dict[str, Any]:
-    """Find the options that a simulator gets: those that its constructor declares.
+    """Return the options that a simulator's constructor declares, or all if it takes ``**options``.
 
-    Parameters
-    ----------
-    name : str
-        For messages.
-    simulator : type
-    options : mapping of str to object
-        ``time_step``, ``duration``, ``on_collision`` and ``drivers``, and what else it is made with.
-
-    Returns
-    -------
-    dict of str to object
-        All options, if the constructor takes others than those that it names.
-
-    Raises
-    ------
-    InputError
-        It knows no drivers, or nothing of collisions, and is to have some or to end with one.
-
-    Warns
-    -----
-    NoticeWarning
-        A time step or duration has no effect.
+    Raises `InputError` if drivers or ``on_collision="stop"`` are given but not declared; warns if a time step or
+    duration has no effect.
     """
     declared = declared_options(simulator)
-    for key, usual in _USUAL.items():
+    for key, default in _USUAL.items():
         value = options.get(key)
-        if key in declared or value in (None, usual):
+        if key in declared or value in (None, default):
             continue
         if key == "drivers":
             raise InputError(
-                f"`drivers` {', '.join(value)}: the simulator '{name}' takes no drivers; leave them out, or declare"
+                f"`drivers` {', '.join(value)}: the simulator '{name}' supports no drivers; leave them out, or declare"
                 " 'drivers' in its constructor."
             )
         if key == "on_collision":
@@ -57,6 +37,6 @@ def take_options(name: str, simulator: type[Simulator], options: Mapping[str, An
                 " leave it out, or declare it."
             )
         warn(f"without effect: {key} {value} s, since the simulator '{name}' does not declare it in its constructor")
-    if any(one.kind is Parameter.VAR_KEYWORD for one in signature(simulator).parameters.values()):
+    if any(parameter.kind is Parameter.VAR_KEYWORD for parameter in signature(simulator).parameters.values()):
         return dict(options)
     return {key: value for key, value in options.items() if key in declared or key not in _USUAL}

@@ -1,4 +1,4 @@
-"""One outcome for each scenario, whatever a simulator gives."""
+"""Get one result per scenario, whatever a simulator returns."""
 
 from __future__ import annotations
 
@@ -23,95 +23,53 @@ _END: Final[object] = object()
 
 
 def outcomes_of(simulator: Simulator, concretes: Sequence[ConcreteScenario]) -> Iterator[Outcome]:
-    """Run scenarios, with an outcome for each.
+    """Run scenarios and yield one recording or error each, in order.
 
-    If the simulator ends before it has given one for each, or raises an exception, the rest is run one by one, so that
-    only the scenario at fault fails.
-
-    Parameters
-    ----------
-    simulator : Simulator
-    concretes : sequence of ConcreteScenario
-        Their values are given to the simulator as it takes them.
-
-    Yields
-    ------
-    Recording or SimulationError
-        One for each scenario, in order; an error for one that got neither.
-
-    Raises
-    ------
-    InputError
-        None of them can be run; a value in a scenario file cannot be used, for one.
+    If the simulator raises an exception or stops early, the rest is run one by one, so that only the scenario at fault
+    fails. Values are passed as the simulator takes them. Raises `InputError` if none can be run.
     """
     yield from outcomes_as_given(simulator, with_values(simulator, concretes))
 
 
 def with_values(simulator: Simulator, concretes: Sequence[ConcreteScenario]) -> Sequence[ConcreteScenario]:
-    """Give scenarios their values as a simulator takes them: by name, or by file.
-
-    Parameters
-    ----------
-    simulator : Simulator
-    concretes : sequence of ConcreteScenario
-
-    Returns
-    -------
-    sequence of ConcreteScenario
-
-    Raises
-    ------
-    InputError
-        A value in a scenario file cannot be used.
-    """
-    return concretes if simulator.values_by == "file" else [one.by_name() for one in concretes]
+    """Return scenarios with values as a simulator takes them, by name or by file."""
+    return concretes if simulator.values_by == "file" else [concrete.by_name() for concrete in concretes]
 
 
 def outcomes_as_given(simulator: Simulator, concretes: Sequence[ConcreteScenario]) -> Iterator[Outcome]:
-    """Run scenarios whose values are as the simulator takes them, with an outcome for each, as `outcomes_of` does."""
+    """Like `run_scenarios`, for scenarios whose values are already as the simulator takes them."""
     results: Iterator[object] | None = None
     last = len(concretes) - 1
     for k in range(len(concretes)):
-        found, heard = _END, requests_heard()
+        result, requests_before = _END, requests_heard()
         try:
             if results is None:
                 results = iter(simulator.run(concretes))
-            found = next(results, _END)
+            result = next(results, _END)
             if k == last:
-                # Let it clear up before its last result counts: if that fails, the scenario is run again.
+                # Let it clean up before its last result counts: if that fails, the scenario is run again.
                 next(results, None)
         except InputError:
             raise
         except BaseException as error:
             if isinstance(simulator, SimulatorElsewhere):
-                # It is the machine or cornercase itself: simulators in other processes fail there.
+                # A failure of the machine or cornercase: simulators fail in their own process.
                 raise
-            failure = failure_of("the simulator", error, heard)
-            found = failure if last == 0 else _END
-        if found is _END and last > 0:
-            for one in concretes[k:]:
-                yield from outcomes_as_given(simulator, [one])
+            failure = failure_of("the simulator", error, requests_before)
+            result = failure if last == 0 else _END
+        if result is _END and last > 0:
+            for concrete in concretes[k:]:
+                yield from outcomes_as_given(simulator, [concrete])
             return
-        yield _outcome(found)
+        yield _outcome(result)
 
 
 def require_usable(
     simulator: Simulator, scenarios: Iterable[Scenario], concretes: Sequence[ConcreteScenario] = ()
 ) -> None:
-    """Let a simulator refuse scenarios before anything is run.
+    """Let a simulator check scenarios before anything is run; `InputError` if it refuses one or fails.
 
-    Parameters
-    ----------
-    simulator : Simulator
-    scenarios : iterable of Scenario
-        Each of which it has to have the means for.
-    concretes : sequence of ConcreteScenario
-        Some of those that may be run, of which it has to be able to run one at least.
-
-    Raises
-    ------
-    InputError
-        It refuses one, or fails.
+    Each of `scenarios` has to be supported, and at least one of the sample `concretes` has to be runnable.
     """
     with guarded(f"The simulator '{simulator.name}'", _declared(simulator), "in require_means or require_runnable"):
         for scenario in scenarios:
@@ -121,77 +79,33 @@ def require_usable(
 
 
 def refusals_of(simulator: Simulator, concretes: Sequence[ConcreteScenario]) -> dict[int, str]:
-    """Find which of several scenario files a simulator cannot run, before anything is run.
+    """Return which scenario files a simulator cannot run and why, by index, before anything is run.
 
-    Parameters
-    ----------
-    simulator : Simulator
-    concretes : sequence of ConcreteScenario
-        Each of a file of its own.
-
-    Returns
-    -------
-    dict of int to str
-        Why, as why a scenario failed, by number in the sequence.
-
-    Raises
-    ------
-    InputError
-        It refuses all, as it does the first, or fails.
+    Each concrete scenario has a file of its own. Raises `InputError` if all are refused, or the simulator fails.
     """
     if len(concretes) == 1:
         require_usable(simulator, [concretes[0].scenario()], concretes)
         return {}
-    found: dict[int, InputError] = {}
+    refusals: dict[int, InputError] = {}
     with guarded(f"The simulator '{simulator.name}'", _declared(simulator), "in require_means or require_runnable"):
         for k, concrete in enumerate(concretes):
             try:
                 simulator.require_means(concrete.scenario())
                 simulator.require_runnable(with_values(simulator, [concrete]))
             except InputError as error:
-                found[k] = error
-    if found and len(found) == len(concretes):
-        raise found[0]
-    return {k: failure_words(concretes[k].path, error) for k, error in found.items()}
+                refusals[k] = error
+    if refusals and len(refusals) == len(concretes):
+        raise refusals[0]
+    return {k: failure_words(concretes[k].path, error) for k, error in refusals.items()}
 
 
 def failure_words(path: Path, error: InputError) -> str:
-    """Say why a scenario failed whose file cannot be used.
-
-    Parameters
-    ----------
-    path : Path
-        The file.
-    error : InputError
-        What is wrong with it.
-
-    Returns
-    -------
-    str
-        A part of a sentence, without the file and a full stop.
-    """
+    """Describe why a scenario's file cannot be used, without the file's name and a full stop."""
     return without_file(str(path), str(error)).removesuffix(".")
 
 
 def notices_of(name: str, scenario: Scenario, values: Mapping[str, Value] | None = None) -> tuple[Notice, ...]:
-    """Let a simulator, which may be a class of anybody, name what of a scenario changes nothing in it.
-
-    Parameters
-    ----------
-    name : str
-        Registered simulator.
-    scenario : Scenario
-    values : mapping of str to float or str, optional
-
-    Returns
-    -------
-    tuple of Notice
-
-    Raises
-    ------
-    InputError
-        It fails.
-    """
+    """List scenario content without effect in a simulator; `InputError` if the simulator's class fails."""
     declared = SIMULATORS.class_of(name)
     with guarded(f"The simulator '{name}'", declared, "in notices"):
         return tuple(declared.notices(scenario, values))
@@ -207,5 +121,5 @@ def _outcome(found: object) -> Outcome:
         return found
     if found is _END:
         return PartError("the simulator ended without a result")
-    what = "None" if found is None else f"a {type(found).__name__}"
-    return PartError(f"the simulator gave {what} instead of a recording")
+    description = "None" if found is None else f"a {type(found).__name__}"
+    return PartError(f"the simulator gave {description} instead of a recording")

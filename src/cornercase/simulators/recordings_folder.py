@@ -1,4 +1,4 @@
-"""A folder of recordings that says what each of them is of, so that it can be gone on with."""
+"""An output folder of recordings, with notes on each recording so that it can be resumed."""
 
 from __future__ import annotations
 
@@ -16,11 +16,10 @@ from cornercase._common.version import __version__
 from cornercase.drivers import driver_changes
 from cornercase.scenario import FILE_COLUMN, ConcreteScenario, value_text
 
+# Notes on the recordings.
 NOTES: Final = "simulation.json"
-"""File that says what the recordings are of."""
-
+# Parameter values of the recordings, as `cornercase.study.import_recordings` reads them.
 TABLE: Final = "parameters.csv"
-"""File with the values of the recordings, as `cornercase.study.import_recordings` reads it."""
 
 _FORMAT: Final = 1
 _SCENARIO: Final = "scenario"
@@ -28,27 +27,13 @@ _SCENARIO: Final = "scenario"
 
 @dataclass(frozen=True)
 class Planned:
-    """A recording that is to be in the folder.
-
-    Attributes
-    ----------
-    file : str
-        Its name.
-    concrete : ConcreteScenario
-        What it is of, with the scenario file as it was read.
-    """
+    """A recording to be written: its file name, and its scenario with the file as it was read."""
 
     file: str
     concrete: ConcreteScenario
 
     def to_json(self) -> dict[str, Any]:
-        """Say what it is of.
-
-        Returns
-        -------
-        dict
-            Plain values.
-        """
+        """Return the notes on the recording as plain values."""
         values = {name: value_text(value) for name, value in self.concrete.values.items()}
         return {_SCENARIO: self.concrete.path.name, "fingerprint": self.concrete.scenario().fingerprint()} | {
             "values": values
@@ -56,66 +41,41 @@ class Planned:
 
 
 class RecordingsFolder:
-    """Recordings in a folder, with notes of what each is of.
+    """A folder of recordings with notes; `settings` are what else the recordings depend on.
 
-    Parameters
-    ----------
-    path : Path
-        It need not be there.
-    planned : sequence of Planned
-        What it is to hold.
-    settings : mapping of str to object
-        Everything else that the recordings depend on.
-
-    Raises
-    ------
-    InputError
-        A recording of another scenario, or with other settings, has one of the names, or a file of somebody else has.
+    Raises `InputError` if a file name is taken by a recording of another scenario or settings, or by another file.
     """
 
     def __init__(self, path: Path, planned: Sequence[Planned], settings: Mapping[str, object]) -> None:
         self._path = path
-        # As they will be read again.
+        # Normalized as they will be read again.
         self._settings: dict[str, Any] = loaded_json(json_text(dict(settings)))
-        self._planned = {one.file: one.to_json() for one in planned}
-        known = self._known()
+        self._planned = {recording.file: recording.to_json() for recording in planned}
+        notes = self._known()
+        # Names of the recordings that exist already.
         self.there = frozenset(file for file in self._planned if (path / file).exists())
-        """Names of the recordings that were made before."""
         for file in sorted(self.there):
-            self._require_same(file, known["recordings"].get(file))
-        kept = {file: one for file, one in known["recordings"].items() if (path / file).exists()}
-        if kept:
-            self._require_same_settings(known["settings"])
-        # Theirs is the order of the table, whichever were there before.
-        self._recordings = self._planned | {file: one for file, one in kept.items() if file not in self._planned}
+            self._require_same(file, notes["recordings"].get(file))
+        existing = {file: entry for file, entry in notes["recordings"].items() if (path / file).exists()}
+        if existing:
+            self._require_same_settings(notes["settings"])
+        # Planned recordings first, in the order of the table.
+        self._recordings = self._planned | {
+            file: entry for file, entry in existing.items() if file not in self._planned
+        }
 
     def place(self, file: str) -> Path:
-        """Give the path of a recording.
-
-        Parameters
-        ----------
-        file : str
-
-        Returns
-        -------
-        Path
-        """
+        """Path of a recording."""
         return self._path / file
 
     def note(self) -> None:
-        """Write down what the recordings are of, before the first of them is written."""
+        """Write the notes; called before the first recording is written."""
         notes = {"format": _FORMAT, "version": __version__, "settings": self._settings, "recordings": self._recordings}
         with written_whole(self._path / NOTES) as temporary:
             temporary.write_text(json_text(notes) + "\n", encoding="utf-8")
 
     def write_table(self, files: Sequence[str]) -> None:
-        """Write the values of recordings as a table.
-
-        Parameters
-        ----------
-        files : sequence of str
-            Names of those that were made.
-        """
+        """Write the parameter values of finished recordings as a table."""
         names = list(dict.fromkeys(name for file in files for name in self._planned[file]["values"]))
         several = len({self._planned[file][_SCENARIO] for file in files}) > 1
         with (
@@ -125,48 +85,50 @@ class RecordingsFolder:
             writer = csv.writer(opened, lineterminator="\n")
             writer.writerow((FILE_COLUMN, *([_SCENARIO] if several else ()), *map(cell_text, names)))
             for file in files:
-                about = self._planned[file]
-                cells = [about["values"].get(name, "") for name in names]
-                writer.writerow(map(cell_text, (file, *([about[_SCENARIO]] if several else ()), *cells)))
+                notes = self._planned[file]
+                cells = [notes["values"].get(name, "") for name in names]
+                writer.writerow(map(cell_text, (file, *([notes[_SCENARIO]] if several else ()), *cells)))
 
     def _known(self) -> dict[str, Any]:
-        """What is written down of earlier recordings."""
+        """Read the notes on existing recordings."""
         notes = self._path / NOTES
         if not notes.exists():
             for file in (*self._planned, TABLE):
                 if (self._path / file).exists():
                     raise InputError(
-                        f"`folder` {self._path}: has a file {file} already, and no {NOTES} that says what it is of;"
-                        " choose another folder."
+                        f"`folder` {self._path}: contains a file {file}, but no {NOTES} that describes it; choose"
+                        " another folder."
                     )
             return {"settings": {}, "recordings": {}}
         content = read_file(notes)
-        found: Any = None
+        document: Any = None
         with suppress(ValueError, RecursionError):
-            found = loaded_json(content.decode())
-        known: dict[str, Any] = found if isinstance(found, dict) else {}
-        if known.get("format") != _FORMAT or not all(
-            isinstance(known.get(key), dict) for key in ("settings", "recordings")
+            document = loaded_json(content.decode())
+        entries: dict[str, Any] = document if isinstance(document, dict) else {}
+        if entries.get("format") != _FORMAT or not all(
+            isinstance(entries.get(key), dict) for key in ("settings", "recordings")
         ):
-            raise InputError(f"{notes}: does not say what the recordings beside it are of; choose another folder.")
-        return known
+            raise InputError(f"{notes}: does not describe the recordings in its folder; choose another folder.")
+        return entries
 
     def _require_same(self, file: str, before: Any) -> None:
-        mine = self._planned[file]
-        if before != mine:
-            what = "another scenario"
-            if isinstance(before, dict) and before.get(_SCENARIO) == mine[_SCENARIO]:
-                same = before.get("fingerprint") == mine["fingerprint"]
-                what = f"other values of {mine[_SCENARIO]}" if same else f"another version of {mine[_SCENARIO]}"
-            raise InputError(f"{self._path / file}: is a recording of {what}; choose another folder, or remove it.")
+        own_notes = self._planned[file]
+        if before != own_notes:
+            difference = "another scenario"
+            if isinstance(before, dict) and before.get(_SCENARIO) == own_notes[_SCENARIO]:
+                same = before.get("fingerprint") == own_notes["fingerprint"]
+                difference = f"{'other values' if same else 'another version'} of {own_notes[_SCENARIO]}"
+            raise InputError(
+                f"{self._path / file}: is a recording of {difference}; choose another folder, or remove the file."
+            )
 
     def _require_same_settings(self, before: Mapping[str, Any]) -> None:
-        mine = self._settings
-        other = [name for name in sorted({*mine, *before}) if mine.get(name) != before.get(name)]
-        if other:
-            changes = driver_changes(before.get("drivers"), mine.get("drivers"))
-            drivers = "".join(f"; {there} drove {entity}, not {here}" for entity, there, here, _ in changes)
+        own_settings = self._settings
+        different = [name for name in sorted({*own_settings, *before}) if own_settings.get(name) != before.get(name)]
+        if different:
+            changes = driver_changes(before.get("drivers"), own_settings.get("drivers"))
+            drivers = "".join(f"; {stored} drove {entity}, not {current}" for entity, stored, current, _ in changes)
             raise InputError(
-                f"`folder` {self._path}: holds recordings with another {', '.join(other)}{drivers}; choose another"
-                " folder."
+                f"`folder` {self._path}: contains recordings with another {', '.join(different)}{drivers}; choose"
+                " another folder."
             )

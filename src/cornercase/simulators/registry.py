@@ -1,4 +1,4 @@
-"""Simulators by name."""
+"""Registry of simulators."""
 
 from __future__ import annotations
 
@@ -23,19 +23,19 @@ for _name, _place in (
 
 
 def availabilities() -> dict[str, Availability]:
-    """Tell which simulators can run here.
+    """Return which simulators can run on this machine.
 
     Returns
     -------
     dict of str to Availability
-        By name, also those of other packages. One that cannot be loaded is not available, and says why.
+        By name, including other packages' simulators. One that cannot be loaded is not available.
     """
-    found = {}
+    result = {}
     for name in SIMULATORS.names():
         try:
-            declared = SIMULATORS.class_of(name)
-            with guarded(f"The simulator '{name}'", declared, "in availability"):
-                found[name] = declared.availability()
+            simulator_class = SIMULATORS.class_of(name)
+            with guarded(f"The simulator '{name}'", simulator_class, "in availability"):
+                result[name] = simulator_class.availability()
         except InputError as error:
-            found[name] = Availability(missing=str(error))
-    return found
+            result[name] = Availability(missing=str(error))
+    return result

@@ -1,4 +1,4 @@
-"""One concrete scenario in a simulator."""
+"""Run one concrete scenario."""
 
 from __future__ import annotations
 
@@ -37,21 +37,21 @@ def simulate(
     scenario : path or Scenario
         OpenSCENARIO file.
     values : mapping of str to float or str, optional
-        Values of its parameters; the others have those of the file.
+        Parameter values; others are taken from the file.
     time_step : float, default 0.05
-        s.
+        In s.
     duration : float, default 60
-        s after which it ends at the latest.
+        Maximum duration in s.
     on_collision : {"continue", "stop"}, default "continue"
         Whether entities pass through each other, or the run ends. The file's own stop trigger holds either way.
     drivers : mapping of str to str or Driver, optional
-        Who drives which entity: a name as on the command line, or a driver. Beats the file's controller properties.
+        By entity: a name as on the command line, or a driver object. Overrides the file's controller properties.
     simulator : str, default "builtin"
-        What runs it: a registered name, with options after a colon if need be (``"esmini:seed=3"``).
+        Registered name, with options after a colon (``"esmini:seed=3"``).
     ego : str, default "Ego"
         Entity under test, for a simulator that needs to know it.
     timeout : float, optional
-        s after which the run is given up.
+        Time in s after which the run is cancelled.
 
     Returns
     -------
@@ -69,7 +69,7 @@ def simulate(
 
     See Also
     --------
-    start_simulator : Makes a simulator that runs many.
+    simulate_many : Runs many scenarios.
 
     Examples
     --------
@@ -79,8 +79,8 @@ def simulate(
     ('Ego', 'Truck', 'C', 'Pedestrian')
     """
     file = scenario if isinstance(scenario, Scenario) else Scenario.read(scenario)
-    given = numbers_or_texts("values", values)
-    file.require_parameters(list(given))
+    checked_values = numbers_or_texts("values", values)
+    file.require_parameters(list(checked_values))
     options = {
         "time_step": time_step,
         "duration": duration,
@@ -89,11 +89,11 @@ def simulate(
     }
     with noted_interrupts(), start_simulator(simulator, options, ego=ego, timeout=timeout) as started:
         require_usable(started, [file])
-        (result,) = outcomes_of(started, [ConcreteScenario(file.path, given, file)])
+        (result,) = outcomes_of(started, [ConcreteScenario(file.path, checked_values, file)])
     if isinstance(result, Exception):
         raise InputError(of_file(file.path, f"{result}."))
-    warn_of(notices_of(simulator, file, given))
-    said = RunNotices(started)
-    said.look(result, lambda: file)
-    said.warn()
+    warn_of(notices_of(simulator, file, checked_values))
+    notices = RunNotices(started)
+    notices.look(result, lambda: file)
+    notices.warn()
     return result

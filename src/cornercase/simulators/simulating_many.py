@@ -1,4 +1,4 @@
-"""Many concrete scenarios in a simulator, and a recording of each in a folder."""
+"""Run many concrete scenarios, and write a recording of each into a folder."""
 
 from __future__ import annotations
 
@@ -28,24 +28,23 @@ if TYPE_CHECKING:
     from distributed import Client
 
 _CSV: Final = ".csv"
-# Scenarios that are given to each of the simulators side by side at once: what is gained by more is little, and
-# recordings that are not written yet are held.
+# Scenarios per parallel simulator and batch. More gains little, and keeps unwritten recordings in memory.
 _AT_ONCE: Final = 100
 
 
 @dataclass(frozen=True)
 class SimulatedFolder:
-    """What was made of many concrete scenarios.
+    """Result of running many concrete scenarios.
 
     Attributes
     ----------
     folder : Path
     done : int
-        Recordings of them in the folder.
+        Number of their recordings in the folder.
     ran_before : int
-        Recordings that were there before, and were not made again.
+        Number of recordings that existed before and were not made again.
     failures : mapping of str to str
-        Why the scenarios could not be run whose recordings are missing, by the name of the file.
+        Why recordings are missing, by file name.
     """
 
     folder: Path
@@ -55,12 +54,12 @@ class SimulatedFolder:
 
     @property
     def failed(self) -> int:
-        """Number of scenarios that could not be run."""
+        """Number of scenarios that failed."""
         return len(self.failures)
 
     @property
     def reasons(self) -> dict[str, int]:
-        """How many scenarios failed for which reason, the most frequent first."""
+        """Number of failed scenarios by reason, the most frequent first."""
         return {reason: len(members) for reason, members in group_reasons(self.failures.values()).items()}
 
     def __repr__(self) -> str:
@@ -72,7 +71,7 @@ def _counted(scenarios: int) -> str:
     return f"{scenarios} scenario{'s' if scenarios > 1 else ''}"
 
 
-# Its parameters are the options of the command.
+# The parameters are the options of the command.
 def simulate_many(
     scenarios: Path | str | Scenario | Sequence[Path | str | Scenario],
     folder: Path | str,
@@ -94,46 +93,46 @@ def simulate_many(
 ) -> SimulatedFolder:
     """Run many concrete scenarios, and write a recording of each into a folder.
 
-    Each recording is written the moment its scenario has ended. The same call again makes those that are missing. The
-    folder gets two more files: ``simulation.json`` says what each recording is of, and ``parameters.csv`` has the
-    values of all, so that `cornercase.study.import_recordings` can read the folder.
+    Each recording is written as soon as its scenario has ended. If you call it again, it runs the missing ones. Two
+    more files are written: ``simulation.json`` describes each recording, and ``parameters.csv`` has the values of all,
+    so that `cornercase.study.import_recordings` can read the folder.
 
     Parameters
     ----------
     scenarios : path or Scenario, or a sequence of them
         OpenSCENARIO files: one with a table, or several without.
     folder : path
-        Where to write. Without a table, each recording is called like its scenario.
+        Output folder. Without a table, each recording is named after its scenario.
     table : path, optional
-        CSV with one concrete scenario a line, and a column for each parameter that is given. A column ``file`` names
-        the recordings (``NAME.csv``); without it they are called like the scenario, with a number.
+        CSV file with one concrete scenario per line, and a column per parameter. A column ``file`` names the recordings
+        (``NAME.csv``); without it they are named after the scenario, with a number.
     values : mapping of str to float or str, optional
-        Values of parameters in all scenarios.
+        Parameter values in all scenarios.
     time_step : float, default 0.05
-        s.
+        In s.
     duration : float, default 60
-        s after which a scenario ends at the latest.
+        Maximum duration of a scenario in s.
     on_collision : {"continue", "stop"}, default "continue"
         Whether entities pass through each other, or the run ends.
     drivers : mapping of str to str or Driver, optional
-        Who drives which entity.
+        By entity.
     simulator : str, default "builtin"
-        What runs them: a registered name, with options behind a colon if need be.
+        Registered name, with options after a colon.
     ego : str, default "Ego"
         Entity under test, for a simulator that needs to know it.
     workers : int, default 1
-        Simulators side by side.
+        Number of simulators that run in parallel.
     cluster : str or distributed.Client, optional
-        Dask cluster to run on: ``"local"`` for `workers` processes here, the address of a scheduler, the file that a
-        scheduler wrote, or a connection, which stays open.
+        Dask cluster to run on: ``"local"`` for `workers` local processes, the address of a scheduler, a scheduler file,
+        or a client, which stays open.
     timeout : float, optional
-        s after which a scenario is given up.
+        Time in s after which a scenario is cancelled.
     retries : int, default 1
         How often a scenario is run again after the simulator died or hung.
     max_failures : int, default 5
-        Scenarios in a row in which the simulator dies or hangs, after which nothing more is run; 0 for no limit.
+        Stop after this many consecutive scenarios in which the simulator died or hung; 0 for no limit.
     progress : bool, default False
-        Show a bar.
+        Show a progress bar.
 
     Returns
     -------
@@ -142,8 +141,8 @@ def simulate_many(
     Raises
     ------
     InputError
-        Something cannot be used, none of the scenarios can be run, or the folder holds recordings of other scenarios
-        or with other settings.
+        An argument cannot be used, none of the scenarios can be run, or the folder contains recordings of other
+        scenarios or with other settings.
 
     Warns
     -----
@@ -152,17 +151,30 @@ def simulate_many(
 
     See Also
     --------
-    simulate : Runs one, and gives its recording.
+    simulate : Runs one scenario and returns its recording.
+
+    Examples
+    --------
+    >>> from pathlib import Path
+    >>> import cornercase
+    >>> _ = Path("values.csv").write_text("ego_start" + chr(10) + "40")
+    >>> scenario = "examples/x_intersection/x_intersection.xosc"
+    >>> cornercase.simulate_many(scenario, "recordings", table="values.csv", duration=2.0)
+    <SimulatedFolder: 1 recordings in 'recordings'>
     """
-    many = scenarios if isinstance(scenarios, Sequence) and not isinstance(scenarios, str) else [scenarios]
-    read, failures = _readable(many)
+    inputs = scenarios if isinstance(scenarios, Sequence) and not isinstance(scenarios, str) else [scenarios]
+    scenario_files, failures = _readable(inputs)
     folder = require_folder("folder", folder)
     if folder.suffix.lower() == _CSV:
-        raise InputError(f"`folder` {folder}: many recordings go into a folder; name one without '{_CSV}'.")
-    given = arguments.numbers_or_texts("values", values)
-    for one in read:
-        one.require_parameters(list(given))
-    planned = _of_files(read, given) if table is None else _of_table(read, arguments.path("table", table), given)
+        raise InputError(f"`folder` {folder}: recordings are written into a folder; give a name without '{_CSV}'.")
+    checked_values = arguments.numbers_or_texts("values", values)
+    for scenario in scenario_files:
+        scenario.require_parameters(list(checked_values))
+    planned = (
+        _of_files(scenario_files, checked_values)
+        if table is None
+        else _of_table(scenario_files, arguments.path("table", table), checked_values)
+    )
     if table is not None:
         for name in (TABLE, NOTES):
             require_other_file(folder / name, table, "folder")
@@ -184,41 +196,51 @@ def simulate_many(
     )
     with started:
         if table is None:
-            refused = refusals_of(started, [one.concrete for one in planned])
+            refused = refusals_of(started, [plan.concrete for plan in planned])
             failures |= {planned[k].file: of_file(planned[k].concrete.path, why) for k, why in refused.items()}
-            planned = [one for k, one in enumerate(planned) if k not in refused]
-            read = [one for one in read if any(each.concrete.source is one for each in planned)]
+            planned = [plan for k, plan in enumerate(planned) if k not in refused]
+            scenario_files = [
+                scenario for scenario in scenario_files if any(plan.concrete.source is scenario for plan in planned)
+            ]
         else:
-            require_usable(started, read, [one.concrete for one in planned])
-        whole = RecordingsFolder(folder, planned, {"simulator": simulator, **started.settings})
-        warn_of(distinct(notice for one in read for notice in notices_of(simulator, one, given)))
-        failures |= _run(
-            started, whole, [one for one in planned if one.file not in whole.there], len(planned), progress
+            require_usable(started, scenario_files, [plan.concrete for plan in planned])
+        output_folder = RecordingsFolder(folder, planned, {"simulator": simulator, **started.settings})
+        warn_of(
+            distinct(
+                notice for scenario in scenario_files for notice in notices_of(simulator, scenario, checked_values)
+            )
         )
-    done = [one.file for one in planned if one.file not in failures]
+        failures |= _run(
+            started,
+            output_folder,
+            [plan for plan in planned if plan.file not in output_folder.there],
+            len(planned),
+            progress,
+        )
+    done = [plan.file for plan in planned if plan.file not in failures]
     if not done:
         first = next(iter(failures.values()))
-        count = len({*failures, *(one.file for one in planned)})
+        count = len({*failures, *(plan.file for plan in planned)})
         raise InputError(f"None of {_counted(count)} could be run; the first: {first}.")
-    whole.write_table(done)
-    return SimulatedFolder(folder, len(done), len(whole.there), failures)
+    output_folder.write_table(done)
+    return SimulatedFolder(folder, len(done), len(output_folder.there), failures)
 
 
 def _readable(scenarios: Sequence[Path | str | Scenario]) -> tuple[list[Scenario], dict[str, str]]:
-    """Read scenario files, and tell why which recordings cannot be made, where some of several cannot be read."""
-    read, wrong = list[Scenario](), dict[Path, InputError]()
-    for one in scenarios:
+    """Read scenario files; also return why recordings of unreadable ones are missing, unless none can be read."""
+    readable, errors = list[Scenario](), dict[Path, InputError]()
+    for item in scenarios:
         try:
-            read.append(one if isinstance(one, Scenario) else Scenario.read(one))
+            readable.append(item if isinstance(item, Scenario) else Scenario.read(item))
         except InputError as error:
-            path = Path(one.path if isinstance(one, Scenario) else one)
+            path = Path(item.path if isinstance(item, Scenario) else item)
             if not path.is_file():
-                # A name that was typed wrong is no scenario.
+                # Probably a typing error.
                 raise
-            wrong[path] = error
-    if wrong and not read:
-        raise next(iter(wrong.values()))
-    return read, {_recording_of(path): of_file(path, failure_words(path, error)) for path, error in wrong.items()}
+            errors[path] = error
+    if errors and not readable:
+        raise next(iter(errors.values()))
+    return readable, {_recording_of(path): of_file(path, failure_words(path, error)) for path, error in errors.items()}
 
 
 def _recording_of(path: Path) -> str:
@@ -226,36 +248,39 @@ def _recording_of(path: Path) -> str:
 
 
 def _of_files(scenarios: Sequence[Scenario], given: Mapping[str, Value]) -> list[Planned]:
-    """Recordings that are called like their scenarios."""
+    """Plan recordings that are named after their scenarios."""
     if not scenarios:
         raise InputError("`scenario`: name at least one OpenSCENARIO file.")
-    called: dict[str, Scenario] = {}
-    for one in scenarios:
-        other = called.setdefault(portable_name(one.path.stem).casefold(), one)
-        if other is not one:
-            raise InputError(f"{one.path}: its recording would be called like that of {other.path}; rename one.")
-    return [Planned(_recording_of(one.path), ConcreteScenario(one.path, given, one)) for one in scenarios]
+    scenario_by_name: dict[str, Scenario] = {}
+    for scenario in scenarios:
+        other = scenario_by_name.setdefault(portable_name(scenario.path.stem).casefold(), scenario)
+        if other is not scenario:
+            raise InputError(f"{scenario.path}: has the same recording name as {other.path}; rename one.")
+    return [
+        Planned(_recording_of(scenario.path), ConcreteScenario(scenario.path, given, scenario))
+        for scenario in scenarios
+    ]
 
 
 def _of_table(scenarios: Sequence[Scenario], table: Path, given: Mapping[str, Value]) -> list[Planned]:
-    """Recordings of one scenario with the values of a table."""
+    """Plan recordings of one scenario with the values of a table."""
     if len(scenarios) != 1:
-        raise InputError(f"`table` {table}: is of one scenario, not of {len(scenarios)}; give one.")
+        raise InputError(f"`table` {table}: requires one scenario, not {len(scenarios)}.")
     (scenario,) = scenarios
     planned, lines = [], dict[str, int]()
     for number, row in enumerate(read_value_table(table, scenario), 1):
-        if both := sorted({*given} & {*row.values}):
-            raise InputError(f"`values` {both[0]}: is a column of {table} too; leave one of the two.")
-        # The number has as many digits in a longer table, so that recordings keep their names.
+        if duplicates := sorted({*given} & {*row.values}):
+            raise InputError(f"`values` {duplicates[0]}: is also a column of {table}; remove one of the two.")
+        # A fixed number of digits, so that recordings keep their names if the table grows.
         file = row.file or f"{portable_name(scenario.path.stem)}-{number:05d}{_CSV}"
         if portable_name(file) != file or not file.lower().endswith(_CSV) or file.lower() == TABLE:
             raise InputError(
-                f"{table}, line {row.line}: '{file}' in the column {FILE_COLUMN} cannot be a recording; name a file"
-                f" without a folder that ends in {_CSV} and is not {TABLE}."
+                f"{table}, line {row.line}: '{file}' in the column {FILE_COLUMN} cannot be a recording; give a file"
+                f" name without folder that ends in {_CSV} and is not {TABLE}."
             )
         earlier = lines.setdefault(file.casefold(), row.line)
         if earlier != row.line:
-            raise InputError(f"{table}, line {row.line}: names {file}, as line {earlier} does.")
+            raise InputError(f"{table}, line {row.line}: repeats the file name {file} of line {earlier}.")
         planned.append(Planned(file, ConcreteScenario(scenario.path, {**given, **row.values}, scenario)))
     return planned
 
@@ -263,32 +288,32 @@ def _of_table(scenarios: Sequence[Scenario], table: Path, given: Mapping[str, Va
 def _run(
     simulator: Simulator, folder: RecordingsFolder, missing: Sequence[Planned], total: int, progress: bool
 ) -> dict[str, str]:
-    """Run what is missing, and tell why which recordings could not be made."""
+    """Run the missing scenarios; return why recordings could not be made."""
     failures: dict[str, str] = {}
-    noted, said = False, RunNotices(simulator)
+    notes_written, notices = False, RunNotices(simulator)
     done = total - len(missing)
     bar = ProgressBar(total, "simulating", "scenarios") if progress else None
     try:
         with noted_interrupts() as check:
             while missing:
-                at_once = _AT_ONCE * max(1, len(simulator.beside()))
-                chosen, missing = missing[:at_once], missing[at_once:]
-                outcomes = outcomes_of(simulator, [one.concrete for one in chosen])
-                for one, outcome in zip(chosen, outcomes, strict=True):
+                batch_size = _AT_ONCE * max(1, len(simulator.beside()))
+                batch, missing = missing[:batch_size], missing[batch_size:]
+                outcomes = outcomes_of(simulator, [planned.concrete for planned in batch])
+                for planned, outcome in zip(batch, outcomes, strict=True):
                     check()
                     if isinstance(outcome, SimulationError):
-                        failures[one.file] = of_file(one.concrete.path, str(outcome))
+                        failures[planned.file] = of_file(planned.concrete.path, str(outcome))
                     else:
-                        if not noted:
+                        if not notes_written:
                             folder.note()
-                            noted = True
-                        outcome.to_csv(folder.place(one.file))
-                        said.look(outcome, one.concrete.scenario)
+                            notes_written = True
+                        outcome.to_csv(folder.place(planned.file))
+                        notices.look(outcome, planned.concrete.scenario)
                     done += 1
                     if bar is not None:
                         bar.update(done, "")
     finally:
         if bar is not None:
             bar.stop()
-        said.warn()
+        notices.warn()
     return failures

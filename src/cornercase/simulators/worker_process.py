@@ -1,4 +1,4 @@
-"""One worker process, in which a simulator runs."""
+"""A worker process that runs a simulator."""
 
 from __future__ import annotations
 
@@ -35,21 +35,13 @@ from cornercase.simulators.outcomes import Outcome, outcomes_as_given
 from cornercase.simulators.registry import SIMULATORS
 from cornercase.simulators.sending import packed_options, with_drivers_made
 
-# s that a simulator may take to start, for its exit code to arrive, and to end by itself.
+# Time limits in s: to start the simulator, to get its exit code, and to let it end by itself.
 _STARTED, _DIED, _ENDED = 60.0, 0.2, 10.0
 
 
 @dataclass(frozen=True)
 class Task:
-    """Scenarios that a worker runs in one call of its simulator.
-
-    Attributes
-    ----------
-    indices : tuple of int
-        Which of all scenarios they are.
-    tries : int
-        How often they were tried before.
-    """
+    """Scenarios (indices) that a worker runs in one call of its simulator, and how often they were tried before."""
 
     indices: tuple[int, ...]
     tries: int = 0
@@ -57,12 +49,7 @@ class Task:
 
 @dataclass(frozen=True)
 class Noticed:
-    """A sentence for whoever runs the scenarios.
-
-    Attributes
-    ----------
-    sentence : str
-    """
+    """A sentence for the user."""
 
     sentence: str
 
@@ -71,28 +58,13 @@ Answer = Outcome | InputError | Noticed | None
 
 
 class Worker:
-    """One process with a simulator, started when it is first needed, and anew after it has ended.
+    """A process with a simulator; started when first needed, and again after it has ended.
 
-    Parameters
-    ----------
-    name : str
-        Registered simulator.
-    options : dict
-        What to make it with; has to be picklable.
-    timeout : float or None
-        s for each scenario.
-    guardian : Guardian
-        Ends the process where this one cannot, and keeps its folder for temporary files.
+    `timeout` is in s per scenario. `guardian` ends the process if this one cannot, and owns its folder for temporary
+    files.
 
-    Attributes
-    ----------
-    waiting : list of int
-        Scenarios of its task that have no result yet; empty while it has nothing to do.
-    task : Task
-        The last one that it was given.
-    connection : Connection
-    deadline : float
-        When its time is up, as in `time.monotonic`.
+    Attributes: `waiting`, the scenarios of the task without a result, empty if idle; `task`, the last one;
+    `connection`; `deadline`, in `time.monotonic` time.
     """
 
     connection: Connection
@@ -100,7 +72,7 @@ class Worker:
 
     def __init__(self, name: str, options: dict[str, Any], timeout: float | None, guardian: Guardian) -> None:
         self._name, self._timeout, self._guardian = name, timeout, guardian
-        # As bytes, so that the process looks for a driver of one's own where this one did.
+        # As bytes, so that the process imports the user's drivers from where this one did.
         self._options = packed_options(options, pickle.dumps)
         self._process: Any = None
         self._folder: Path | None = None
@@ -110,32 +82,25 @@ class Worker:
         self.deadline = float("inf")
 
     def give(self, task: Task, concretes: Sequence[ConcreteScenario]) -> None:
-        """Let it run the scenarios of a task.
-
-        Parameters
-        ----------
-        task : Task
-        concretes : sequence of ConcreteScenario
-            All that there are; the task tells which it runs.
-        """
+        """Start a task; `concretes` are all scenarios; the task has the indices of its own."""
         if self._process is None or not self._process.is_alive():
             self.stop()
             # Spawned, not forked: threads of numerical libraries do not survive a fork, and Windows has none.
             context = get_context("spawn")
-            # What it leaves in it is removed after it, however it ends.
+            # Removed after the process, however it ends.
             self._folder = self._guardian.new_folder()
-            self.connection, theirs = context.Pipe()
-            given = theirs, self._name, self._options, self._folder
-            process = context.Process(target=_serve, args=given, daemon=True)
-            # One that came in the middle would leave a process that nobody knows.
+            self.connection, child_connection = context.Pipe()
+            arguments = child_connection, self._name, self._options, self._folder
+            process = context.Process(target=_serve, args=arguments, daemon=True)
+            # An interrupt in the middle would leave an orphaned process.
             with held_interrupts(), interrupts_kept(*ending_signals()), kept_from_children():
                 process.start()
                 self._process = process
             self._guardian.watch(self._process.pid)
-            theirs.close()
+            child_connection.close()
         self.task, self.waiting = task, list(task.indices)
         self._set_deadline()
-        # If it has just ended, this is noticed when its answer is awaited.
+        # If the process has just ended, `receive` notices.
         with suppress(OSError):
             self.connection.send([concretes[k] for k in task.indices])
 
@@ -145,46 +110,30 @@ class Worker:
         elif self._timeout is None:
             self.deadline = float("inf")
         else:
-            # A simulator may run its scenarios side by side, or one after the other.
+            # Scenarios may run in parallel or one after another.
             self.deadline = time.monotonic() + self._timeout * len(self.waiting)
 
     def answer(self) -> Answer:
-        """Take the next message of the process.
+        """Receive the next message: a result, an error for the rest, a notice, or None once the simulator has started.
 
-        Returns
-        -------
-        Recording, SimulationError, InputError, Noticed or None
-            What came of the next scenario, or why none follows; None says that the simulator has started.
-
-        Raises
-        ------
-        TimeoutError
-            Its time is up.
-        EOFError, OSError
-            The process has ended.
+        Raises TimeoutError after the deadline, EOFError or OSError if the process has ended.
         """
         if not self.connection.poll():
-            doing = f"end within {self._timeout:g} s" if self._started else f"start within {_STARTED:g} s"
-            raise TimeoutError(f"the simulator did not {doing}")
-        found: Answer = self.connection.recv()
-        if isinstance(found, Noticed):
-            return found
-        if isinstance(found, Recording | SimulationError):
+            action = f"end within {self._timeout:g} s" if self._started else f"start within {_STARTED:g} s"
+            raise TimeoutError(f"the simulator did not {action}")
+        answer: Answer = self.connection.recv()
+        if isinstance(answer, Noticed):
+            return answer
+        if isinstance(answer, Recording | SimulationError):
             self.waiting.pop(0)
         self._started = True
         self._set_deadline()
-        return found
+        return answer
 
     def ending(self, process: str) -> SimulatorError:
-        """Say how the process ended, which is called so in the sentence.
-
-        Returns
-        -------
-        SimulatorError
-            ``"the simulator's process ended with exit code 3"``; a `LostError` where somebody else has ended it.
-        """
-        words = f"{process} {words_of_exit_code(self._code)}"
-        return LostError(f"{words} from outside") if ended_from_outside(self._code) else SimulatorError(words)
+        """Return the error that describes how the process ended; `LostError` if it was killed from outside."""
+        text = f"{process} {words_of_exit_code(self._code)}"
+        return LostError(f"{text} from outside") if ended_from_outside(self._code) else SimulatorError(text)
 
     def stop(self) -> None:
         """End the process at once, if there is one."""
@@ -194,26 +143,26 @@ class Worker:
         # If the process has ended by itself, its exit code arrives within a moment.
         self._process.join(_DIED)
         self._code = self._process.exitcode
-        # One that has been killed may have left what it has started.
+        # A killed process may have left children.
         end_process_tree(self._process.pid)
         self._process.join(_ENDED)
         self._forget()
 
     def kill(self) -> None:
-        """End the process from another thread, which finds that it has ended."""
+        """Kill the process from another thread than the one that waits for it."""
         process = self._process
         if process is not None and process.exitcode is None:
             end_process_tree(process.pid)
 
     def hang_up(self) -> None:
-        """Tell the process that nothing follows; it closes its simulator and ends. One at work is stopped."""
+        """Close the connection, so that an idle process closes its simulator and ends; a busy one is stopped."""
         if self.waiting:
             self.stop()
         elif self._process is not None:
             self.connection.close()
 
     def wait(self) -> None:
-        """Wait until a process that was told so has ended, and end it if it does not."""
+        """Wait until a process that was told to end has ended; kill it if it does not."""
         if self._process is None:
             return
         self._process.join(_ENDED)
@@ -232,7 +181,7 @@ class Worker:
 
 
 def _serve(connection: Connection, name: str, options: bytes, folder: Path) -> None:
-    """Make a simulator, and run what comes until nothing follows."""
+    """Create a simulator in the worker process, and run tasks until the connection closes."""
     # Ctrl-C is handled by the main process, which lets this one finish its scenario or stops it.
     leave_terminal()
     end_with_parent()
@@ -255,18 +204,9 @@ def _serve(connection: Connection, name: str, options: bytes, folder: Path) -> N
 
 
 def unpickled_options(options: bytes) -> dict[str, Any]:
-    """Read the options of a simulator, with drivers of one's own, whose modules may lie in the current folder.
-
-    Parameters
-    ----------
-    options : bytes
-
-    Returns
-    -------
-    dict
-    """
-    found: dict[str, Any] = unpickle_here(options)
-    return with_drivers_made(found)
+    """Unpickle the options of a simulator; modules of the user's drivers may be in the current folder."""
+    options_with_names: dict[str, Any] = unpickle_here(options)
+    return with_drivers_made(options_with_names)
 
 
 def _answer(connection: Connection, simulator: Simulator, concretes: list[ConcreteScenario]) -> None:
@@ -283,8 +223,8 @@ def _send_notice(connection: Connection, sentence: str) -> None:
 
 
 def _send(connection: Connection, found: Answer) -> bool:
-    """Send an answer, and say whether anybody is there to receive it."""
-    # Where nobody listens any more, this process is about to be ended.
+    """Send an answer; return whether there is a receiver."""
+    # Without a receiver, this process is about to be ended.
     try:
         connection.send(found)
     except (BrokenPipeError, ConnectionResetError):

@@ -1,4 +1,4 @@
-"""A simulator in worker processes, which may crash or hang without taking anything with them."""
+"""Run a simulator in worker processes, so that crashes and hangs cost only the scenario at fault."""
 
 from __future__ import annotations
 
@@ -19,54 +19,31 @@ from cornercase.simulators.elsewhere import SimulatorElsewhere
 from cornercase.simulators.outcomes import Outcome
 from cornercase.simulators.worker_process import Noticed, Task, Worker
 
+# Default number of consecutive failures after which the simulator, not the scenarios, is considered at fault.
 MOST_FAILURES: Final = 5
-"""Scenarios in a row without a result after which the simulator is at fault, not they, unless a user says otherwise."""
-# s.
+# In s.
 _LONGEST_WAIT: Final = 3600.0
-
+# More than any machine has cores, and few enough to be started.
 MOST_WORKERS: Final = 1024
-"""Worker processes side by side: more than there are cores anywhere, and few enough to be started."""
 
 
 @dataclass
 class _Lost:
-    """Scenarios in a row that ended without a result, of all processes."""
+    """Number of consecutive scenarios without a result, over all processes."""
 
     count: int = 0
 
 
 class WorkerSimulator(SimulatorElsewhere):
-    """Runs concrete scenarios in worker processes, each of which starts the simulator once.
+    """Runs concrete scenarios in worker processes, each with its own simulator.
 
-    A simulator that takes batches gets an equal share of the scenarios in each process, any other gets them one by
-    one. If a batch crashes or hangs, those of its scenarios that have no result yet are run again one by one, so that
-    only the one at fault is lost. Results are the same for any number of workers.
+    A simulator with `batched` gets an equal share of the scenarios per process, any other gets one at a time. If a
+    batch crashes or hangs, its scenarios without a result are run again one by one, so that only the one at fault
+    fails. Results do not depend on the number of workers.
 
-    Parameters
-    ----------
-    name : str
-        Registered simulator.
-    options : dict
-        What to make it with; has to be picklable.
-    workers : int, default 1
-    timeout : float, optional
-        s after which a scenario is given up; a batch has as much for each of its scenarios. The start of the simulator
-        has a minute of its own.
-    retries : int, default 1
-        How often a scenario is run again after the simulator failed: its process ended, had to be ended, or the
-        connection to its program broke. Where somebody else has ended its process, it is run again at least once.
-    max_failures : int, default 5
-        Scenarios in a row without a result, since the simulator failed in each, after which it is not tried any more; 0
-        for no limit.
-
-    Raises
-    ------
-    InputError
-        The simulator cannot be made so.
-
-    Examples
-    --------
-    Four processes, each of which runs a quarter of the scenarios at once:
+    `options` must be picklable. `timeout` is in s per scenario; the simulator has another minute to start. `retries`
+    counts further runs after the simulator failed (its process ended, hung, or lost its program); if the process was
+    killed from outside, there is at least one. `max_failures` consecutive failures end the run (0: no limit).
 
     >>> from cornercase.simulators import WorkerSimulator
     >>> with WorkerSimulator("builtin", {"duration": 20.0}, workers=4, timeout=30.0) as simulator:
@@ -96,64 +73,43 @@ class WorkerSimulator(SimulatorElsewhere):
         self._each: list[WorkerSimulator] = []
 
     def run(self, concretes: Sequence[ConcreteScenario]) -> Iterator[Outcome]:
-        """Run scenarios.
-
-        Parameters
-        ----------
-        concretes : sequence of ConcreteScenario
-
-        Yields
-        ------
-        Recording or SimulationError
-            One for each scenario, in order.
-
-        Raises
-        ------
-        InputError
-            The scenario file cannot be used, or the simulator crashes or hangs in `max_failures` scenarios in a row.
-        """
+        """Run scenarios, as `Simulator.run`; `InputError` also after `max_failures` consecutive failures."""
         size = -(-len(concretes) // len(self._workers)) if self._batches and concretes else 1
-        every = range(len(concretes))
-        waiting = deque(Task(tuple(every[k : k + size])) for k in every[::size])
+        indices = range(len(concretes))
+        waiting = deque(Task(tuple(indices[k : k + size])) for k in indices[::size])
         done: dict[int, Outcome] = {}
-        given = 0
+        n_yielded = 0
         try:
-            while given < len(concretes):
+            while n_yielded < len(concretes):
                 for worker in self._workers:
                     if not worker.waiting and waiting:
                         worker.give(waiting.popleft(), concretes)
                 for worker in self._ready():
                     self._take(worker, waiting, done)
-                while given in done:
-                    yield done.pop(given)
-                    given += 1
+                while n_yielded in done:
+                    yield done.pop(n_yielded)
+                    n_yielded += 1
         finally:
             for worker in self._workers:
                 if worker.waiting:
                     worker.stop()
 
     def beside(self) -> Sequence[WorkerSimulator]:
-        """Give a simulator for each of the processes.
-
-        Returns
-        -------
-        sequence of WorkerSimulator
-            Of one process each; they are closed with this one.
-        """
+        """Return one simulator per process; they are closed with this one."""
         if not self._each:
             self._each = [copy(self) for _ in self._workers]
-            for one, worker in zip(self._each, self._workers, strict=True):
-                one._workers, one._each = [worker], []
+            for single, worker in zip(self._each, self._workers, strict=True):
+                single._workers, single._each = [worker], []
         return self._each
 
     def give_up(self) -> None:
-        """End the processes at once, though another thread waits for them; nothing is tried again."""
+        """Kill the processes at once, even if another thread waits for them; nothing is retried."""
         self._retries = -1
         for worker in self._workers:
             worker.kill()
 
     def close(self) -> None:
-        """End the processes; those without work close their simulator first."""
+        """End the processes; idle ones close their simulator first."""
         for worker in self._workers:
             worker.hang_up()
         for worker in self._workers:
@@ -162,36 +118,36 @@ class WorkerSimulator(SimulatorElsewhere):
         super().close()
 
     def _ready(self) -> list[Worker]:
-        """Wait for the workers that have an answer, and those whose time is up."""
+        """Wait for workers that have an answer or exceeded their deadline."""
         busy = [worker for worker in self._workers if worker.waiting]
         deadline = min(worker.deadline for worker in busy)
-        # No system waits for any length of time in one go.
+        # Operating systems limit the time of a single wait.
         remaining = None if deadline == float("inf") else min(max(0.0, deadline - time.monotonic()), _LONGEST_WAIT)
-        heard = wait([worker.connection for worker in busy], remaining)
-        return [worker for worker in busy if worker.connection in heard or worker.deadline <= time.monotonic()]
+        readable = wait([worker.connection for worker in busy], remaining)
+        return [worker for worker in busy if worker.connection in readable or worker.deadline <= time.monotonic()]
 
     def _take(self, worker: Worker, waiting: deque[Task], done: dict[int, Outcome]) -> None:
-        task, left = worker.task, tuple(worker.waiting)
+        task, remaining = worker.task, tuple(worker.waiting)
         try:
-            found = worker.answer()
+            answer = worker.answer()
         except (EOFError, OSError) as error:
             worker.stop()
-            why = SimulatorError(str(error)) if isinstance(error, TimeoutError) else worker.ending(self._process)
-            self._lose(task, left, why, waiting, done)
+            failure = SimulatorError(str(error)) if isinstance(error, TimeoutError) else worker.ending(self._process)
+            self._lose(task, remaining, failure, waiting, done)
             return
-        if found is None:
+        if answer is None:
             return
-        if isinstance(found, Noticed):
-            self.notice([found.sentence])
+        if isinstance(answer, Noticed):
+            self.notice([answer.sentence])
             return
-        if isinstance(found, InputError):
+        if isinstance(answer, InputError):
             worker.waiting = []
-            raise found
-        if isinstance(found, SimulatorError):
-            self._lose(task, left[:1], found, waiting, done, own=True)
+            raise answer
+        if isinstance(answer, SimulatorError):
+            self._lose(task, remaining[:1], answer, waiting, done, own=True)
         else:
             self._lost.count = 0
-            done[left[0]] = found
+            done[remaining[0]] = answer
 
     def _lose(
         self,
@@ -203,15 +159,16 @@ class WorkerSimulator(SimulatorElsewhere):
         *,
         own: bool = False,
     ) -> None:
-        """Have scenarios without a result run again, or give them up.
+        """Run scenarios without a result again, or fail them.
 
-        What has happened to a batch says nothing of any one of its scenarios, unless it is the result of its `own`.
+        If a batch failed, it is unknown which scenario is at fault, unless `own`: the failure is the result of the
+        first.
         """
         if len(task.indices) > 1 and not own:
             waiting.extendleft(Task((k,)) for k in reversed(left))
             return
         (index,) = left
-        # Who has ended it does not ask how often a scenario may be tried.
+        # A process that was killed from outside is no reason to fail a scenario without a retry.
         retries = 1 if self._retries == 0 and isinstance(why, LostError) else self._retries
         if not isinstance(why, SimulatorError):
             self._lost.count = 0
@@ -223,15 +180,15 @@ class WorkerSimulator(SimulatorElsewhere):
             if 0 < self._max_failures <= self._lost.count:
                 raise InputError(
                     f"The simulator '{self.name}' gave no result in {self._lost.count} scenarios in a row"
-                    f" (`max_failures`); in the last one {why}. Fix it, and run the same command again to go on."
+                    f" (`max_failures`); in the last one {why}. Fix it, and run the same command again to resume."
                 )
             times = "once" if task.tries == 0 else f"{task.tries + 1} times"
-            kind = LostError if isinstance(why, LostError) else SimulationError
-            done[index] = kind(f"{why}, tried {times}")
+            error_class = LostError if isinstance(why, LostError) else SimulationError
+            done[index] = error_class(f"{why}, tried {times}")
 
 
 def _name_process(options: Mapping[str, Any]) -> str:
-    """Name the process of a simulator, which may have ended because of a driver of a user."""
+    """Describe a simulator's process in messages, with the user's drivers, which may have ended it."""
     drivers = [
         f"the driver of {quoted_name(entity)} ({name})"
         for entity, driver in (options.get("drivers") or {}).items()

@@ -1,6 +1,7 @@
 """Drives a vehicle on CARLA along the route of its scenario.
 
-ScenarioRunner loads this file by its name, in its own environment and an older Python; it uses nothing of cornercase.
+ScenarioRunner loads this file by its name, in its own environment with an older Python, so it must not import
+cornercase.
 """
 
 from __future__ import annotations
@@ -20,23 +21,19 @@ from srunner.scenariomanager.carla_data_provider import CarlaDataProvider
 from srunner.tools.openscenario_parser import OpenScenarioParser
 from srunner.tools.route_manipulation import interpolate_trajectory
 
-# m that a vehicle drives on along its lane after its route, so that it does not stop in the way of others.
+# Distance in m that a vehicle continues along its lane after its route, so that it does not block others.
 _BEYOND = 200.0
 _STEP = 2.0
-# m after which lanes that part on a junction can be told apart.
+# Distance in m after which diverging lanes on a junction can be distinguished.
 _AHEAD = 15.0
 
 
 class CornercaseDriver(NpcVehicleControl):  # type: ignore[misc]
-    """Follows a route as CARLA's behaviour agent, as an agent of the user's, or at the storyboard's speed.
+    """Follows a route as CARLA's behaviour agent, as the user's agent, or at the storyboard's speed.
 
-    Parameters
-    ----------
-    actor : carla.Vehicle
-    args : dict
-        ``behavior`` is "cautious", "normal" or "aggressive", or missing; ``agent`` the file of an ``AutonomousAgent``
-        and ``agent_config`` its configuration, or missing; ``route`` an XML element whose children are the positions
-        of an OpenSCENARIO route.
+    `args`: ``behavior`` is "cautious", "normal" or "aggressive"; ``agent`` is the file of an ``AutonomousAgent`` and
+    ``agent_config`` its configuration; ``route`` is an XML element with the positions of an OpenSCENARIO route. All
+    optional.
     """
 
     _init_speed: bool
@@ -65,10 +62,10 @@ class CornercaseDriver(NpcVehicleControl):  # type: ignore[misc]
         if not self._actor.is_alive:
             return
         if self._init_speed:
-            # Only at the start; from then on the agent decides the speed.
+            # Only at the start; then the agent decides the speed.
             self._init_speed = False
-            ahead = self._actor.get_transform().get_forward_vector()
-            self._actor.set_target_velocity(ahead * float(self._target_speed))
+            forward = self._actor.get_transform().get_forward_vector()
+            self._actor.set_target_velocity(forward * float(self._target_speed))
         if self._agent.done():
             self._reached_goal = True
             self._actor.apply_control(carla.VehicleControl(brake=1.0))
@@ -76,7 +73,7 @@ class CornercaseDriver(NpcVehicleControl):  # type: ignore[misc]
             self._actor.apply_control(self._agent.run_step())
 
     def reset(self) -> None:
-        """Give back what the agent holds."""
+        """Release the agent's resources."""
         if isinstance(self._agent, _OwnAgent):
             self._agent.close()
         self._agent = None
@@ -84,12 +81,12 @@ class CornercaseDriver(NpcVehicleControl):  # type: ignore[misc]
 
 
 class _OwnAgent:
-    """An agent of the user's, as ScenarioRunner would run it; it does so in route scenarios only."""
+    """The user's agent, run as ScenarioRunner does in route scenarios only."""
 
     def __init__(self, actor: Any, file: str, config: str, targets: List[Any]) -> None:
         sys.path.insert(0, os.path.dirname(file))
         module = importlib.import_module(os.path.splitext(os.path.basename(file))[0])
-        # Named as ScenarioRunner would have it: my_agent.py holds MyAgent.
+        # ScenarioRunner's naming convention: my_agent.py contains MyAgent.
         self._agent = getattr(module, module.__name__.title().replace("_", ""))(config)
         if targets:
             self._agent.set_global_plan(*interpolate_trajectory([actor.get_location(), *targets]))
@@ -108,28 +105,28 @@ class _OwnAgent:
 
 
 def _plan(actor: Any, targets: List[Any]) -> List[Tuple[Any, Any]]:
-    """Waypoints and road options from where the actor is along a route, and beyond."""
+    """Waypoints and road options from the actor's position along a route, and beyond."""
     planner = CarlaDataProvider.get_global_route_planner()
-    at = CarlaDataProvider.get_location(actor) or actor.get_location()
+    start = CarlaDataProvider.get_location(actor) or actor.get_location()
     plan: List[Tuple[Any, Any]] = []
     for target in targets:
-        # A route may begin where the actor is.
-        if target.distance(at) > _STEP:
-            plan.extend(planner.trace_route(at, target))
-            at = target
+        # A route may start at the actor's position.
+        if target.distance(start) > _STEP:
+            plan.extend(planner.trace_route(start, target))
+            start = target
     if plan:
         last = plan[-1][0]
         for _ in range(int(_BEYOND / _STEP)):
             following = last.next(_STEP)
             if not following:
                 break
-            here = last
-            last = min(following, key=lambda point: abs(_turn(here, (point.next(_AHEAD) or [point])[0])))
+            current = last
+            last = min(following, key=lambda point: abs(_turn(current, (point.next(_AHEAD) or [point])[0])))
             plan.append((last, RoadOption.LANEFOLLOW))
     return plan
 
 
 def _turn(one: Any, other: Any) -> float:
-    """Difference of two waypoints' directions, in degrees."""
+    """Difference of two waypoints' directions in degrees."""
     turn = float(other.transform.rotation.yaw - one.transform.rotation.yaw)
     return (turn + 180.0) % 360.0 - 180.0

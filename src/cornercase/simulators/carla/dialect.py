@@ -1,4 +1,4 @@
-"""What ScenarioRunner has to find in a scenario so that the right one drives."""
+"""Tell ScenarioRunner which controller moves each entity of a scenario."""
 
 from __future__ import annotations
 
@@ -23,14 +23,10 @@ _UNTOUCHED: Final = (
 
 @dataclass(frozen=True)
 class Agents:
-    """Who drives entities instead of the storyboard.
+    """Agents that drive entities instead of the storyboard.
 
-    Attributes
-    ----------
-    behaviors : mapping of str to str
-        Which of CARLA's behaviour agents drives an entity.
-    agent, config : Path or None
-        The user's own agent, which drives the ego, and its configuration.
+    `behaviors`: CARLA's behaviour agents by entity; `agent` and `config`: the user's own agent, which drives the ego,
+    and its configuration.
     """
 
     behaviors: Mapping[str, str] = field(default_factory=dict)
@@ -45,33 +41,13 @@ class Agents:
 def assign_controllers(
     root: etree._Element, source: Path, ego: str, agents: Agents, sampled: Mapping[str, float]
 ) -> set[Path]:
-    """Assign to each entity who moves it, where that is not ScenarioRunner's own control.
+    """Assign controllers to entities that ScenarioRunner's own controls do not move; return those that it must find.
 
-    ScenarioRunner 0.9.16 takes no routes (its waypoints need times since then), so a route of the initial actions is
-    left to our own controller.
-
-    Parameters
-    ----------
-    root : Element
-        Of a scenario in OpenSCENARIO 1.0 without parameters; changed in place.
-    source : Path
-        For messages.
-    ego : str
-    agents : Agents
-    sampled : mapping of str to float
-        Entities that move along a trajectory, and how far the centre of the box lies ahead of the reference point, m.
-
-    Returns
-    -------
-    set of Path
-        Controllers that ScenarioRunner has to find.
-
-    Raises
-    ------
-    InputError
-        An entity with a behaviour agent has no route.
+    ScenarioRunner 0.9.16 does not execute routes (its waypoints need times since then), so our own controller follows
+    the initial route. `sampled` are the entities on trajectories, with the distance in m by which the centre of the box
+    is ahead of the reference point. Raises `InputError` if an entity with a behaviour agent has no route.
     """
-    needed = set()
+    controllers = set()
     for private in root.iterfind("Storyboard/Init/Actions/Private"):
         entity = private.get("entityRef", "")
         route = _taken_route(private)
@@ -93,37 +69,37 @@ def assign_controllers(
             continue
         if len(route):
             properties["route"] = etree.tostring(route, encoding="unicode")
-        for other in private.findall("PrivateAction"):
-            if other.find("ControllerAction") is not None:
-                private.remove(other)
+        for old_action in private.findall("PrivateAction"):
+            if old_action.find("ControllerAction") is not None:
+                private.remove(old_action)
         private.append(_controller_action(entity, properties))
-        needed.add(TRAJECTORY if entity in sampled else DRIVER)
-    return needed
+        controllers.add(TRAJECTORY if entity in sampled else DRIVER)
+    return controllers
 
 
 def _taken_route(private: etree._Element) -> etree._Element:
-    """Positions of the route that an entity is assigned at first, which is taken out."""
+    """Remove an entity's initial route, and return its positions."""
     route = etree.Element("route")
     for action in private.findall("PrivateAction"):
-        found = action.find("RoutingAction")
-        if found is None or found.find("FollowTrajectoryAction") is not None:
+        routing = action.find("RoutingAction")
+        if routing is None or routing.find("FollowTrajectoryAction") is not None:
             continue
         private.remove(action)
-        route.extend(found.iterfind(".//Position"))
+        route.extend(routing.iterfind(".//Position"))
     return route
 
 
 def _controller_action(entity: str, properties: Mapping[str, str]) -> etree._Element:
     action = etree.Element("PrivateAction")
-    both = etree.SubElement(action, "ControllerAction")
+    controller_action = etree.SubElement(action, "ControllerAction")
     controller = etree.SubElement(
-        etree.SubElement(both, "AssignControllerAction"), "Controller", name=f"driver of {entity}"
+        etree.SubElement(controller_action, "AssignControllerAction"), "Controller", name=f"driver of {entity}"
     )
     holder = etree.SubElement(controller, "Properties")
     for name, value in properties.items():
         etree.SubElement(holder, "Property", name=name, value=value)
-    # 1.0 requires this element; nothing in it is active, as ScenarioRunner would act on it.
-    override = etree.SubElement(both, "OverrideControllerValueAction")
+    # Required in 1.0; all inactive, since ScenarioRunner would execute them.
+    override = etree.SubElement(controller_action, "OverrideControllerValueAction")
     for tag, attribute in _UNTOUCHED:
         etree.SubElement(override, tag, {attribute: "0", "active": "false"})
     return action

@@ -1,4 +1,4 @@
-"""Concrete scenarios as OpenSCENARIO 1.0, in the dialect of CARLA's ScenarioRunner."""
+"""Write concrete scenarios as OpenSCENARIO 1.0 for CARLA's ScenarioRunner."""
 
 from __future__ import annotations
 
@@ -27,6 +27,7 @@ from cornercase.simulators.carla.storyboard import (
     end_at,
     leave_out,
     name_apart,
+    remove_element,
     set_beginning,
     start_at_once,
     take_over,
@@ -34,7 +35,7 @@ from cornercase.simulators.carla.storyboard import (
 from cornercase.simulators.carla.trajectories import add_trajectories, sample
 
 _MINOR: Final = 0
-# Attributes that are newer than 1.0, and without which the rest means the same.
+# Attributes introduced after 1.0 that do not change the meaning of the rest.
 _LATER: Final = {
     "SynchronizeAction": ("targetTolerance", "targetToleranceMaster"),
     "Vehicle": ("mass", "role", "model3d"),
@@ -54,8 +55,8 @@ _RULES: Final = {"greaterOrEqual": "greaterThan", "lessOrEqual": "lessThan"}
 _NUMBER: Final = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?|-?INF|NaN|true|false", re.ASCII)
 _MOST_ENTITIES: Final = 500
 _TURNED: Final = (
-    "Positions were turned from CARLA's left-handed axes, in which the file is as its description begins with 'CARLA:',"
-    " to those of the road file; the new file's description does not begin so."
+    "Positions were converted from CARLA's left-handed axes (the description begins with 'CARLA:') to those of the road"
+    " file; the new file's description lacks this prefix."
 )
 
 
@@ -66,16 +67,16 @@ class Conversion:
     Attributes
     ----------
     path : Path
-        Of the new file.
+        The new file.
     notes : tuple of str
-        What is not quite the same in 1.0, and how it was put, a sentence each.
+        Differences from the original and replacements, one sentence each.
     """
 
     path: Path
     notes: tuple[str, ...]
 
     def __repr__(self) -> str:
-        lines = "".join(f"\n  {note}" for note in self.notes) or "\n  nothing had to be put in other words"
+        lines = "".join(f"\n  {note}" for note in self.notes) or "\n  nothing had to be changed"
         return f"<Conversion {self.path}:{lines}>"
 
 
@@ -88,9 +89,9 @@ def convert(
 ) -> Conversion:
     """Write a concrete scenario as OpenSCENARIO 1.0, as CARLA's ScenarioRunner reads it.
 
-    All parameters and expressions become their values, as 1.0 has no expressions, and what stands in catalogs comes
-    into the file; the ego becomes ScenarioRunner's ``ego_vehicle``. The road file is copied beside the new file and
-    named after it (``t10.xodr`` beside ``t10.xosc``), unless it is the name of one of CARLA's maps (``Town01``).
+    Parameters and expressions are replaced by their values, since 1.0 has no expressions, and catalog entries are
+    copied into the file. The ego becomes ScenarioRunner's ``ego_vehicle``. The road file is copied next to the new file
+    and named after it (``t10.xodr`` for ``t10.xosc``), unless it is the name of one of CARLA's maps (``Town01``).
 
     Parameters
     ----------
@@ -101,7 +102,7 @@ def convert(
     ego : str
         Entity that becomes the ego vehicle.
     values : mapping of str to float or str, optional
-        Of the scenario's parameters; the others keep the values of their declarations.
+        Parameter values; others keep those of their declarations.
 
     Returns
     -------
@@ -110,8 +111,8 @@ def convert(
     Raises
     ------
     InputError
-        A file cannot be read or written, the scenario has no such entity or parameter, or something in it cannot be
-        said in OpenSCENARIO 1.0.
+        A file cannot be read or written, there is no such entity or parameter, or something cannot be expressed in
+        OpenSCENARIO 1.0.
 
     Examples
     --------
@@ -121,28 +122,19 @@ def convert(
     """
     if not isinstance(scenario, Scenario):
         scenario = Scenario.read(scenario)
-    output, given = path("output", output), numbers_or_texts("values", values)
+    output, checked_values = path("output", output), numbers_or_texts("values", values)
     require_other_file(output, scenario.path)
-    return Conversion(output, write_1_0(scenario, given, output, ego=ego, run=Run(judged=True)))
+    return Conversion(output, write_1_0(scenario, checked_values, output, ego=ego, run=Run(judged=True)))
 
 
 @dataclass(frozen=True)
 class Run:
-    """How a scenario is to be run.
+    """Options of a converted scenario.
 
-    Attributes
-    ----------
-    agents : Agents
-        Who drives entities instead of the storyboard.
-    time_step, duration : float
-        s.
-    open_loop : bool
-        Whether an entity may move along a trajectory that would have to react to one that an agent drives.
-    road_file, controllers : str
-        Path of the copied road file, and folder of the controllers of ours that ScenarioRunner needs, relative to the
-        new file; by default both are beside it, the road file named after it.
-    judged : bool
-        Whether ScenarioRunner judges the run by the criteria that the scenario asks for.
+    `agents` drive entities instead of the storyboard; `time_step` and `duration` in s; `open_loop`: an entity may move
+    along a trajectory although it should react to an agent-driven one; `road_file` and `controllers`: path of the
+    copied road file and folder of our controllers, relative to the new file (default: next to it); `judged`:
+    ScenarioRunner judges the run by the scenario's criteria.
     """
 
     agents: Agents = field(default_factory=Agents)
@@ -157,48 +149,31 @@ class Run:
 def write_1_0(
     scenario: Scenario, values: Mapping[str, Value], target: Path | str, *, ego: str, run: Run | None = None
 ) -> tuple[str, ...]:
-    """Write a concrete scenario for ScenarioRunner, as `convert` does.
-
-    Parameters
-    ----------
-    scenario : Scenario
-    values : mapping of str to float or str
-    target : path
-    ego : str
-    run : Run, optional
-
-    Returns
-    -------
-    tuple of str
-        What is not quite the same.
-
-    Raises
-    ------
-    InputError
-        As in `convert`.
-    """
+    """Write a concrete scenario for ScenarioRunner, as `convert` does; return notes on differences."""
     run = run or Run()
     scenario.require_parameters(list(values))
     scenario.require_entity(ego, "ego")
     target, road = Path(target), scenario.road_file(values)
     town = carla_map(scenario, values)
-    unknown = "" if road is None or road.exists() else town
-    root, notes, controllers = _tree_1_0(scenario, values, ego, run, unknown)
-    # A scenario must not choose the name of a file that is written: ScenarioRunner would import 'carla.py'.
+    missing_map = "" if road is None or road.exists() else town
+    root, notes, controllers = _tree_1_0(scenario, values, ego, run, missing_map)
+    # A scenario must not choose the name of a written file: ScenarioRunner would import 'carla.py'.
     road_file = run.road_file or f"{target.stem}.xodr"
     file = root.find("RoadNetwork/LogicFile")
     if road is not None and file is not None:
         try:
             file.set("filepath", town or road_file)
         except ValueError as error:
-            raise InputError(f"{target}: its name has characters that XML cannot hold; choose another one.") from error
-    wrong = schema_errors(root)
-    if wrong is None:
-        notes.append("It was not held against the schema of 1.0; pip install 'cornercase[validate]'.")
-    elif wrong:
-        raise InputError(f"{scenario.path}: cannot be expressed in OpenSCENARIO 1.0 ({wrong[0]}).")
+            raise InputError(
+                f"{target}: the name contains characters that XML does not allow; choose another."
+            ) from error
+    violations = schema_errors(root)
+    if violations is None:
+        notes.append("It was not validated against the schema of 1.0; pip install 'cornercase[validate]'.")
+    elif violations:
+        raise InputError(f"{scenario.path}: cannot be expressed in OpenSCENARIO 1.0 ({violations[0]}).")
     content = io.BytesIO()
-    # Into memory: written to a file by lxml, what does not fit on the disk may be lost without a word.
+    # Into memory: lxml may silently lose data when it writes to a full disk.
     etree.ElementTree(root).write(content, encoding="utf-8", xml_declaration=True, pretty_print=True)
     with written_together():
         if road is not None and not town:
@@ -212,18 +187,7 @@ def write_1_0(
 
 
 def carla_map(scenario: Scenario, values: Mapping[str, Value]) -> str:
-    """Return the name of CARLA's map that a scenario names in the place of a road file.
-
-    Parameters
-    ----------
-    scenario : Scenario
-    values : mapping of str to float or str
-
-    Returns
-    -------
-    str
-        Empty where it names a file, or none.
-    """
+    """Return the name of CARLA's map that a scenario names instead of a road file; empty for a file or no road."""
     reference = scenario.road_reference(values)
     road = scenario.beside(reference, "road file")
     if not reference or road.exists() or not re.fullmatch(r"\w+", road.name, re.ASCII):
@@ -232,23 +196,11 @@ def carla_map(scenario: Scenario, values: Mapping[str, Value]) -> str:
 
 
 def concrete_tree(scenario: Scenario, values: Mapping[str, Value]) -> etree._Element:
-    """Make the tree of a concrete scenario, without parameters and references to catalogs.
+    """Return the tree of a concrete scenario without parameters and catalog references.
 
-    Parameters
-    ----------
-    scenario : Scenario
-    values : mapping of str to float or str
-
-    Returns
-    -------
-    lxml element
-
-    Raises
-    ------
-    InputError
-        A value cannot be evaluated or breaks a constraint, or there are too many entities.
+    Raises `InputError` if a value cannot be evaluated or breaks a constraint, or there are too many entities.
     """
-    # Each is held against all others.
+    # The time grows with the square of the number of entities.
     if len(scenario.entities) > _MOST_ENTITIES:
         raise InputError(
             f"{scenario.path}: has {len(scenario.entities)} entities; at most {_MOST_ENTITIES} can be written."
@@ -257,7 +209,7 @@ def concrete_tree(scenario: Scenario, values: Mapping[str, Value]) -> etree._Ele
     scope = Scope.of_file(str(scenario.path), scenario.root, [dict(values)], scenario.catalog_entry)
     if scope.violations(scenario.root):
         raise InputError(f"{scenario.path}: the values break a constraint of the parameters' declarations.")
-    # The file's own declarations are in the scope already, with the values that were given.
+    # The scope contains the file's own declarations already, with the given values.
     for child in root:
         _resolve(child, scope)
     _trim(root)
@@ -269,7 +221,7 @@ def concrete_tree(scenario: Scenario, values: Mapping[str, Value]) -> etree._Ele
 def _tree_1_0(
     scenario: Scenario, values: Mapping[str, Value], ego: str, run: Run, town: str
 ) -> tuple[etree._Element, list[str], set[Path]]:
-    """Tree of a concrete scenario in the words of 1.0, what is not quite the same, and controllers that it needs."""
+    """Return the tree of a concrete scenario in OpenSCENARIO 1.0, notes on differences, and needed controllers."""
     root = concrete_tree(scenario, values)
     criteria = take_out_criteria(root)
     refuse_code(root, scenario.path)
@@ -278,7 +230,7 @@ def _tree_1_0(
     refuse(root, scenario.path)
     driven = run.agents.driven(ego)
     if ego in scenario.drivers:
-        # It is the system under test, which an agent drives that the file cannot name.
+        # The ego is the system under test, driven by an agent that the file cannot name.
         driven.add(ego)
     recording = None if town else sample(scenario, values, run.time_step, run.duration)
     road = scenario.road_file(values)
@@ -286,34 +238,34 @@ def _tree_1_0(
     slowest = (
         {} if recording is None else dict(zip(recording.names, np.fmin.reduce(recording.speed, axis=1), strict=True))
     )
-    turned = (_TURNED,) if scenario.is_left_handed else ()
-    made = plan(root, sorted(driven), scenario.path, town, astray, slowest)
-    notes = [*turned, *made.notes]
-    for name in made.sampled if not run.open_loop else ():
-        if name in made.reacting:
+    axes_notes = (_TURNED,) if scenario.is_left_handed else ()
+    actor_plan = plan(root, sorted(driven), scenario.path, town, astray, slowest)
+    notes = [*axes_notes, *actor_plan.notes]
+    for name in actor_plan.sampled if not run.open_loop else ():
+        if name in actor_plan.reacting:
             raise InputError(
-                f"{scenario.path}: '{name}' would have to react to {' and '.join(sorted(driven))}, but ScenarioRunner"
-                f" cannot move it so ({made.sampled[name][0]}); `simulator` carla:open_loop=true lets it move as in the"
-                " builtin simulator, whatever others do."
+                f"{scenario.path}: '{name}' has to react to {' and '.join(sorted(driven))}, but ScenarioRunner cannot"
+                f" move it like that ({actor_plan.sampled[name][0]}); with `simulator` carla:open_loop=true it moves as"
+                " in the builtin simulator, without reacting."
             )
-    kept = kept_ends(root, made, driven or ({ego} if town else set()))
+    kept_groups = kept_ends(root, actor_plan, driven or ({ego} if town else set()))
     leave_out(root)
-    take_over(root, set(made.sampled) | made.dropped)
-    _entities(root, ego, made, notes)
-    notes += add_trajectories(root, recording, list(made.sampled), ego)
+    take_over(root, set(actor_plan.sampled) | actor_plan.dropped)
+    _entities(root, ego, actor_plan, notes)
+    notes += add_trajectories(root, recording, list(actor_plan.sampled), ego)
     centers: dict[str, float] = {}
     end = run.duration
     if recording is not None:
-        keeping = set(recording.names) - set(made.sampled)
-        set_beginning(root, recording, keeping, heights(recording, road, scenario))
+        by_storyboard = set(recording.names) - set(actor_plan.sampled)
+        set_beginning(root, recording, by_storyboard, heights(recording, road, scenario))
         centers = dict(zip(recording.names, map(float, recording.center_x), strict=True))
-        last = float(recording.time[-1])
-        # Where nothing ends the scenario, who runs it does.
+        last_time = float(recording.time[-1])
+        # If nothing ends the scenario, the caller ends it.
         end += 1.0
-        if not kept and last < run.duration - 0.5 * run.time_step:
-            # Conditions of time are true from the first frame after it.
-            end = last - 0.5 * run.time_step
-    end_at(root, end, kept)
+        if not kept_groups and last_time < run.duration - 0.5 * run.time_step:
+            # Time conditions become true in the first frame after the time.
+            end = last_time - 0.5 * run.time_step
+    end_at(root, end, kept_groups)
     end_acts(root)
     start_at_once(root)
     name_apart(root)
@@ -323,7 +275,7 @@ def _tree_1_0(
     _synchronised(root, scenario, notes)
     _later_words(root)
     controllers = assign_controllers(
-        root, scenario.path, ego, run.agents, {name: centers[name] for name in made.sampled}
+        root, scenario.path, ego, run.agents, {name: centers[name] for name in actor_plan.sampled}
     )
     return root, notes, controllers
 
@@ -338,7 +290,7 @@ def _header(root: etree._Element, source: Path) -> None:
         raise InputError(f"{source}: has no <FileHeader>.")
     header.set("revMajor", "1")
     header.set("revMinor", str(_MINOR))
-    # ScenarioRunner names files after the description, and 'CARLA:' at its beginning would turn the axes.
+    # ScenarioRunner names files after the description, and a leading 'CARLA:' would change the axes.
     header.set("description", "cornercase")
     for child in list(header):
         header.remove(child)
@@ -346,13 +298,18 @@ def _header(root: etree._Element, source: Path) -> None:
 
 
 def _name_members(root: etree._Element) -> None:
-    """Name the members of selections in their place, as ScenarioRunner knows no selections."""
+    """Replace entity selections by their members, since ScenarioRunner has no selections."""
     for selection in root.findall("Entities/EntitySelection"):
-        members = [one.get("entityRef", "") for one in selection.iterfind("Members/EntityRef")]
-        kinds = [one.get("objectType", one.get("type", "")) for one in selection.iterfind("Members/ByType")]
+        members = [member_element.get("entityRef", "") for member_element in selection.iterfind("Members/EntityRef")]
+        object_types = [
+            member_element.get("objectType", member_element.get("type", ""))
+            for member_element in selection.iterfind("Members/ByType")
+        ]
         for holder in root.iterfind("Entities/ScenarioObject"):
             tag = "" if len(holder) == 0 else str(holder[0].tag)
-            if {"Vehicle": "vehicle", "Pedestrian": "pedestrian", "MiscObject": "miscellaneous"}.get(tag) in kinds:
+            if {"Vehicle": "vehicle", "Pedestrian": "pedestrian", "MiscObject": "miscellaneous"}.get(
+                tag
+            ) in object_types:
                 members.append(holder.get("name", ""))
         for reference in list(root.iter("EntityRef")):
             parent = reference.getparent()
@@ -360,17 +317,11 @@ def _name_members(root: etree._Element) -> None:
                 for member in dict.fromkeys(members):
                     reference.addprevious(etree.Element("EntityRef", entityRef=member))
                 parent.remove(reference)
-        _detach(selection)
-
-
-def _detach(element: etree._Element) -> None:
-    parent = element.getparent()
-    if parent is not None:
-        parent.remove(element)
+        remove_element(selection)
 
 
 def _later_words(root: etree._Element) -> None:
-    """Leave out attributes that came after 1.0, and without which the rest means the same."""
+    """Remove attributes introduced after 1.0 that do not change the meaning of the rest."""
     for tag, names in _LATER.items():
         for element in root.iter(tag):
             for name in names:
@@ -378,7 +329,7 @@ def _later_words(root: etree._Element) -> None:
 
 
 def _resolve(element: etree._Element, scope: Scope) -> None:
-    """Put values in the place of parameters and expressions."""
+    """Replace parameters and expressions by values."""
     if not isinstance(element.tag, str) or element.tag == "ParameterDeclarations":
         return
     inner = scope.within(element) if element.find("ParameterDeclarations") is not None else scope
@@ -386,26 +337,26 @@ def _resolve(element: etree._Element, scope: Scope) -> None:
         if "$" not in str(text) or name == "parameterRef":
             continue
         if name == "name":
-            # In 1.0 a $ in a name would be read as a reference to a parameter; it is left out.
+            # In 1.0, a $ in a name would be read as a parameter reference; remove it.
             element.set(name, str(text).translate(_NAMED))
         else:
             element.set(name, inner.text(element, str(name)))
     for child in element:
         if child.tag == "CatalogReference":
-            # ScenarioRunner would look for catalogs beside the new file, and cannot read those of later versions.
-            entry, own = inner.from_catalog(child)
-            within = etree.fromstring(etree.tostring(entry, with_tail=False))
-            element.replace(child, within)
-            # The scope holds these values, or what the reference assigns in their place.
-            for declarations in within.findall("ParameterDeclarations"):
+            # ScenarioRunner would search catalogs next to the new file, and cannot read later versions.
+            entry, entry_scope = inner.from_catalog(child)
+            resolved_entry = etree.fromstring(etree.tostring(entry, with_tail=False))
+            element.replace(child, resolved_entry)
+            # The scope contains these values, or those that the reference assigns.
+            for declarations in resolved_entry.findall("ParameterDeclarations"):
                 declarations.clear()
-            _resolve(within, own)
+            _resolve(resolved_entry, entry_scope)
         else:
             _resolve(child, inner)
 
 
 def _trim(root: etree._Element) -> None:
-    """Take away the blanks around numbers, which XML allows and ScenarioRunner does not."""
+    """Remove blanks around numbers, which XML allows but ScenarioRunner does not."""
     for element in root.iter("*"):
         for name, text in element.attrib.items():
             if name != "name" and not str(name).endswith("Ref") and _NUMBER.fullmatch(str(text).strip()):
@@ -417,33 +368,33 @@ def _entities(root: etree._Element, ego: str, made: Plan, notes: list[str]) -> N
         name = holder.get("name", "")
         for controlled in holder.findall("ObjectController"):
             driver = controlled.find(f"Controller/Properties/Property[@name='{DRIVER_PROPERTY}']")
-            # ScenarioRunner does not run these, but would take their properties for the entity's own.
+            # ScenarioRunner ignores these, but would use their properties as the entity's own.
             holder.remove(controlled)
             if driver is not None and name not in made.sampled:
-                who = "the agent that ScenarioRunner gives it" if name == ego else "the storyboard alone"
-                notes.append(f"{name} is driven by {who}, not by cornercase's driver '{driver.get('value')}'.")
+                driver_name = "the agent that ScenarioRunner gives it" if name == ego else "the storyboard only"
+                notes.append(f"{name} is driven by {driver_name}, not by cornercase's driver '{driver.get('value')}'.")
         vehicle, walker = holder.find("Vehicle"), holder.find("Pedestrian")
         if vehicle is not None:
             properties = vehicle.find("Properties")
             if properties is None:
                 properties = etree.SubElement(vehicle, "Properties")
-            for old in properties.findall("Property[@name='type']"):
-                properties.remove(old)
-            kind = "ego_vehicle" if name == ego else "simulation"
+            for old_property in properties.findall("Property[@name='type']"):
+                properties.remove(old_property)
+            type_value = "ego_vehicle" if name == ego else "simulation"
             rear = vehicle.find("Axles/RearAxle")
             if rear is not None and vehicle.find("Axles/FrontAxle") is None:
-                # 1.0 asks for both, and nobody reads them.
+                # 1.0 requires both, and they have no effect.
                 front = etree.fromstring(etree.tostring(rear, with_tail=False))
                 front.tag = "FrontAxle"
                 rear.addprevious(front)
-            # Before the files that properties may hold.
-            properties.insert(0, etree.Element("Property", name="type", value=kind))
+            # Before any <File> elements.
+            properties.insert(0, etree.Element("Property", name="type", value=type_value))
         if walker is not None:
-            # In 1.0 a pedestrian has a model, and ScenarioRunner takes it for a blueprint of CARLA.
+            # In 1.0 a pedestrian has a model, which ScenarioRunner uses as the name of a CARLA blueprint.
             walker.set("model", walker.get("model", "walker.pedestrian.0001"))
         for body in holder.iterfind("*"):
             if body.tag in ("Pedestrian", "MiscObject"):
-                # 1.0 asks for a mass, which nobody reads.
+                # 1.0 requires a mass, which has no effect.
                 body.set("mass", body.get("mass", "80"))
                 if body.find("Properties") is None:
                     etree.SubElement(body, "Properties")
@@ -461,30 +412,30 @@ def _conditions(root: etree._Element, source: Path, notes: list[str]) -> None:
         if event.get("priority") == "override":
             event.set("priority", "overwrite")
     for condition in root.iter("Condition"):
-        # ScenarioRunner does not look at the edge.
+        # ScenarioRunner ignores the edge.
         condition.set("conditionEdge", "none")
         if condition.get("delay") is None:
             condition.set("delay", "0")
 
 
 def _synchronised(root: etree._Element, scenario: Scenario, notes: list[str]) -> None:
-    """Give a final speed to each synchronisation, which ScenarioRunner cannot do without."""
+    """Add a final speed to synchronize actions, which ScenarioRunner requires."""
     for action in root.iter("SynchronizeAction"):
-        steady = action.find("FinalSpeed")
-        if steady is not None and steady.find("*/SteadyState") is not None:
+        final_speed = action.find("FinalSpeed")
+        if final_speed is not None and final_speed.find("*/SteadyState") is not None:
             raise InputError(
                 f"{scenario.path}: a steady state of <SynchronizeAction> cannot be expressed in OpenSCENARIO 1.0."
             )
-        if steady is not None:
+        if final_speed is not None:
             continue
-        group = next((one for one in action.iterancestors("ManeuverGroup")), None)
-        actors = [] if group is None else [one.get("entityRef") for one in group.iterfind("Actors/EntityRef")]
+        group = next((element for element in action.iterancestors("ManeuverGroup")), None)
+        actors = [] if group is None else [element.get("entityRef") for element in group.iterfind("Actors/EntityRef")]
         speeds = [
-            float(one.get("value", "0"))
+            float(element.get("value", "0"))
             for holder in root.iter("ManeuverGroup", "Private")
             if holder.get("entityRef") in actors
-            or any(one.get("entityRef") in actors for one in holder.iterfind("Actors/EntityRef"))
-            for one in holder.iter("AbsoluteTargetSpeed")
+            or any(element.get("entityRef") in actors for element in holder.iterfind("Actors/EntityRef"))
+            for element in holder.iter("AbsoluteTargetSpeed")
         ]
         if not speeds:
             raise InputError(

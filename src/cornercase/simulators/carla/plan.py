@@ -1,4 +1,4 @@
-"""Which entities ScenarioRunner can move by the storyboard, and which move along trajectories instead."""
+"""Decide which entities ScenarioRunner can move by the storyboard, and which need trajectories."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from cornercase._common.errors import InputError
 from cornercase.scenario import DRIVER_PROPERTY, way_to_map
 from cornercase.simulators.carla.table import Finding, Row, Status, findings
 
-# Conditions that stay true once they are.
+# Conditions that stay true once they are true.
 _LASTING: Final = ("SimulationTimeCondition", "TraveledDistanceCondition", "StoryboardElementStateCondition")
 _REFERENCES: Final = ("entityRef", "masterEntityRef")
 
@@ -22,16 +22,8 @@ _REFERENCES: Final = ("entityRef", "masterEntityRef")
 class Plan:
     """How each entity of a scenario is moved.
 
-    Attributes
-    ----------
-    sampled : dict of str to list of str
-        Entities that move along a trajectory, each with the reasons.
-    reacting : set of str
-        Those that react to who is driven from outside.
-    dropped : set of str
-        Driven entities whose events are left out.
-    notes : list of str
-        What has no effect, and what is done otherwise.
+    `sampled`: entities that move along a trajectory, with reasons; `reacting`: those that react to externally driven
+    ones; `dropped`: driven entities whose events are left out; `notes`: what has no effect or differs.
     """
 
     sampled: dict[str, list[str]] = field(default_factory=dict)
@@ -50,121 +42,96 @@ def plan(
 ) -> Plan:
     """Decide how each entity is moved.
 
-    Who does not react to an entity that is driven from outside always moves in the same way, so that a trajectory loses
-    nothing; it takes one wherever ScenarioRunner does not do exactly what the storyboard says. Who reacts keeps the
-    storyboard as long as ScenarioRunner does something near.
+    An entity that does not react to an externally driven one always moves the same way, so a trajectory loses nothing:
+    it gets one wherever ScenarioRunner deviates from the storyboard. An entity that reacts keeps the storyboard as long
+    as ScenarioRunner does something similar.
 
-    Parameters
-    ----------
-    root : lxml element
-        Of a concrete scenario, without references to catalogs.
-    driven : collection of str
-        Entities that an agent drives, whatever the storyboard says.
-    source : Path
-        For messages.
-    map_of_carla : str
-        Name of the map; empty where there is a road file, without which there is no run to take trajectories from.
-    astray : mapping of str to str
-        Entities that ScenarioRunner's own controls would take elsewhere, and why.
-    slowest : mapping of str to float
-        Lowest speed of each entity in the builtin simulator, m/s; what is missing is taken to stop.
-
-    Returns
-    -------
-    Plan
-
-    Raises
-    ------
-    InputError
-        An entity needs a trajectory, and there is none.
+    `driven` are entities that an agent drives. `map_of_carla` is the map's name, empty if there is a road file (without
+    one, no trajectories can be sampled). `astray` says why ScenarioRunner's controls would lead entities elsewhere.
+    `slowest` is the lowest speed of each entity in the builtin simulator in m/s (missing: 0). Raises `InputError` if an
+    entity needs a trajectory and there is none.
     """
-    names = [one.get("name", "") for one in root.iterfind("Entities/ScenarioObject")]
+    names = [element.get("name", "") for element in root.iterfind("Entities/ScenarioObject")]
     parts = {name: list(_parts(root, name)) for name in names}
     reacting = _reacting(root, parts, driven)
-    made = Plan(reacting=reacting - set(driven))
-    made.notes += _left_out(root)
+    result = Plan(reacting=reacting - set(driven))
+    result.notes += _left_out(root)
     for name in names:
         if name in driven:
-            _driven(name, parts[name], made)
+            _driven(name, parts[name], result)
             continue
-        near: list[str] = []
+        deviations: list[str] = []
         for part in parts[name]:
-            for one in (*findings(part), *_between_the_lines(part, root), *_backwards(part, driven, slowest)):
-                if one.row.status is Status.SAMPLED:
-                    made.sampled.setdefault(name, []).append(_reason(one))
-                elif one.row.status is Status.APPROXIMATE:
-                    near.append(_reason(one))
+            for finding in (*findings(part), *_between_the_lines(part, root), *_backwards(part, driven, slowest)):
+                if finding.row.status is Status.SAMPLED:
+                    result.sampled.setdefault(name, []).append(_reason(finding))
+                elif finding.row.status is Status.APPROXIMATE:
+                    deviations.append(_reason(finding))
         if name in astray:
-            near.append(astray[name])
+            deviations.append(astray[name])
         if _has_driver(root, name):
-            near.append("it has a driver of cornercase")
-        if map_of_carla and name in made.sampled:
+            deviations.append("it has a driver of cornercase")
+        if map_of_carla and name in result.sampled:
             raise InputError(
-                f"{source}: ScenarioRunner cannot move '{name}' so ({made.sampled[name][0]}), and without a road file"
-                f" beside CARLA's map {map_of_carla} there is no trajectory instead; {way_to_map(map_of_carla)}."
+                f"{source}: ScenarioRunner cannot move '{name}' like that ({result.sampled[name][0]}), and a trajectory"
+                f" needs a road file besides CARLA's map {map_of_carla}; {way_to_map(map_of_carla)}."
             )
-        if near and name not in reacting and not map_of_carla:
-            made.sampled.setdefault(name, []).extend(near)
-        elif near and name not in made.sampled:
-            made.notes += [f"{name}: {reason}." for reason in dict.fromkeys(near)]
-    _follow_references(root, parts, made, driven)
-    made.notes += [
-        f"{name} moves along a trajectory of the builtin simulator, as {'; '.join(dict.fromkeys(why))}."
-        for name, why in made.sampled.items()
+        if deviations and name not in reacting and not map_of_carla:
+            result.sampled.setdefault(name, []).extend(deviations)
+        elif deviations and name not in result.sampled:
+            result.notes += [f"{name}: {reason}." for reason in dict.fromkeys(deviations)]
+    _follow_references(root, parts, result, driven)
+    result.notes += [
+        f"{name} moves along a trajectory of the builtin simulator, as {'; '.join(dict.fromkeys(reasons))}."
+        for name, reasons in result.sampled.items()
     ]
-    made.notes += [
-        f"{name} would react to {' and '.join(driven)}, and no longer does."
-        for name in made.sampled
+    result.notes += [
+        f"{name} should react to {' and '.join(driven)}, but no longer does."
+        for name in result.sampled
         if name in reacting
     ]
-    return made
+    return result
 
 
 def kept_ends(root: etree._Element, made: Plan, driven: Collection[str]) -> list[etree._Element]:
-    """Find what of the storyboard's stop trigger stays: what depends on entities that are driven from outside.
+    """Return the condition groups of the stop trigger that depend on externally driven entities and stay.
 
-    Parameters
-    ----------
-    root : lxml element
-    made : Plan
-        Gets a note for what does not stay.
-    driven : collection of str
-
-    Returns
-    -------
-    list of lxml element
-        Groups of conditions.
+    Adds a note to the plan for each group that does not stay.
     """
     kept = []
     for group in root.iterfind("Storyboard/StopTrigger/ConditionGroup"):
-        found = [*findings(group), *_between_the_lines(group, root)]
-        wrong = [one for one in found if one.row.status is Status.SAMPLED]
+        all_findings = [*findings(group), *_between_the_lines(group, root)]
+        unsupported = [finding for finding in all_findings if finding.row.status is Status.SAMPLED]
         if len(group) > 1 or not driven:
-            wrong = wrong or [_sampled(group, "one condition of a group is enough for ScenarioRunner to end an act")]
-        if not wrong:
+            unsupported = unsupported or [
+                _sampled(group, "one condition of a group is enough for ScenarioRunner to end an act")
+            ]
+        if not unsupported:
             kept.append(group)
         elif driven:
-            made.notes.append(f"The stop trigger is without {_reason(wrong[0])}.")
+            made.notes.append(f"The stop trigger is without {_reason(unsupported[0])}.")
     return kept
 
 
 def _driven(name: str, parts: list[etree._Element], made: Plan) -> None:
-    """Leave out the events of an entity that an agent drives, where ScenarioRunner would stop at one."""
+    """Drop the events of an agent-driven entity if ScenarioRunner would fail at one."""
     for part in parts:
-        if part.tag == "ManeuverGroup" and any(one.row.status is Status.SAMPLED for one in findings(part)):
+        if part.tag == "ManeuverGroup" and any(finding.row.status is Status.SAMPLED for finding in findings(part)):
             made.dropped.add(name)
     if name in made.dropped:
         made.notes.append(f"{name}: its events are left out, as an agent drives it.")
 
 
 def _parts(root: etree._Element, name: str) -> Iterator[etree._Element]:
-    """What of a storyboard moves an entity: actions of its own, groups in which it acts, triggers of their acts."""
-    yield from (one for one in root.iterfind("Storyboard/Init/Actions/Private") if one.get("entityRef") == name)
+    """Storyboard elements that move an entity: its own actions, its maneuver groups, and triggers of their acts."""
+    yield from (
+        element for element in root.iterfind("Storyboard/Init/Actions/Private") if element.get("entityRef") == name
+    )
     for action in root.iter("EntityAction"):
         if action.get("entityRef") == name:
             yield action
     for group in root.iter("ManeuverGroup"):
-        if any(one.get("entityRef") == name for one in group.iterfind("Actors/EntityRef")):
+        if any(element.get("entityRef") == name for element in group.iterfind("Actors/EntityRef")):
             yield group
             act = group.getparent()
             if act is not None:
@@ -172,31 +139,18 @@ def _parts(root: etree._Element, name: str) -> Iterator[etree._Element]:
 
 
 def refuse(root: etree._Element, source: Path) -> None:
-    """Refuse a scenario with an element or attribute that the table refuses, or does not know.
-
-    Parameters
-    ----------
-    root : lxml element
-        Of a concrete scenario, without references to catalogs.
-    source : Path
-        For messages.
-
-    Raises
-    ------
-    InputError
-        Names the first one.
-    """
-    for one in findings(root):
-        if one.row.status is Status.REFUSED:
-            raise InputError(f"{source}, line {one.element.sourceline}: {one.what} {_refusal(one)}.")
+    """Raise `InputError` for the first element or attribute that the support table refuses or lacks."""
+    for finding in findings(root):
+        if finding.row.status is Status.REFUSED:
+            raise InputError(f"{source}, line {finding.element.sourceline}: {finding.what} {_refusal(finding)}.")
 
 
 def _left_out(root: etree._Element) -> list[str]:
     without: dict[str, list[str]] = {}
-    for one in findings(root):
-        if one.row.status is Status.WITHOUT_EFFECT:
-            without.setdefault(one.row.note, []).append(one.what)
-    return [f"{', '.join(dict.fromkeys(what))}: without effect, as {note}." for note, what in without.items()]
+    for finding in findings(root):
+        if finding.row.status is Status.WITHOUT_EFFECT:
+            without.setdefault(finding.row.note, []).append(finding.what)
+    return [f"{', '.join(dict.fromkeys(names))}: without effect, as {note}." for note, names in without.items()]
 
 
 def _refusal(one: Finding) -> str:
@@ -208,12 +162,12 @@ def _reason(one: Finding) -> str:
 
 
 def _between_the_lines(part: etree._Element, root: etree._Element) -> Iterator[Finding]:
-    """What no single element or attribute tells."""
+    """Find deviations that no single element or attribute shows."""
     if part.tag == "Private":
         yield from _init(part)
     for group in part.iter("ConditionGroup"):
         conditions = group.findall("Condition")
-        lasting = all(any(one.find(f".//{tag}") is not None for tag in _LASTING) for one in conditions)
+        lasting = all(any(condition.find(f".//{tag}") is not None for tag in _LASTING) for condition in conditions)
         if len(conditions) > 1 and not lasting:
             yield _approximate(group, "it is enough for ScenarioRunner that each condition has been true at some time")
     for entities in part.iter("TriggeringEntities"):
@@ -235,31 +189,31 @@ def _between_the_lines(part: etree._Element, root: etree._Element) -> Iterator[F
 
 
 def _backwards(part: etree._Element, driven: Collection[str], slowest: Mapping[str, float]) -> Iterator[Finding]:
-    """Speeds below 0, at which ScenarioRunner stops."""
+    """Find speeds below 0, at which ScenarioRunner stops."""
     for speed in part.iter("AbsoluteTargetSpeed", "AbsoluteSpeed"):
         if float(speed.get("value", "0")) < 0.0:
             yield _sampled(speed, "ScenarioRunner stops at speeds below 0")
     for speed in part.iter("RelativeTargetSpeed", "RelativeSpeedToMaster"):
         action = next(speed.iterancestors("SynchronizeAction"), None)
         other = speed.get("entityRef", "") if action is None else action.get("masterEntityRef", "")
-        value, least = float(speed.get("value", "0")), slowest.get(other, 0.0)
+        value, slowest_speed = float(speed.get("value", "0")), slowest.get(other, 0.0)
         factor = speed.get("speedTargetValueType") == "factor"
-        if least < 0.0 or (value < 0.0 if factor else least + value < 0.0):
+        if slowest_speed < 0.0 or (value < 0.0 if factor else slowest_speed + value < 0.0):
             yield _sampled(speed, "ScenarioRunner stops at speeds below 0")
         elif other in driven and value < 0.0:
             yield _approximate(speed, "ScenarioRunner stops if it leads below 0")
 
 
 def _init(private: etree._Element) -> Iterator[Finding]:
-    """What ScenarioRunner does not do at the beginning, apart from the first position and speed."""
+    """Find initial actions that ScenarioRunner does not execute, besides the first position and speed."""
     for kind in ("LateralAction", "SynchronizeAction", "LongitudinalDistanceAction", "SpeedProfileAction"):
         for action in private.iter(kind):
             yield _sampled(action, "ScenarioRunner does not do it in <Init> as the standard says")
-    walks = not any(
-        one.get("name") == private.get("entityRef") and one.find("Vehicle") is not None
-        for one in private.getroottree().iterfind("Entities/ScenarioObject")
+    is_walker = not any(
+        element.get("name") == private.get("entityRef") and element.find("Vehicle") is not None
+        for element in private.getroottree().iterfind("Entities/ScenarioObject")
     )
-    for kind in ("AssignRouteAction", "AcquirePositionAction") if walks else ():
+    for kind in ("AssignRouteAction", "AcquirePositionAction") if is_walker else ():
         for action in private.iter(kind):
             yield _sampled(action, "CARLA's route planner is for vehicles")
     for relative in private.iter("RelativeTargetSpeed"):
@@ -268,7 +222,7 @@ def _init(private: etree._Element) -> Iterator[Finding]:
 
 
 def _at_once(act: etree._Element) -> bool:
-    """Whether an act starts with the scenario."""
+    """Return whether an act starts with the scenario."""
     trigger = act.find("StartTrigger")
     for condition in () if trigger is None else trigger.iter("Condition"):
         time = condition.find("ByValueCondition/SimulationTimeCondition")
@@ -297,75 +251,77 @@ def _has_driver(root: etree._Element, name: str) -> bool:
 
 
 def _reacting(root: etree._Element, parts: dict[str, list[etree._Element]], driven: Collection[str]) -> set[str]:
-    """Entities whose motion depends on those that are driven from outside, and these themselves."""
-    heeded = {
+    """Entities whose motion depends on externally driven ones, including these."""
+    referenced = {
         name: {
-            one.get(attribute, "")
-            for part in of
-            for one in part.iter()
+            element.get(attribute, "")
+            for part in elements
+            for element in part.iter()
             for attribute in _REFERENCES
-            if isinstance(one.tag, str) and one.get(attribute) is not None
+            if isinstance(element.tag, str) and element.get(attribute) is not None
         }
-        for name, of in parts.items()
+        for name, elements in parts.items()
     }
-    for name, of in parts.items():
-        for state in (one for part in of for one in part.iter("StoryboardElementStateCondition")):
-            heeded[name] |= _actors_of(root, state)
+    for name, elements in parts.items():
+        for state in (element for part in elements for element in part.iter("StoryboardElementStateCondition")):
+            referenced[name] |= _actors_of(root, state)
         if _has_driver(root, name):
-            heeded[name] |= set(parts)
-    found = set(driven)
-    while more := {name for name, others in heeded.items() if name not in found and others & found}:
-        found |= more
-    return found
+            referenced[name] |= set(parts)
+    reacting = set(driven)
+    while more := {name for name, names in referenced.items() if name not in reacting and names & reacting}:
+        reacting |= more
+    return reacting
 
 
 def _stays(root: etree._Element, state: etree._Element) -> bool:
-    """Whether all that a condition refers to stays in the storyboard, if those who act in it do."""
-    found = [
-        one for one in _named(root, state) if str(one.tag).lower() == state.get("storyboardElementType", "").lower()
+    """Return whether everything that a condition refers to stays in the storyboard, if its actors do."""
+    elements = [
+        element
+        for element in _named(root, state)
+        if str(element.tag).lower() == state.get("storyboardElementType", "").lower()
     ]
-    return bool(found) and not any(
+    return bool(elements) and not any(
         action.tag == "GlobalAction" or finding.row.status is Status.WITHOUT_EFFECT
-        for one in found
-        for action in one.iter("PrivateAction", "GlobalAction")
+        for element in elements
+        for action in element.iter("PrivateAction", "GlobalAction")
         for finding in findings(action)
     )
 
 
 def _named(root: etree._Element, state: etree._Element) -> list[etree._Element]:
-    """Storyboard elements of the name that a condition refers to."""
+    """Storyboard elements with the name that a condition refers to."""
     name = state.get("storyboardElementRef", "").replace("::", "/").rpartition("/")[2]
-    return [one for one in root.iterfind("Storyboard/Story//*[@name]") if one.get("name") == name]
+    return [element for element in root.iterfind("Storyboard/Story//*[@name]") if element.get("name") == name]
 
 
 def _actors_of(root: etree._Element, state: etree._Element) -> set[str]:
     """Entities that act in the storyboard elements that a condition refers to."""
     return {
-        one.get("entityRef", "")
+        reference.get("entityRef", "")
         for element in _named(root, state)
         for group in (*element.iter("ManeuverGroup"), *element.iterancestors("ManeuverGroup"))
-        for one in group.iterfind("Actors/EntityRef")
+        for reference in group.iterfind("Actors/EntityRef")
     }
 
 
 def _follow_references(
     root: etree._Element, parts: dict[str, list[etree._Element]], made: Plan, driven: Collection[str]
 ) -> None:
-    """Let those move along trajectories, too, who wait for what they no longer can wait for."""
+    """Give trajectories also to entities that wait for events that are replaced."""
     waiting = {
         name: {
             actor
-            for part in of
+            for part in elements
             for state in part.iter("StoryboardElementStateCondition")
             for actor in _actors_of(root, state)
         }
-        for name, of in parts.items()
+        for name, elements in parts.items()
         if name not in driven
     }
 
     def gone(made: Plan) -> set[str]:
         return made.dropped | set(made.sampled)
 
-    while more := [name for name, others in waiting.items() if name not in made.sampled and others & gone(made)]:
+    while more := [name for name, actors in waiting.items() if name not in made.sampled and actors & gone(made)]:
         for name in more:
             made.sampled[name] = ["it waits for events of one that moves along a trajectory"]

@@ -1,4 +1,4 @@
-"""ScenarioRunner, as a process in an environment of its own."""
+"""Run ScenarioRunner as a process in its own environment."""
 
 from __future__ import annotations
 
@@ -20,8 +20,8 @@ RUNNER: Final = "SCENARIO_RUNNER_ROOT"
 PYTHON: Final = "CORNERCASE_CARLA_PYTHON"
 ROOT: Final = "CARLA_ROOT"
 _GET_IT: Final = "`git clone --branch v0.9.16 https://github.com/carla-simulator/scenario_runner`"
-_UNKNOWN: Final = f"ScenarioRunner is not known; get it by {_GET_IT} and set SCENARIO_RUNNER_ROOT to its folder."
-# What it has to have, by file, as it stands in its source: since 0.9.16. No constant of it names its version.
+_UNKNOWN: Final = f"ScenarioRunner is not found; get it by {_GET_IT} and set SCENARIO_RUNNER_ROOT to its folder."
+# Source code that must be present (since 0.9.16), by file. ScenarioRunner has no constant with its version.
 _NEEDED: Final = {
     "scenario_runner.py": (re.compile(r"""['"]--frameRate['"]"""), "the option --frameRate"),
     "srunner/scenariomanager/actorcontrols/basic_control.py": (
@@ -32,23 +32,16 @@ _NEEDED: Final = {
 _CHANGES: Final = "Docs/CHANGELOG.md"
 _VERSION: Final = re.compile(r"^## CARLA ScenarioRunner (\d[\w.]*)", re.MULTILINE)
 _ENDING, _POLL = 2.0, 0.02
-# ScenarioRunner prints one of these when a scenario has ended; its exit code does not tell.
+# ScenarioRunner prints one of these when a scenario has ended; its exit code does not show it.
 _ENDED: Final = ("All scenario tests were passed", "Not all scenario tests were successful")
 _ERROR: Final = re.compile(r"^\w*(Error|Exception)\b")
 
 
 class ScenarioRunner:
-    """Runs files of OpenSCENARIO 1.0, one process each.
+    """Runs OpenSCENARIO 1.0 files, one process per file.
 
-    Parameters
-    ----------
-    folder, python, carla_root : str
-        As in `cornercase.simulators.CarlaSimulator`; empty for those of the environment variables.
-
-    Raises
-    ------
-    InputError
-        Its folder is not known, or holds none that cornercase can use.
+    Empty arguments stand for the environment variables, as in `CarlaSimulator`. Raises `InputError` if ScenarioRunner
+    is not found or too old.
     """
 
     def __init__(self, folder: str, python: str, carla_root: str) -> None:
@@ -67,29 +60,11 @@ class ScenarioRunner:
         until_collision: bool,
         silence: float,
     ) -> None:
-        """Run a scenario until it has ended, or has to.
+        """Run a scenario until it ends, `duration` (s, simulated) or `silence` (s, no frame) passes, or on collision.
 
-        Parameters
-        ----------
-        file : Path
-            What it says goes to ``scenario_runner.log`` beside it.
-        drivers : Path
-            Folder with the controllers that the scenario names; nothing else is on the path of Python's modules.
-        options : mapping of str to object
-            Further ones of its command line.
-        tracker : Tracker
-            Of the same run.
-        duration : float
-            s of simulated time after which it is ended.
-        until_collision : bool
-            Whether a collision of two entities ends it.
-        silence : float
-            s without a frame after which the server is taken for gone.
-
-        Raises
-        ------
-        SimulationError
-            It did not run the scenario to the end; as a `SimulatorError` where the server did not answer.
+        The output goes to ``scenario_runner.log`` next to the file. `drivers` is the folder of the controllers, the
+        only addition to Python's path. Raises `SimulationError` if the scenario did not run to the end,
+        `SimulatorError` if the server did not answer.
         """
         command = [self._python, str(self._folder / "scenario_runner.py"), "--sync", "--openscenario", str(file)]
         command += [str(part) for pair in options.items() for part in pair]
@@ -103,20 +78,20 @@ class ScenarioRunner:
                 stopped = _watch(process, tracker, duration, until_collision, silence)
             finally:
                 _end(process)
-        said = log.read_text(encoding="utf-8", errors="replace")
-        if tracker.missing or not (stopped or any(words in said for words in _ENDED)):
-            words = _last_words(said)
-            # A request that timed out may be answered when it is tried again.
-            kind = SimulatorError if "time-out of" in words else SimulationError
-            raise kind(f"ScenarioRunner did not run it to the end: {words}")
+        output_text = log.read_text(encoding="utf-8", errors="replace")
+        if tracker.missing or not (stopped or any(last_line in output_text for last_line in _ENDED)):
+            last_line = _last_words(output_text)
+            # A time-out may not happen again when the scenario is retried.
+            error_class = SimulatorError if "time-out of" in last_line else SimulationError
+            raise error_class(f"ScenarioRunner did not run it to the end: {last_line}")
 
     def _environment(self, folder: Path, drivers: Path) -> dict[str, str]:
         roots = [self._folder, drivers]
         if self._carla_root:
             roots.append(Path(self._carla_root) / "PythonAPI" / "carla")
-        known = os.environ.get("PYTHONPATH", "")
+        python_path = os.environ.get("PYTHONPATH", "")
         return os.environ | {
-            "PYTHONPATH": os.pathsep.join([*map(str, roots), *filter(None, [known])]),
+            "PYTHONPATH": os.pathsep.join([*map(str, roots), *filter(None, [python_path])]),
             # ScenarioRunner stores recordings relative to this folder.
             RUNNER: str(folder),
             "PYTHONUNBUFFERED": "1",
@@ -124,43 +99,31 @@ class ScenarioRunner:
 
 
 def scenario_runner_folder(given: str) -> Path:
-    """Find ScenarioRunner: in the folder that is given, or in that of the environment variable.
+    """Return ScenarioRunner's folder: `given`, or that in the variable ``SCENARIO_RUNNER_ROOT``.
 
-    Its files are read, and nothing of it is run.
-
-    Parameters
-    ----------
-    given : str
-        Empty for that of the variable ``SCENARIO_RUNNER_ROOT``.
-
-    Returns
-    -------
-    Path
-
-    Raises
-    ------
-    InputError
-        Neither is known, there is none in it, or it is older than what cornercase uses of it.
+    Its files are only read. Raises `InputError` if it is not found, or older than cornercase needs.
     """
     text = given or os.environ.get(RUNNER, "")
     if not text:
         raise InputError(_UNKNOWN)
     folder = Path(text)
     if not (folder / "scenario_runner.py").is_file():
-        raise InputError(f"{folder}: holds no scenario_runner.py; {RUNNER} has to be the folder of ScenarioRunner.")
-    lacks = [what for name, (sign, what) in _NEEDED.items() if not sign.search(_source(folder / name))]
-    if lacks:
+        raise InputError(f"{folder}: contains no scenario_runner.py; set {RUNNER} to the folder of ScenarioRunner.")
+    missing = [
+        description for name, (pattern, description) in _NEEDED.items() if not pattern.search(_source(folder / name))
+    ]
+    if missing:
         version = _VERSION.search(_source(folder / _CHANGES))
-        which = "ScenarioRunner" if version is None else f"ScenarioRunner {version[1]}"
+        runner_name = "ScenarioRunner" if version is None else f"ScenarioRunner {version[1]}"
         raise InputError(
-            f"{folder}: {which} lacks {' and '.join(lacks)}; cornercase needs that of CARLA 0.9.16: get it by {_GET_IT}"
-            f" and set {RUNNER} to its folder."
+            f"{folder}: {runner_name} lacks {' and '.join(missing)}; cornercase needs that of CARLA 0.9.16: get it by"
+            f" {_GET_IT} and set {RUNNER} to its folder."
         )
     return folder.resolve()
 
 
 def _source(path: Path) -> str:
-    """Text of a file; empty where there is none."""
+    """Text of a file; empty if there is none."""
     try:
         return path.read_text(encoding="utf-8", errors="replace")
     except OSError:
@@ -170,8 +133,8 @@ def _source(path: Path) -> str:
 def _watch(
     process: subprocess.Popen[bytes], tracker: Tracker, duration: float, until_collision: bool, silence: float
 ) -> bool:
-    """Wait until the run has ended or who asked for it is gone; True where it has to be ended."""
-    has_parent, frames, heard = parent_watch(), 0, time.monotonic()
+    """Wait until the run or the parent process has ended; return True if the run must be stopped."""
+    has_parent, frames, last_frame_time = parent_watch(), 0, time.monotonic()
     while process.poll() is None and has_parent():
         tracker.look()
         elapsed, ended = tracker.progress()
@@ -180,19 +143,19 @@ def _watch(
                 process.wait(_ENDING)
             return False
         if tracker.frames > frames:
-            frames, heard = tracker.frames, time.monotonic()
-        elif time.monotonic() - heard > silence:
-            # Without a server ScenarioRunner may wait for ever.
-            raise SimulatorError(f"no frame came from CARLA for {silence:g} s")
+            frames, last_frame_time = tracker.frames, time.monotonic()
+        elif time.monotonic() - last_frame_time > silence:
+            # Without a server, ScenarioRunner may wait forever.
+            raise SimulatorError(f"CARLA sent no frame for {silence:g} s")
         if (until_collision and tracker.collided) or elapsed > duration:
             return True
-        # The sensors of collisions should be there before the first step.
+        # Collision sensors should exist before the first step, so poll faster until then.
         time.sleep(_POLL if not tracker.missing else _POLL / 10)
     return False
 
 
 def _end(process: subprocess.Popen[bytes]) -> None:
-    """Ask ScenarioRunner to clear up and end, where the platform can ask; end it by force if it does not."""
+    """Terminate ScenarioRunner so that it can clean up; kill it if it does not end."""
     if process.poll() is None:
         process.terminate()
         with suppress(subprocess.TimeoutExpired):
@@ -203,7 +166,7 @@ def _end(process: subprocess.Popen[bytes]) -> None:
 
 
 def _last_words(said: str) -> str:
-    """Last line that ScenarioRunner printed about an error, else its last line."""
+    """Return the last error line of ScenarioRunner's output, else its last line."""
     lines = [line.strip() for line in said.splitlines() if line.strip()]
     errors = [line for line in lines if _ERROR.match(line)]
-    return (errors or lines or ["it said nothing"])[-1][:300]
+    return (errors or lines or ["it printed nothing"])[-1][:300]

@@ -1,4 +1,4 @@
-"""A CARLA server, and the client to it."""
+"""A CARLA server and the client connected to it."""
 
 from __future__ import annotations
 
@@ -13,64 +13,40 @@ _MESH: Final = {"vertex_distance": 2.0, "wall_height": 1.0, "additional_width": 
 
 
 class Server:
-    """A CARLA server that nothing else uses.
-
-    Parameters
-    ----------
-    host : str
-    port : int
-    patience : float
-        s to wait for an answer.
-    """
+    """A CARLA server that nothing else uses; `patience` is the time in s to wait for an answer."""
 
     def __init__(self, host: str, port: int, patience: float) -> None:
         self.host, self.port, self.patience = host, port, patience
         self._client: Any = None
 
     def client(self) -> Any:
-        """Return the client to it, which is made when it is first asked for.
-
-        Returns
-        -------
-        carla.Client
-
-        Raises
-        ------
-        InputError
-            Nobody answers, or a server of another version.
-        """
+        """Return the client, created on first use; `InputError` if no server of the same version answers."""
         if self._client is None:
             import carla
 
             client = carla.Client(self.host, self.port)
             client.set_timeout(self.patience)
             try:
-                ours, theirs = client.get_client_version(), client.get_server_version()
+                client_version, server_version = client.get_client_version(), client.get_server_version()
             except RuntimeError as error:
                 raise InputError(
                     f"No CARLA answers on {self.host}:{self.port} ({error}); start CarlaUE4.sh"
                     f" -carla-rpc-port={self.port}."
                 ) from error
-            if ours != theirs:
+            if client_version != server_version:
                 raise InputError(
-                    f"CARLA on {self.host}:{self.port} is of version {theirs}, the client here of {ours}; start CARLA"
-                    f" {ours}."
+                    f"CARLA on {self.host}:{self.port} has version {server_version}, the client here {client_version};"
+                    f" start CARLA {client_version}."
                 )
             self._client = client
         return self._client
 
     def forget(self) -> None:
-        """Take a new client the next time, as the server may have been started anew."""
+        """Create a new client next time, since the server may have been restarted."""
         self._client = None
 
     def prepare(self, road: Path | str | None) -> None:
-        """Load a map where another one is there, and clear away what an earlier run has left.
-
-        Parameters
-        ----------
-        road : Path, str or None
-            OpenDRIVE file, or the name of one of CARLA's maps.
-        """
+        """Load a map (OpenDRIVE file or CARLA's name) if another one is loaded, and remove actors of earlier runs."""
         import carla
 
         client = self.client()
@@ -78,7 +54,7 @@ class Server:
         if isinstance(road, Path):
             text = _opendrive(read_file(road).decode(errors="replace"))
             if _opendrive(world.get_map().to_opendrive()) != text:
-                # The mesh that ScenarioRunner would make, so that it finds its map loaded.
+                # The same mesh as ScenarioRunner's, so that it finds its map loaded.
                 mesh = carla.OpendriveGenerationParameters(**_MESH, smooth_junctions=True, enable_mesh_visibility=True)
                 client.set_timeout(_LOADING)
                 world = client.generate_opendrive_world(text, mesh)
@@ -92,7 +68,7 @@ class Server:
                 actor.destroy()
 
     def calm(self) -> None:
-        """Let the server run at its own pace again, since nobody sends it ticks any more."""
+        """Leave synchronous mode, since no client sends ticks any more."""
         world = self.client().get_world()
         settings = world.get_settings()
         if settings.synchronous_mode:
@@ -100,7 +76,7 @@ class Server:
             world.apply_settings(settings)
 
     def end_recording(self) -> None:
-        """Let it close its recorder's file."""
+        """Close the recorder's file."""
         client = self.client()
         client.stop_recorder()
         # The server answers this only after it has closed the file.
@@ -108,5 +84,5 @@ class Server:
 
 
 def _opendrive(text: str) -> str:
-    """Without what stands before the root element."""
+    """Remove everything before the root element."""
     return text[text.find("<OpenDRIVE") :]

@@ -1,4 +1,4 @@
-"""CARLA, by its ScenarioRunner."""
+"""CARLA, through its ScenarioRunner."""
 
 from __future__ import annotations
 
@@ -30,74 +30,73 @@ _MISSING: Final = (
     "CARLA's client is not installed; pip install 'cornercase[carla]' with Python 3.11 or 3.12, on Linux or Windows on"
     " x86-64."
 )
-# A server takes its port and the two after it.
+# A server uses its port and the next two.
 _PORTS_EACH: Final = 4
-# Road file of a run, in a folder that is on no path of Python's.
+# Road file of a run, in a folder that is not on Python's path.
 _ROAD: Final = "road/road.xodr"
-# What follows from the statuses of the table that are worth a notice.
+# Statuses that cause a notice, and what is done instead.
 _INSTEAD: Final = {
     Status.WITHOUT_EFFECT: "",
-    Status.APPROXIMATE: "; who reacts to an entity that an agent drives does that, any other moves along a trajectory",
+    Status.APPROXIMATE: "; an entity that reacts to an agent does that, any other one moves along a trajectory",
     Status.SAMPLED: "; the entity moves along a trajectory of the builtin simulator",
 }
-# Categories for which ScenarioRunner would take any vehicle.
+# Categories for which ScenarioRunner would choose any vehicle.
 _UNKNOWN: Final = ("semitrailer", "trailer", "train", "tram")
-# s without a frame after which the server is taken for gone, in multiples of `patience`.
+# The server is considered lost after this many times `patience` without a frame.
 _SILENCE: Final = 3
 
 
 class CarlaSimulator(Simulator):
     """Runs concrete scenarios by ScenarioRunner in synchronous mode, on a CARLA server that nothing else uses.
 
-    Each is written as OpenSCENARIO 1.0 and run by a ScenarioRunner of its own, in its own environment. A second client
-    notes how the entities move. An entity with the driver ``cautious``, ``normal`` or ``aggressive`` is driven by
-    CARLA's behaviour agent of that temper, along the route that it is assigned at first; all others by ScenarioRunner.
-    CARLA does not give the same twice; run each scenario several times.
+    Each scenario is written as OpenSCENARIO 1.0 and run by its own ScenarioRunner process, in ScenarioRunner's
+    environment. A second client records the motion of all entities. CARLA's behaviour agents drive entities with the
+    driver ``cautious``, ``normal`` or ``aggressive`` along their initial route; ScenarioRunner moves all others. CARLA
+    is not deterministic, so run each scenario several times.
 
     Parameters
     ----------
     time_step : float, default 0.05
-        s between frames.
+        Time between frames in s.
     duration : float, default 60
-        s after which a scenario ends at the latest.
+        Maximum duration of a scenario in s.
     on_collision : {"continue", "stop"}, default "continue"
-        Whether the first collision of two entities ends the run. Collisions are those of CARLA's sensors.
+        Whether the first collision of two entities ends the run. CARLA's sensors detect collisions.
     drivers : mapping of str to str, optional
         Behaviour agent by entity.
     ego : str, default "Ego"
-        Which entity becomes ScenarioRunner's ego vehicle.
+        Entity that becomes ScenarioRunner's ego vehicle.
     hosts : str, default "localhost"
-        Where CARLA listens, as in `cornercase.simulators.hosts.address`.
+        Where CARLA listens: ``host`` or ``host:port``, several separated by ``+``, used in turn.
     port : int, default 2000
-        Of the first worker; each further one on a host takes the port 4 above.
+        Port of the first worker; each further one on a host uses the port 4 above.
     worker : int, default 0
-        Which worker this is.
+        Number of this worker.
     scenario_runner, python, carla_root : str, optional
-        Folder of ScenarioRunner, Python of its environment, and folder of CARLA, in which ``PythonAPI/carla/agents``
-        lies; by default those of the environment variables ``SCENARIO_RUNNER_ROOT``, ``CORNERCASE_CARLA_PYTHON`` (else
-        the Python that runs this) and ``CARLA_ROOT``.
+        Folder of ScenarioRunner, Python of its environment, and folder of CARLA, which contains
+        ``PythonAPI/carla/agents``. Default: the environment variables ``SCENARIO_RUNNER_ROOT``,
+        ``CORNERCASE_CARLA_PYTHON`` (else the current Python) and ``CARLA_ROOT``.
     agent, agent_config : str, optional
-        File of an agent of yours in ScenarioRunner's manner (``AutonomousAgent``), which drives the ego; and its
-        configuration.
+        File of your own agent for ScenarioRunner (``AutonomousAgent``), which drives the ego, and its configuration.
     record : {"client", "recorder"}, default "client"
-        Whether motion is noted by the second client or read from CARLA's recorder file, which the server writes and has
-        to be seen from here.
+        Whether motion is recorded by the second client or read from the file of CARLA's recorder, which the server
+        writes and which must be accessible here.
     folder : str, optional
-        Where each scenario's files are kept, and the recorder's; by default they are thrown away.
+        Where the files of each scenario and of the recorder are kept; by default they are deleted.
     seed : int, default 0
-        Of CARLA's traffic manager.
+        Seed of CARLA's traffic manager.
     undriven : bool, default False
-        Whether a scenario may run that asks for another driver of cornercase; the storyboard alone moves that entity.
+        Whether a scenario with another driver of cornercase may run; the storyboard alone moves that entity.
     open_loop : bool, default False
-        Whether an entity may move along a trajectory of the builtin simulator that would have to react to one that an
-        agent drives, where ScenarioRunner cannot move it by the storyboard.
+        Whether an entity that ScenarioRunner cannot move by the storyboard may move along a trajectory of the builtin
+        simulator, although it should react to an entity that an agent drives.
     patience : float, default 20
-        s to wait for an answer of the server.
+        Time in s to wait for an answer of the server.
 
     Raises
     ------
     InputError
-        CARLA's client is not installed, ScenarioRunner is not known or too old, or an option is out of range.
+        CARLA's client is not installed, ScenarioRunner is not found or too old, or an option is out of range.
     """
 
     name = "carla"
@@ -133,7 +132,7 @@ class CarlaSimulator(Simulator):
         for entity, driver in (drivers or {}).items():
             if driver not in BEHAVIORS:
                 raise InputError(
-                    f"`drivers` {entity}: CARLA has none of cornercase's drivers; {suggestion(str(driver), BEHAVIORS)}"
+                    f"`drivers` {entity}: CARLA does not have this driver; {suggestion(str(driver), BEHAVIORS)}"
                 )
         if record not in ("client", "recorder"):
             raise InputError(f"record={record}: {suggestion(str(record), ('client', 'recorder'))}")
@@ -155,48 +154,42 @@ class CarlaSimulator(Simulator):
             "record": record,
             "seed": checked_seed(seed, "CARLA's traffic manager"),
             "carla": version("carla"),
-            # The agent is part of what recordings depend on.
+            # Recordings also depend on the agent.
             "agent": _fingerprint(self._agent),
             "agent_config": _fingerprint(self._agent_config),
         }
 
     @classmethod
     def notices(cls, scenario: Scenario, values: Mapping[str, Value] | None = None) -> tuple[Notice, ...]:
-        """Name what of a scenario ScenarioRunner does not do as it says.
-
-        Parameters
-        ----------
-        scenario : Scenario
-        values : mapping of str to float or str, optional
-            Of its parameters.
-
-        Returns
-        -------
-        tuple of Notice
-            What is left out, what is done otherwise, and what becomes a trajectory.
-        """
+        """List content that is left out, changed or replaced by a trajectory for ScenarioRunner."""
         root = concrete_tree(scenario, values or {})
-        found = (
-            Notice((one.what,), one.row.note + _INSTEAD[one.row.status], scenario.path, (), matters=one.row.matters)
-            for one in findings(root)
-            if one.row.status in _INSTEAD
+        ignored = (
+            Notice(
+                (finding.what,),
+                finding.row.note + _INSTEAD[finding.row.status],
+                scenario.path,
+                (),
+                matters=finding.row.matters,
+            )
+            for finding in findings(root)
+            if finding.row.status in _INSTEAD
         )
-        return merged((*scenario.axes_notices(), *found))
+        return merged((*scenario.axes_notices(), *ignored))
 
     @classmethod
     def availability(cls) -> Availability:
-        """Say what it takes; whether a server listens is known when it is asked."""
+        """Return whether client and ScenarioRunner are installed; the server is checked when it is needed."""
         try:
-            found, missing = version("carla"), ""
+            client_version, missing = version("carla"), ""
         except PackageNotFoundError:
-            found, missing = "", _MISSING
+            client_version, missing = "", _MISSING
         if not missing:
             try:
                 scenario_runner_folder("")
             except InputError as error:
                 missing = str(error)
         return Availability(
-            found,
+            client_version,
             missing,
             (
                 "pedestrians", "vehicle dynamics", "behaviour agents", "agents of your own",
@@ -205,22 +198,7 @@ class CarlaSimulator(Simulator):
         )  # fmt: skip
 
     def run(self, concretes: Sequence[ConcreteScenario]) -> Iterator[Recording | SimulationError]:
-        """Run scenarios.
-
-        Parameters
-        ----------
-        concretes : sequence of ConcreteScenario
-
-        Yields
-        ------
-        Recording or SimulationError
-            One for each scenario, in order.
-
-        Raises
-        ------
-        InputError
-            No server answers, it is of another version than the client, or the scenario file cannot be used.
-        """
+        """Run scenarios; `InputError` also if no server answers or its version differs from the client's."""
         for concrete in concretes:
             scenario = self._read = concrete.scenario(self._read)
             behaviors = self._behaviors(scenario)
@@ -231,30 +209,20 @@ class CarlaSimulator(Simulator):
                     self._server.forget()
                 yield error
             except RuntimeError as error:
-                # CARLA's client raises this when the server is gone or does not answer in time.
+                # CARLA's client raises RuntimeError if the server is gone or does not answer in time.
                 self._server.forget()
                 yield SimulatorError(f"CARLA on {self._server.host}:{self._server.port}: {error}")
 
     def require_means(self, scenario: Scenario) -> None:
-        """Refuse a scenario with entities or drivers that CARLA does not have.
-
-        Parameters
-        ----------
-        scenario : Scenario
-
-        Raises
-        ------
-        InputError
-            It has one.
-        """
+        """Refuse a scenario with entities or drivers that CARLA does not have."""
         self._behaviors(scenario)
 
     def _behaviors(self, scenario: Scenario) -> dict[str, str]:
-        """Behaviour agent of each entity that has one."""
+        """Behaviour agents by entity."""
         scenario.require_entity(self._ego, "ego")
         for entity in self._drivers:
             scenario.require_entity(entity, "driven entity")
-        found = {}
+        behaviors = {}
         for element in scenario.root.iterfind("Entities/ScenarioObject"):
             name = element.get("name", "")
             vehicle = element.find("Vehicle")
@@ -265,13 +233,13 @@ class CarlaSimulator(Simulator):
                 )
             driver = self._drivers.get(name, scenario.drivers.get(name, ""))
             if driver in BEHAVIORS:
-                found[name] = driver
+                behaviors[name] = driver
             elif driver and not self._undriven and not (name == self._ego and self._agent):
                 raise InputError(
-                    f"{scenario.path}: '{name}' asks for the driver '{driver}', which CARLA does not have; `simulator`"
-                    " carla:undriven=true leaves it to the storyboard alone."
+                    f"{scenario.path}: '{name}' has the driver '{driver}', which CARLA does not support; `simulator`"
+                    " carla:undriven=true runs it with the storyboard only."
                 )
-        return found
+        return behaviors
 
     def _run(self, scenario: Scenario, concrete: ConcreteScenario, behaviors: Mapping[str, str]) -> Recording:
         if self._folder:
@@ -324,21 +292,21 @@ class CarlaSimulator(Simulator):
         self._server.end_recording()
         if not path.is_file():
             raise SimulationError(
-                f"CARLA left no recording {path}; the server needs access to that folder; name one with carla:folder="
+                f"CARLA wrote no recording {path}; the server needs access to that folder; set it with carla:folder="
             )
         try:
-            whole = read_carla_log(path)
+            recording = read_carla_log(path)
         except InputError as error:
             raise SimulationError(str(error)) from error
         end = self._duration
-        if self._stops and whole.collisions:
-            end = min(end, whole.collisions[0].time)
-        kept = int((whole.time <= end + 1e-9).sum())
+        if self._stops and recording.collisions:
+            end = min(end, recording.collisions[0].time)
+        count = int((recording.time <= end + 1e-9).sum())
         return replace(
-            whole,
-            time=whole.time[:kept],
-            **{name: getattr(whole, name)[:, :kept] for name in ("x", "y", "heading", "speed", "acceleration")},
-            collisions=tuple(one for one in whole.collisions if one.time <= end),
+            recording,
+            time=recording.time[:count],
+            **{name: getattr(recording, name)[:, :count] for name in ("x", "y", "heading", "speed", "acceleration")},
+            collisions=tuple(collision for collision in recording.collisions if collision.time <= end),
         )
 
 

@@ -1,4 +1,4 @@
-"""The storyboard as ScenarioRunner takes it: what others do is taken out, names are unique, acts end with it."""
+"""Rewrite a storyboard for ScenarioRunner: remove unsupported parts, make names unique, end acts in time."""
 
 from __future__ import annotations
 
@@ -13,66 +13,54 @@ from cornercase.recordings import Recording
 from cornercase.simulators.carla.table import Finding, Status, findings
 
 _NAMED: Final = ("Story", "Act", "ManeuverGroup", "Maneuver", "Event", "Action", "Condition")
-# Without effect, but 1.0 asks for them, or they are taken out elsewhere.
+# Without effect, but required in 1.0 or removed elsewhere.
 _REQUIRED: Final = ("BoundingBox", "Performance", "Axles", "ObjectController")
 _ROUTES: Final = ("AssignRouteAction", "AcquirePositionAction")
 
 
 def leave_out(root: etree._Element) -> None:
-    """Leave out what has no effect on ScenarioRunner, and global actions.
-
-    Parameters
-    ----------
-    root : lxml element
-        Changed in place.
-    """
-    for one in list(findings(root)):
-        if one.row.status is Status.WITHOUT_EFFECT:
-            _take_out(one)
+    """Remove content without effect in ScenarioRunner, and global actions."""
+    for finding in list(findings(root)):
+        if finding.row.status is Status.WITHOUT_EFFECT:
+            _take_out(finding)
     for action in list(root.iter("GlobalAction")):
-        _remove(_holder_of(action))
+        remove_element(_holder_of(action))
     for empty in [*root.iter("PrivateAction")]:
         if len(empty) == 0:
-            _remove(_holder_of(empty))
+            remove_element(_holder_of(empty))
 
 
 def _take_out(one: Finding) -> None:
     if one.row.attribute:
         one.element.attrib.pop(one.row.attribute, "")
     elif one.element.tag not in _REQUIRED:
-        _remove(one.element)
+        remove_element(one.element)
 
 
 def _holder_of(action: etree._Element) -> etree._Element:
-    """The ``Action`` around an action of an event; the action itself in ``Init``."""
+    """Return the ``Action`` around an action of an event; in ``Init``, the action itself."""
     parent = action.getparent()
     return parent if parent is not None and parent.tag == "Action" else action
 
 
-def _remove(element: etree._Element) -> None:
+def remove_element(element: etree._Element) -> None:
+    """Remove an element from its parent, if it has one."""
     parent = element.getparent()
     if parent is not None:
         parent.remove(element)
 
 
 def take_over(root: etree._Element, names: Collection[str]) -> None:
-    """Take entities out of the storyboard, and what then has nothing to do.
-
-    Parameters
-    ----------
-    root : lxml element
-        Changed in place.
-    names : collection of str
-    """
+    """Remove entities from the storyboard, and elements that are empty then."""
     for reference in list(root.iterfind(".//Actors/EntityRef")):
         if reference.get("entityRef") in names:
-            _remove(reference)
+            remove_element(reference)
     for event in list(root.iter("Event")):
         if event.find("Action") is None:
-            _remove(event)
+            remove_element(event)
     for group in list(root.iter("ManeuverGroup")):
         if group.find("Actors/EntityRef") is None or next(group.iter("Event"), None) is None:
-            _remove(group)
+            remove_element(group)
         else:
             for maneuver in group.findall("Maneuver"):
                 if maneuver.find("Event") is None:
@@ -80,37 +68,27 @@ def take_over(root: etree._Element, names: Collection[str]) -> None:
     for tag, inner in (("Act", "ManeuverGroup"), ("Story", "Act")):
         for element in list(root.iter(tag)):
             if element.find(inner) is None:
-                _remove(element)
+                remove_element(element)
 
 
 def set_beginning(root: etree._Element, recording: Recording, names: Iterable[str], heights: FloatArray) -> None:
-    """Give each entity the position and the speed of the first instant.
+    """Set the initial position and speed of each entity.
 
-    Routes stay for our own controller; all else that is in ``Init`` goes.
-
-    Parameters
-    ----------
-    root : lxml element
-        Changed in place.
-    recording : Recording
-    names : iterable of str
-        Entities that keep their routes.
-    heights : ndarray of float64, shape (A,)
-        m.
+    Everything else in ``Init`` is removed, except routes of the entities `names`. `heights` are in m, shape (A,).
     """
     actions = root.find("Storyboard/Init/Actions")
     assert actions is not None
-    keeping, routes = set(names), {}
+    keeps_route, routes = set(names), {}
     for private in actions.findall("Private"):
         for action in private.findall("PrivateAction"):
             if any(action.find(f"RoutingAction/{kind}") is not None for kind in _ROUTES):
                 routes[private.get("entityRef", "")] = action
     for child in list(actions):
         actions.remove(child)
-    entities = {one.get("name") for one in root.iterfind("Entities/ScenarioObject")}
+    entities = {entity.get("name") for entity in root.iterfind("Entities/ScenarioObject")}
     for k, name in enumerate(recording.names):
         if name not in entities:
-            # A trailer, which is left out.
+            # Trailers are left out.
             continue
         private = etree.SubElement(actions, "Private", entityRef=name)
         holder = etree.SubElement(etree.SubElement(private, "PrivateAction"), "TeleportAction")
@@ -118,7 +96,7 @@ def set_beginning(root: etree._Element, recording: Recording, names: Iterable[st
         if heights[k]:
             position[0].set("z", plain(heights[k]))
         holder.append(position)
-        if name in keeping and name in routes:
+        if name in keeps_route and name in routes:
             private.append(routes[name])
         if recording.kinds[k] != "misc":
             outer = etree.SubElement(etree.SubElement(private, "PrivateAction"), "LongitudinalAction")
@@ -126,36 +104,14 @@ def set_beginning(root: etree._Element, recording: Recording, names: Iterable[st
 
 
 def world_position(x: float, y: float, heading: float) -> etree._Element:
-    """Make a ``Position``.
-
-    Parameters
-    ----------
-    x, y : float
-        m.
-    heading : float
-        rad.
-
-    Returns
-    -------
-    lxml element
-    """
+    """Create a ``Position``; x and y in m, heading in rad."""
     position = etree.Element("Position")
     etree.SubElement(position, "WorldPosition", x=plain(x), y=plain(y), h=plain(heading))
     return position
 
 
 def speed_action(speed: float) -> etree._Element:
-    """Make a ``SpeedAction`` that takes no time.
-
-    Parameters
-    ----------
-    speed : float
-        m/s.
-
-    Returns
-    -------
-    lxml element
-    """
+    """Create a ``SpeedAction`` that takes effect at once; speed in m/s."""
     action = etree.Element("SpeedAction")
     etree.SubElement(action, "SpeedActionDynamics", dynamicsShape="step", dynamicsDimension="time", value="0")
     target = etree.SubElement(action, "SpeedActionTarget")
@@ -164,33 +120,13 @@ def speed_action(speed: float) -> etree._Element:
 
 
 def plain(number: float) -> str:
-    """Write a number to a micrometre, without an exponent.
-
-    Parameters
-    ----------
-    number : float
-
-    Returns
-    -------
-    str
-    """
+    """Format a number to a micrometre, without an exponent."""
     text = f"{float(number):.6f}".rstrip("0").rstrip(".")
     return "0" if text in ("-0", "") else text
 
 
 def at_time(name: str, seconds: float) -> etree._Element:
-    """Make a ``ConditionGroup`` that is true after a time.
-
-    Parameters
-    ----------
-    name : str
-        Of its condition.
-    seconds : float
-
-    Returns
-    -------
-    lxml element
-    """
+    """Create a ``ConditionGroup`` that is true after a time in s."""
     group = etree.Element("ConditionGroup")
     condition = etree.SubElement(group, "Condition", name=name, delay="0", conditionEdge="none")
     holder = etree.SubElement(condition, "ByValueCondition")
@@ -199,13 +135,7 @@ def at_time(name: str, seconds: float) -> etree._Element:
 
 
 def start_at_once(root: etree._Element) -> None:
-    """Give events without a condition one that is always true, as ScenarioRunner never starts them otherwise.
-
-    Parameters
-    ----------
-    root : lxml element
-        Changed in place.
-    """
+    """Add a condition that is always true to events without one, which ScenarioRunner would never start."""
     for event in root.iter("Event"):
         trigger = event.find("StartTrigger")
         if trigger is None:
@@ -215,16 +145,7 @@ def start_at_once(root: etree._Element) -> None:
 
 
 def end_at(root: etree._Element, seconds: float, keep: Collection[etree._Element]) -> None:
-    """Let the storyboard end after a time, unless something else that is kept ends it before.
-
-    Parameters
-    ----------
-    root : lxml element
-        Changed in place.
-    seconds : float
-    keep : collection of lxml element
-        Groups of conditions of its stop trigger that stay.
-    """
+    """End the storyboard after a time, or earlier by the groups of its stop trigger in `keep`."""
     storyboard = root.find("Storyboard")
     assert storyboard is not None
     stop = storyboard.find("StopTrigger")
@@ -237,47 +158,35 @@ def end_at(root: etree._Element, seconds: float, keep: Collection[etree._Element
 
 
 def end_acts(root: etree._Element) -> None:
-    """Let acts end with the storyboard, whose own stop trigger ScenarioRunner does not read.
-
-    Parameters
-    ----------
-    root : lxml element
-        Changed in place.
-    """
+    """Copy the storyboard's stop trigger, which ScenarioRunner ignores, to all acts."""
     stop = root.find("Storyboard/StopTrigger")
     groups = [] if stop is None else list(stop)
     for act in root.iter("Act"):
-        start, own = act.find("StartTrigger"), act.find("StopTrigger")
-        if own is None:
-            own = etree.SubElement(act, "StopTrigger")
-        own.extend(deepcopy(group) for group in groups)
+        start, act_stop = act.find("StartTrigger"), act.find("StopTrigger")
+        if act_stop is None:
+            act_stop = etree.SubElement(act, "StopTrigger")
+        act_stop.extend(deepcopy(group) for group in groups)
         # ScenarioRunner waits for acts that have not started yet.
         if start is not None and len(start):
             start.extend(deepcopy(group) for group in groups)
 
 
 def name_apart(root: etree._Element) -> None:
-    """Give all parts of the storyboard names of their own, as ScenarioRunner takes two of one name for the same.
-
-    Parameters
-    ----------
-    root : lxml element
-        Changed in place.
-    """
-    taken: set[str] = set()
+    """Make the names of storyboard elements unique, since ScenarioRunner confuses elements of the same name."""
+    used_names: set[str] = set()
     renamed: dict[tuple[str, str], str] = {}
     for element in root.iterfind("Storyboard//*"):
         if element.tag not in _NAMED:
             continue
-        kind, name = str(element.tag), element.get("name", "")
-        chosen, number = name or kind, 1
-        while chosen in taken:
+        tag, name = str(element.tag), element.get("name", "")
+        unique_name, number = name or tag, 1
+        while unique_name in used_names:
             number += 1
-            chosen = f"{name or kind} {number}"
-        taken.add(chosen)
-        element.set("name", chosen)
-        renamed.setdefault((kind.lower(), name), chosen)
+            unique_name = f"{name or tag} {number}"
+        used_names.add(unique_name)
+        element.set("name", unique_name)
+        renamed.setdefault((tag.lower(), name), unique_name)
     for state in root.iter("StoryboardElementStateCondition"):
         reference = state.get("storyboardElementRef", "").replace("::", "/").rpartition("/")[2]
-        kind = state.get("storyboardElementType", "").lower()
-        state.set("storyboardElementRef", renamed.get((kind, reference), reference))
+        tag = state.get("storyboardElementType", "").lower()
+        state.set("storyboardElementRef", renamed.get((tag, reference), reference))

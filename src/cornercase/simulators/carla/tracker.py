@@ -1,4 +1,4 @@
-"""A second client, which notes how the entities move while ScenarioRunner runs."""
+"""A second client that records the motion of entities while ScenarioRunner runs."""
 
 from __future__ import annotations
 
@@ -23,25 +23,11 @@ class _Frame(NamedTuple):
 
 
 class Tracker:
-    """Notes all entities of a run, from the first frame in which all are there.
+    """Records all entities of a run, from the first frame in which all exist.
 
-    CARLA's left-handed axes are turned: y and headings change their sign.
-
-    Parameters
-    ----------
-    client : carla.Client
-        Of its own, beside ScenarioRunner's.
-    names : sequence of str
-        Of the scenario's entities, which are the actors' role names.
-    ego : str
-        With it the run ends.
-    time_step : float
-        s between frames while the scenario runs.
-
-    Attributes
-    ----------
-    missing : tuple of str
-        Entities that were not there when they were last looked for.
+    `client` is a separate CARLA client, `names` are the actors' role names, the run ends with the `ego`, and
+    `time_step` is the time between frames in s. `missing` lists entities that were not found last time. CARLA's
+    left-handed axes are converted: y and headings change sign.
     """
 
     def __init__(self, client: Any, names: Sequence[str], ego: str, time_step: float) -> None:
@@ -73,39 +59,39 @@ class Tracker:
                 sensor.destroy()
 
     def _note(self, snapshot: Any) -> None:
-        """Store a frame; called from a thread of CARLA's client."""
-        wanted, places = self._wanted, {}
+        """Store a frame; called in a thread of CARLA's client."""
+        entity_ids, poses = self._wanted, {}
         for actor in snapshot:
-            # Until the entities are found, all actors are noted that were not there before.
-            if actor.id in self._before or (wanted and actor.id not in wanted):
+            # Until the entities are found, record all new actors.
+            if actor.id in self._before or (entity_ids and actor.id not in entity_ids):
                 continue
             transform, velocity = actor.get_transform(), actor.get_velocity()
             heading = -math.radians(transform.rotation.yaw)
             speed = velocity.x * math.cos(heading) - velocity.y * math.sin(heading)
-            places[actor.id] = (transform.location.x, -transform.location.y, heading, speed)
-        self._frames.append(_Frame(snapshot.timestamp.frame, snapshot.timestamp.delta_seconds, places))
+            poses[actor.id] = (transform.location.x, -transform.location.y, heading, speed)
+        self._frames.append(_Frame(snapshot.timestamp.frame, snapshot.timestamp.delta_seconds, poses))
 
     def look(self) -> None:
-        """Find the entities, until all are there."""
+        """Search for the entities until all are found."""
         if self._ids:
             return
         world = self._client.get_world()
-        found = {}
+        actors = {}
         for actor in world.get_actors():
             name = actor.attributes.get("role_name", "")
             if name in self._names and actor.id not in self._before:
-                found[name] = actor
-        self.missing = tuple(name for name in self._names if name not in found)
+                actors[name] = actor
+        self.missing = tuple(name for name in self._names if name not in actors)
         if self.missing:
             return
-        # Asked for now, as the server forgets actors that are gone.
-        self._bodies = {name: _body(found[name]) for name in self._names}
+        # Read now, since the server forgets removed actors.
+        self._bodies = {name: _body(actors[name]) for name in self._names}
         blueprint = world.get_blueprint_library().find(_SENSOR)
-        for actor in found.values():
+        for actor in actors.values():
             sensor = world.spawn_actor(blueprint, self._carla.Transform(), attach_to=actor)
             sensor.listen(self._collide)
             self._sensors.append(sensor)
-        self._ids = {name: found[name].id for name in self._names}
+        self._ids = {name: actors[name].id for name in self._names}
         self._wanted = frozenset(self._ids.values())
 
     def _collide(self, event: Any) -> None:
@@ -119,46 +105,20 @@ class Tracker:
 
     @property
     def frames(self) -> int:
-        """How many frames have come, of the run or before."""
+        """Number of frames received, including those before the run."""
         return len(self._frames)
 
     def progress(self) -> tuple[float, bool]:
-        """Tell how far the run is.
-
-        Returns
-        -------
-        time : float
-            Of the run so far, in s.
-        ended : bool
-            Whether the ego was there and is gone.
-        """
+        """Return the elapsed time of the run in s, and whether the ego has been removed."""
         run = self._run()
         if not run:
             return 0.0, False
         return (len(run) - 1) * self._time_step, self._ids[self._ego] not in self._frames[-1].places
 
     def recording(self, source: Path, duration: float, until_collision: bool) -> Recording:
-        """Put together how the entities moved.
+        """Create the recording, up to `duration` s or the first collision; `source` is named in messages.
 
-        Parameters
-        ----------
-        source : Path
-            For messages.
-        duration : float
-            s after which nothing is taken.
-        until_collision : bool
-            Whether the first collision is the end.
-
-        Returns
-        -------
-        Recording
-
-        Raises
-        ------
-        SimulationError
-            The entities were never there all at once.
-        SimulatorError
-            Frames are missing.
+        Raises `SimulationError` if the entities never existed at the same time, `SimulatorError` if frames are missing.
         """
         frames = self._run()
         if len(frames) < 2:
@@ -170,27 +130,29 @@ class Tracker:
             last = min(last, collisions[0][0])
         tracks = {}
         for name, number in self._ids.items():
-            kind, length, width, ahead, right = self._bodies[name]
-            tracks[name] = track = EntitySamples(kind, length, width)
+            object_type, length, width, ahead, right = self._bodies[name]
+            tracks[name] = track = EntitySamples(object_type, length, width)
             for frame in frames:
                 if frame.number <= last and number in frame.places:
                     x, y, heading, speed = frame.places[number]
-                    # The offset points to the right of the vehicle, also after CARLA's axes are turned.
-                    place = box_center(x, y, heading, ahead, -right)
-                    track.samples[(frame.number - first) * self._time_step] = (*place, heading, speed, math.nan)
-        ended = [Collision((number - first) * self._time_step, pair) for number, pair in collisions if number <= last]
-        return recording_of(source, tracks, ended)
+                    # The offset points to the right of the vehicle, also after the conversion of axes.
+                    center = box_center(x, y, heading, ahead, -right)
+                    track.samples[(frame.number - first) * self._time_step] = (*center, heading, speed, math.nan)
+        collisions_until_end = [
+            Collision((number - first) * self._time_step, pair) for number, pair in collisions if number <= last
+        ]
+        return recording_of(source, tracks, collisions_until_end)
 
     def _run(self) -> list[_Frame]:
-        """Frames of the scenario, in equal steps: from the first with all entities on, as long as the ego exists."""
+        """Frames with equal time steps, from the first with all entities, as long as the ego exists."""
         if not self._ids:
             return []
         ego = self._ids[self._ego]
         frames = sorted({frame.number: frame for frame in self._frames}.values(), key=lambda frame: frame.number)
-        begun = next((k for k, frame in enumerate(frames) if self._wanted <= frame.places.keys()), len(frames))
+        first_index = next((k for k, frame in enumerate(frames) if self._wanted <= frame.places.keys()), len(frames))
         run: list[_Frame] = []
-        for frame in frames[begun:]:
-            # When ScenarioRunner has ended, it removes the entities, and lets the server run at its own pace.
+        for frame in frames[first_index:]:
+            # When ScenarioRunner ends, it removes the entities and leaves synchronous mode.
             if ego not in frame.places or (run and abs(frame.delta - self._time_step) > 1e-6):
                 break
             if run and frame.number != run[-1].number + 1:
@@ -199,22 +161,28 @@ class Tracker:
         return run
 
     def _collisions(self, frames: set[int]) -> list[tuple[int, tuple[str, str]]]:
-        """First frame in which each pair of entities touches, in order."""
+        """First frame in which each pair of entities touches, sorted."""
         names = {number: name for name, number in self._ids.items()}
         first: dict[tuple[str, str], int] = {}
         for frame, a, b in sorted(self._touched):
             if frame in frames and a in names and b in names and a != b:
-                one, other = sorted((names[a], names[b]), key=self._names.index)
-                first.setdefault((one, other), frame)
+                first_name, second_name = sorted((names[a], names[b]), key=self._names.index)
+                first.setdefault((first_name, second_name), frame)
         return sorted((frame, pair) for pair, frame in first.items())
 
 
 def _body(actor: Any) -> tuple[str, float, float, float, float]:
-    """Kind, length and width in m, and where the box's centre lies ahead and to the right of the origin."""
-    kind = actor.attributes.get("base_type", "car")
+    """Type, length and width in m, and offset of the box centre ahead and to the right of the origin."""
+    object_type = actor.attributes.get("base_type", "car")
     if actor.type_id.startswith("walker."):
-        kind = "pedestrian"
+        object_type = "pedestrian"
     elif not actor.type_id.startswith("vehicle."):
-        kind = "misc"
+        object_type = "misc"
     box = actor.bounding_box
-    return _KINDS.get(kind, kind or "car"), 2 * box.extent.x, 2 * box.extent.y, box.location.x, box.location.y
+    return (
+        _KINDS.get(object_type, object_type or "car"),
+        2 * box.extent.x,
+        2 * box.extent.y,
+        box.location.x,
+        box.location.y,
+    )

@@ -1,4 +1,4 @@
-"""Entities that move along trajectories, sampled from a run of the builtin simulator."""
+"""Trajectories of entities, sampled from a run of the builtin simulator."""
 
 from __future__ import annotations
 
@@ -16,64 +16,38 @@ from cornercase.scenario import ConcreteScenario, Scenario, Value
 from cornercase.simulators.builtin.simulator import BuiltinSimulator
 from cornercase.simulators.carla.storyboard import at_time, plain, speed_action, world_position
 
-# m and rad by which what lies between two vertices may differ from the run.
+# Tolerance in m and rad of the interpolation between two vertices.
 _NEAR, _TURN = 0.001, 0.001
-# rad by which the heading may change from one vertex to the next: not all players turn evenly between them.
+# Maximum change of heading in rad between vertices: not all players interpolate it.
 _BEND: Final = 0.03
-# m/s by which the speed may differ from that of the way, and how many jumps there may be.
+# Tolerance in m/s between recorded speed and speed of the motion, and maximum number of jumps.
 _SPEED, _MOST = 0.2, 20
-# s; no run takes this long.
+# Time in s that no run reaches.
 _NEVER: Final = 1e6
 
 
 def sample(scenario: Scenario, values: Mapping[str, Value], time_step: float, duration: float) -> Recording:
-    """Run a concrete scenario on the builtin simulator.
+    """Run a concrete scenario in the builtin simulator; time step and duration in s.
 
-    Parameters
-    ----------
-    scenario : Scenario
-    values : mapping of str to float or str
-    time_step, duration : float
-        s.
-
-    Returns
-    -------
-    Recording
-
-    Raises
-    ------
-    InputError
-        It cannot be run there, or an entity is not there at the beginning.
+    Raises `InputError` if it cannot be run, or an entity does not exist at the start.
     """
     simulator = BuiltinSimulator(time_step=time_step, duration=duration)
-    (found,) = simulator.run([ConcreteScenario(scenario.path, dict(values), scenario)])
-    if isinstance(found, SimulationError):
-        raise InputError(of_file(scenario.path, f"{found}."))
-    for k, name in enumerate(found.names):
-        if not np.isfinite(found.x[k, 0]):
+    (recording,) = simulator.run([ConcreteScenario(scenario.path, dict(values), scenario)])
+    if isinstance(recording, SimulationError):
+        raise InputError(of_file(scenario.path, f"{recording}."))
+    for k, name in enumerate(recording.names):
+        if not np.isfinite(recording.x[k, 0]):
             raise InputError(
-                f"{scenario.path}: '{name}' does not exist at the beginning, when ScenarioRunner needs all entities;"
-                " give it a <TeleportAction> in <Init>."
+                f"{scenario.path}: '{name}' does not exist at the start, when ScenarioRunner needs all entities; give"
+                " it a <TeleportAction> in <Init>."
             )
-    return found
+    return recording
 
 
 def add_trajectories(root: etree._Element, recording: Recording | None, names: list[str], ego: str) -> list[str]:
-    """Let entities move as they did in a run, from the beginning to the end.
+    """Add a story in which entities move as recorded, from start to end; return notes on differences.
 
-    Parameters
-    ----------
-    root : lxml element
-        Changed in place: a story is added.
-    recording : Recording or None
-        None where no entity moves along one.
-    names : list of str
-    ego : str
-
-    Returns
-    -------
-    list of str
-        What is not quite the same.
+    `recording` is None if no entity moves along a trajectory.
     """
     storyboard = root.find("Storyboard")
     assert storyboard is not None
@@ -85,7 +59,7 @@ def add_trajectories(root: etree._Element, recording: Recording | None, names: l
         stop.addprevious(story)
     act = etree.SubElement(story, "Act", name="cornercase trajectories")
     notes = [] if recording is None else [note for name in names for note in _move(act, recording, name)]
-    # Keeps the act, and so ScenarioRunner, going until the stop trigger; itself it never happens.
+    # An event that never happens keeps the act, and so ScenarioRunner, running until the stop trigger.
     never = _group(act, ego, "never")
     _event(never, "never", _speed(0.0), at_time("never", _NEVER))
     etree.SubElement(act, "StartTrigger").append(at_time("from the beginning", -1.0))
@@ -93,7 +67,7 @@ def add_trajectories(root: etree._Element, recording: Recording | None, names: l
 
 
 def _group(act: etree._Element, entity: str, name: str) -> etree._Element:
-    """Add a group of one entity, and return its maneuver."""
+    """Add a maneuver group with one entity, and return its maneuver."""
     holder = etree.SubElement(act, "ManeuverGroup", name=name, maximumExecutionCount="1")
     actors = etree.SubElement(holder, "Actors", selectTriggeringEntities="false")
     etree.SubElement(actors, "EntityRef", entityRef=entity)
@@ -114,39 +88,41 @@ def _speed(speed: float) -> etree._Element:
 
 
 def _move(act: etree._Element, recording: Recording, name: str) -> list[str]:
-    """Add the trajectories of an entity: one, and another one wherever it jumps."""
+    """Add the trajectories of an entity: one, and another one after each jump; return notes."""
     k = recording.names.index(name)
-    there = np.isfinite(recording.x[k])
-    count = len(there) if there.all() else int(np.argmin(there))
+    is_present = np.isfinite(recording.x[k])
+    count = len(is_present) if is_present.all() else int(np.argmin(is_present))
     time, x, y = recording.time[:count], recording.x[k, :count], recording.y[k, :count]
     heading, speed = np.unwrap(recording.heading[k, :count]), recording.speed[k, :count]
     notes = []
     maneuver = _group(act, name, f"{name} along its trajectory")
     jumps = _jumps(time, x, y, speed)
     if len(jumps) > _MOST:
-        notes.append(f"{name} has the speed of its way, from which its own differs at {len(jumps)} instants.")
+        notes.append(f"{name} has the speed of its motion, from which its own differs at {len(jumps)} instants.")
         jumps = []
-    begins = at_time(f"{name} starts", -1.0)
+    start_trigger = at_time(f"{name} starts", -1.0)
     if jumps and jumps[0] == 0:
-        # The speed of the first instant is none of the way that follows.
+        # The first speed does not match the motion that follows.
         event = f"{name} has its first speed"
-        _event(maneuver, event, _speed(max(float(speed[0]), 0.0)), begins)
-        begins = _after(event)
+        _event(maneuver, event, _speed(max(float(speed[0]), 0.0)), start_trigger)
+        start_trigger = _after(event)
     starts = [0, *(i for i in jumps if i)]
     for part, start in enumerate(starts):
         end = starts[part + 1] if part + 1 < len(starts) else count
         rows = np.arange(start, end)
-        way = np.stack([time[rows], x[rows], y[rows], heading[rows]], axis=1)
-        chosen = way[_vertices(way)]
+        trajectory = np.stack([time[rows], x[rows], y[rows], heading[rows]], axis=1)
+        vertices = trajectory[_vertices(trajectory)]
         if part:
-            # The first step from here leads to where it jumps.
-            chosen = np.concatenate([[_moved(way[0], speed[start], time[start - 1])], chosen])
-            begins = at_time(f"{name} jumps", 0.5 * float(time[start - 1] + time[max(start - 2, 0)]))
+            # The first step leads to the target of the jump.
+            vertices = np.concatenate([[_moved(trajectory[0], speed[start], time[start - 1])], vertices])
+            start_trigger = at_time(f"{name} jumps", 0.5 * float(time[start - 1] + time[max(start - 2, 0)]))
         if part + 1 < len(starts):
-            chosen = np.concatenate([chosen, [_moved(way[-1], speed[end - 1], 2.0 * time[end] - time[end - 1])]])
-        number = f"{name} moves" if part == 0 else f"{name} moves on from {time[start]:g} s"
-        _event(maneuver, number, _follow(chosen, number), begins)
-    if count < len(there):
+            vertices = np.concatenate(
+                [vertices, [_moved(trajectory[-1], speed[end - 1], 2.0 * time[end] - time[end - 1])]]
+            )
+        event_name = f"{name} moves" if part == 0 else f"{name} moves on from {time[start]:g} s"
+        _event(maneuver, event_name, _follow(vertices, event_name), start_trigger)
+    if count < len(is_present):
         _vanish(maneuver, name, 0.5 * float(time[-1] + time[max(count - 2, 0)]))
     return notes
 
@@ -170,22 +146,22 @@ def _after(event: str) -> etree._Element:
 
 
 def _moved(place: FloatArray, speed: float, time: float) -> FloatArray:
-    """A vertex straight ahead of or behind another one, where it is at another time."""
-    way = speed * (time - place[0])
-    return np.array([time, place[1] + way * np.cos(place[3]), place[2] + way * np.sin(place[3]), place[3]])
+    """Vertex straight ahead of or behind another one, at another time."""
+    distance = speed * (time - place[0])
+    return np.array([time, place[1] + distance * np.cos(place[3]), place[2] + distance * np.sin(place[3]), place[3]])
 
 
 def _jumps(time: FloatArray, x: FloatArray, y: FloatArray, speed: FloatArray) -> list[int]:
-    """Instants that are reached otherwise than at the speed of that instant; 0 where that of the first is another."""
+    """Indices of samples whose speed does not match their distance to the previous one; 0 for a wrong first speed."""
     if len(time) < 2:
         return []
-    ways = np.hypot(np.diff(x), np.diff(y)) / np.diff(time)
-    found = (np.flatnonzero(np.abs(ways - np.abs(speed[1:])) > _SPEED) + 1).tolist()
-    return [0, *found] if abs(ways[0] - abs(speed[0])) > _SPEED else found
+    speeds = np.hypot(np.diff(x), np.diff(y)) / np.diff(time)
+    indices = (np.flatnonzero(np.abs(speeds - np.abs(speed[1:])) > _SPEED) + 1).tolist()
+    return [0, *indices] if abs(speeds[0] - abs(speed[0])) > _SPEED else indices
 
 
 def _follow(way: FloatArray, name: str) -> etree._Element:
-    """Make the action that follows a way, in rows of time, x, y and heading."""
+    """Create the action that follows a trajectory with the columns time, x, y and heading."""
     routing = etree.Element("RoutingAction")
     action = etree.SubElement(routing, "FollowTrajectoryAction")
     trajectory = etree.SubElement(action, "Trajectory", name=name, closed="false")
@@ -195,18 +171,18 @@ def _follow(way: FloatArray, name: str) -> etree._Element:
         vertex = etree.SubElement(line, "Vertex", time=plain(time))
         vertex.append(world_position(x, y, heading))
     reference = etree.SubElement(action, "TimeReference")
-    # Times from the beginning of the run, so that it does not matter when ScenarioRunner comes to the action.
+    # Times since the start of the run, independent of when ScenarioRunner reaches the action.
     etree.SubElement(reference, "Timing", domainAbsoluteRelative="absolute", scale="1", offset="0")
     etree.SubElement(action, "TrajectoryFollowingMode", followingMode="position")
     return routing
 
 
 def _vertices(way: FloatArray) -> list[int]:
-    """Rows between which an entity moves as good as straight on, at one speed."""
-    chosen, last = [0], len(way) - 1
+    """Indices of vertices such that linear interpolation between them reproduces the motion."""
+    indices, last = [0], len(way) - 1
     limit = np.array([_NEAR, _NEAR, _TURN])
-    while chosen[-1] < last:
-        start, end = chosen[-1], chosen[-1] + 1
+    while indices[-1] < last:
+        start, end = indices[-1], indices[-1] + 1
         while end < last:
             inner = way[start + 1 : end + 1]
             part = ((inner[:, 0] - way[start, 0]) / (way[end + 1, 0] - way[start, 0]))[:, None]
@@ -215,5 +191,5 @@ def _vertices(way: FloatArray) -> list[int]:
             if (np.abs(way[start, 1:] + part * (way[end + 1, 1:] - way[start, 1:]) - inner[:, 1:]) > limit).any():
                 break
             end += 1
-        chosen.append(end)
-    return chosen
+        indices.append(end)
+    return indices

@@ -1,4 +1,4 @@
-"""Boxes and kinds of the entities, which CarMaker's result files do not tell, from the scenario file."""
+"""Read boxes and types of entities from the scenario file, since CarMaker's result files lack them."""
 
 from __future__ import annotations
 
@@ -16,25 +16,8 @@ _KINDS = {"Pedestrian": "pedestrian", "MiscObject": "misc"}
 
 
 def read_bodies(scenario: Scenario, values: Mapping[str, Value]) -> dict[str, EntityBox]:
-    """Read the box and the kind of each entity.
-
-    Parameters
-    ----------
-    scenario : Scenario
-    values : mapping of str to float or str
-        Of its parameters.
-
-    Returns
-    -------
-    dict of str to EntityBox
-        By entity. Where the file does not tell, a car of 4.5 m x 1.8 m, with a notice.
-
-    Raises
-    ------
-    InputError
-        A size cannot be read.
-    """
-    # A named value that the scenario does not declare is the TestRun's.
+    """Read the box of each entity; a car of 4.5 m x 1.8 m if the file has none."""
+    # Named values that the scenario does not declare are for the TestRun only.
     declared = {name: value for name, value in values.items() if name in scenario.parameters}
     scope = Scope.of_file(str(scenario.path), scenario.root, [declared], scenario.catalog_entry)
     return {
@@ -44,17 +27,7 @@ def read_bodies(scenario: Scenario, values: Mapping[str, Value]) -> dict[str, En
 
 
 def warn_of_missing(scenario: Scenario) -> None:
-    """Say whose box the file does not tell.
-
-    Parameters
-    ----------
-    scenario : Scenario
-
-    Warns
-    -----
-    NoticeWarning
-        Somebody's is missing.
-    """
+    """Warn about entities without a box in the file."""
     scope = Scope.of_file(str(scenario.path), scenario.root, [{}], scenario.catalog_entry)
     missing = [
         element.get("name", "")
@@ -62,9 +35,9 @@ def warn_of_missing(scenario: Scenario) -> None:
         if _body(element, scope) is None
     ]
     if missing:
-        have = "has" if len(missing) == 1 else "have"
+        verb = "has" if len(missing) == 1 else "have"
         warnings.warn(
-            f"{scenario.path}: {', '.join(missing)} {have} no <BoundingBox>, and CarMaker's result files hold no sizes;"
+            f"{scenario.path}: {', '.join(missing)} {verb} no <BoundingBox>, and CarMaker's result files have no sizes;"
             f" assumed to be a car of {_USUAL.length:g} m x {_USUAL.width:g} m",
             NoticeWarning,
             stacklevel=3,
@@ -72,7 +45,9 @@ def warn_of_missing(scenario: Scenario) -> None:
 
 
 def _body(element: etree._Element, scope: Scope) -> EntityBox | None:
-    body = next((one for one in element.iterchildren("Vehicle", "Pedestrian", "MiscObject", "CatalogReference")), None)
+    body = next(
+        (child for child in element.iterchildren("Vehicle", "Pedestrian", "MiscObject", "CatalogReference")), None
+    )
     if body is None:
         return None
     if body.tag == "CatalogReference":
@@ -82,5 +57,5 @@ def _body(element: etree._Element, scope: Scope) -> EntityBox | None:
     dimensions = body.find("BoundingBox/Dimensions")
     if dimensions is None:
         return None
-    kind = _KINDS.get(body.tag) or scope.text(body, "vehicleCategory", "car")
-    return EntityBox(kind, scope.one_number(dimensions, "length"), scope.one_number(dimensions, "width"))
+    object_type = _KINDS.get(body.tag) or scope.text(body, "vehicleCategory", "car")
+    return EntityBox(object_type, scope.one_number(dimensions, "length"), scope.one_number(dimensions, "width"))

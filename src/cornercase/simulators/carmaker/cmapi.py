@@ -18,37 +18,20 @@ from cornercase._common.errors import InputError, SimulationError, SimulatorErro
 from cornercase.scenario import Value
 from cornercase.simulators.carmaker.results import ResultFiles
 
-# s that CarMaker may take to end.
+# Time limit in s for CarMaker to end.
 _ENDING: Final = 5.0
 
 
 def has_cmapi() -> bool:
-    """Look whether IPG's module ``cmapi`` can be imported; it lies in CarMaker's installation.
-
-    Returns
-    -------
-    bool
-    """
+    """Return whether IPG's module ``cmapi`` (part of CarMaker's installation) can be imported."""
     return find_spec("cmapi") is not None
 
 
 class CarMakerApi:
-    """Starts CarMaker once, and runs a TestRun with named values as often as is asked.
+    """Starts CarMaker once, and runs a TestRun with named values.
 
-    The module has an event loop of its own, which goes on in a thread.
-
-    Parameters
-    ----------
-    project : Path
-        Folder of the CarMaker project.
-    testrun : str
-    patience : float
-        s that a run may take, or the start.
-
-    Raises
-    ------
-    InputError
-        CarMaker does not start.
+    The module's event loop runs in a thread. `patience` is the time limit in s of a run and of the start. Raises
+    `InputError` if CarMaker does not start.
     """
 
     def __init__(self, project: Path, testrun: str, patience: float) -> None:
@@ -62,10 +45,10 @@ class CarMakerApi:
         try:
             self._started.result(patience)
         except Exception as error:
-            # It may come up yet, and would hold its licence.
+            # It might still start, and would keep a licence.
             self.close()
             raise InputError(
-                f"CarMaker does not start by IPG's cmapi ({str(error) or 'no answer'}); check its installation and"
+                f"CarMaker does not start with IPG's cmapi ({str(error) or 'no answer'}); check its installation and"
                 " licence, or use a running CarMaker with carmaker:via=port."
             ) from error
 
@@ -98,7 +81,7 @@ class CarMakerApi:
             await self._end()
 
     async def _end(self) -> None:
-        """End what was started here; by force where the module does not, so that no licence stays taken."""
+        """End the CarMaker that was started here, by force if the module does not, so that its licence is released."""
         try:
             await asyncio.wait_for(_answered(self._control.stop_and_disconnect()), _ENDING)
         except Exception:
@@ -115,26 +98,14 @@ class CarMakerApi:
         return variation
 
     def run(self, values: Mapping[str, Value]) -> Path:
-        """Run the TestRun with named values.
+        """Run the TestRun with named values, and return the result file.
 
-        Parameters
-        ----------
-        values : mapping of str to float or str
-
-        Returns
-        -------
-        Path
-            Of the result file that CarMaker wrote.
-
-        Raises
-        ------
-        SimulationError
-            It did not end in time, or wrote no file; as a `SimulatorError` whatever the module says went wrong.
+        Raises `SimulationError` if it does not end in time or writes no file, `SimulatorError` if the module fails.
         """
         before = ResultFiles(self._project)
         future = asyncio.run_coroutine_threadsafe(self._run(values), self._loop)
         try:
-            # `_run` stops waiting after `patience` and stops the run; this is for a module that does not answer at all.
+            # The coroutine stops the run after `patience`; this time limit is for a module that does not answer.
             future.result(2 * self._patience + _ENDING)
         except SimulationError:
             raise
@@ -143,16 +114,16 @@ class CarMakerApi:
         written = before.written()
         if len(written) != 1:
             raise SimulationError(
-                f"CarMaker wrote {len(written)} result files in SimOutput, where one was expected; let the TestRun"
-                " store its results, and let nothing else use the project"
+                f"CarMaker wrote {len(written)} result files in SimOutput instead of one; let the TestRun store its"
+                " results, and let nothing else use the project"
             )
         return written[0]
 
     async def _run(self, values: Mapping[str, Value]) -> None:
         control, states = self._control, self._cmapi.ConditionSimState
-        # A variation is taken only where a simulation is configured: not while one runs, or has ended and was not left.
+        # A variation is accepted only in the state `configure`: not while a run is active, or ended without being left.
         if control.get_status() != self._cmapi.SimControlState.configure and not await self._stop():
-            raise SimulatorError(f"CarMaker does not come to rest within {_ENDING:g} s")
+            raise SimulatorError(f"CarMaker is not idle within {_ENDING:g} s")
         variation = self._variation(values)
         control.set_variation(variation)
         await control.start_sim()
@@ -162,14 +133,14 @@ class CarMakerApi:
             await self._stop()
             raise SimulationError(f"CarMaker did not end the TestRun within {self._patience:g} s") from None
         failed = False
-        # Not each version of the module says how a run has ended.
+        # Not all versions of the module report how a run ended.
         with suppress(AttributeError):
             failed = bool(variation.get_simend_info().error_flag)
         if failed:
-            raise SimulationError("CarMaker ended the TestRun with an error; its log tells which")
+            raise SimulationError("CarMaker ended the TestRun with an error; see its log")
 
     async def _stop(self) -> bool:
-        """Stop a run and wait until nothing runs; False where that takes too long."""
+        """Stop a run and wait until CarMaker is idle; False after the time limit."""
         await _answered(self._control.stop_sim())
         idle = self._control.create_simstate_condition(self._cmapi.ConditionSimState.idle)
         with suppress(TimeoutError):
@@ -178,14 +149,14 @@ class CarMakerApi:
         return False
 
     def close(self) -> None:
-        """End the CarMaker that was started here, and wait a moment until it has."""
-        # Where it failed at the very beginning, its loop is over.
+        """End the CarMaker that was started here, and wait for it."""
+        # If the start failed, the loop has ended already.
         with suppress(AttributeError, RuntimeError):
             self._loop.call_soon_threadsafe(self._over.set)
         self._thread.join(2 * _ENDING)
 
 
 async def _answered(given: Any) -> None:
-    """Wait for what some versions of the module give to be awaited."""
+    """Await a result if this version of the module returns an awaitable."""
     if inspect.isawaitable(given):
         await given

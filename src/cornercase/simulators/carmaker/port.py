@@ -1,4 +1,4 @@
-"""The command port of a CarMaker that runs already."""
+"""Client for the Tcl command port of a running CarMaker."""
 
 from __future__ import annotations
 
@@ -8,25 +8,15 @@ from typing import Self
 
 from cornercase._common.errors import InputError, SimulationError, SimulatorError
 
-# Characters that an answer may have, and s that it may take to connect.
+# Maximum size of an answer, and time limit in s to connect.
 _LONGEST_REPLY, _PATIENCE = 1_000_000, 60.0
 
 
 class CommandPort:
-    """Line to a CarMaker, which takes Tcl commands and answers each.
+    """Connection to a CarMaker, which executes Tcl commands and answers each; `InputError` if nothing listens.
 
-    An answer is ``O`` and a value, or ``E`` and an error, ended by an empty line; or an empty line alone. It may come
-    in any number of pieces.
-
-    Parameters
-    ----------
-    host : str
-    port : int
-
-    Raises
-    ------
-    InputError
-        Nobody listens there.
+    An answer is ``O`` and a value, or ``E`` and an error, ended by an empty line; or an empty line alone. It may arrive
+    in several pieces.
     """
 
     def __init__(self, host: str, port: int) -> None:
@@ -39,27 +29,13 @@ class CommandPort:
         self._heard = b""
 
     def ask(self, command: str, timeout: float) -> str:
-        """Send a command, and wait for its answer.
+        """Send a Tcl command and return the value of its answer, waiting up to `timeout` s.
 
-        Parameters
-        ----------
-        command : str
-            In Tcl.
-        timeout : float
-            s.
-
-        Returns
-        -------
-        str
-            The value that comes back; empty where there is none.
-
-        Raises
-        ------
-        SimulationError
-            CarMaker answers with an error; as a `SimulatorError`, not in time or not at all.
+        Raises `SimulationError` if CarMaker answers with an error, `SimulatorError` if it does not answer in time or at
+        all.
         """
         deadline = time.monotonic() + timeout
-        # The rest of an earlier answer is thrown away.
+        # Discard the rest of an earlier answer.
         self._heard = b""
         try:
             self._socket.sendall(command.encode() + b"\r")
@@ -70,20 +46,20 @@ class CommandPort:
                 self._socket.settimeout(max(deadline - time.monotonic(), 1e-3))
                 piece = self._socket.recv(65536)
                 if not piece:
-                    raise SimulatorError(f"CarMaker closed the line in its answer to '{command}'")
+                    raise SimulatorError(f"CarMaker closed the connection while answering '{command}'")
                 self._heard += piece
                 if len(self._heard) > _LONGEST_REPLY:
                     raise SimulatorError(f"CarMaker's answer to '{command}' has no end")
         except TimeoutError:
             raise SimulatorError(f"CarMaker did not answer '{command}' within {timeout:g} s") from None
         except OSError as error:
-            raise SimulatorError(f"the line to CarMaker broke at '{command}' ({error.strerror or error})") from error
+            raise SimulatorError(f"connection to CarMaker lost at '{command}' ({error.strerror or error})") from error
         if answer.startswith("E"):
             raise SimulationError(f"CarMaker refuses '{command}': {answer[1:].strip()}")
         return answer[1:].strip()
 
     def _answer(self) -> str | None:
-        """The next answer, if it is whole."""
+        """Return the next answer if it is complete, else None."""
         if self._heard.startswith(b"\r\n"):
             self._heard = self._heard[2:]
             return ""

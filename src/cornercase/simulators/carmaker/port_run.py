@@ -1,4 +1,4 @@
-"""One run of a TestRun by CarMaker's command port, from rest to its new result file."""
+"""A run of a TestRun through CarMaker's command port, from idle to the new result file."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from cornercase.simulators.carmaker.port import CommandPort
 from cornercase.simulators.carmaker.results import ResultFiles
 
 _IDLE, _POSTPROCESSING, _FATAL, _LICENCE, _PAUSED = -2, -3, -6, -7, -8
-# What `SimStatus` says; from 0 on the simulation runs.
+# States of `SimStatus`; from 0 on the simulation is running.
 _STATES: Final = {
     -1: "preprocessing",
     _IDLE: "idle",
@@ -27,52 +27,26 @@ _STATES: Final = {
     -10: "starting",
     -11: "initializing Simulink",
 }
-# s that CarMaker may take to begin or to come to rest, beyond those of a run; s that a result file may take to appear;
-# and s between two questions.
+# In s: time limit for CarMaker to start or become idle, for a result file to appear, and interval of polling.
 WAITING: Final = 60.0
 _SETTLING: Final = 5.0
 _BETWEEN: Final = 0.05
 
 
 class PortRun:
-    """A run of a TestRun.
+    """Runs a TestRun; `patience` is the time limit in s of the run, `waiting` that to start or stop.
 
-    `WaitForStatus` saves questions but is not relied on: its answer may be late, or an error. `SimStatus` decides.
-
-    Parameters
-    ----------
-    line : CommandPort
-    project : Path
-        Folder of the CarMaker project.
-    patience : float
-        s that the run may take.
-    waiting : float, default 60
-        s that it may take to begin, or to stop.
+    `WaitForStatus` saves polling, but its answer may be late or an error, so `SimStatus` decides.
     """
 
     def __init__(self, line: CommandPort, project: Path, patience: float, waiting: float = WAITING) -> None:
         self._line, self._project, self._patience, self._waiting = line, project, patience, waiting
 
     def run(self, testrun: str, values: Mapping[str, Value]) -> Path:
-        """Run it with named values.
+        """Run the TestRun with named values, and return the result file that it wrote.
 
-        Parameters
-        ----------
-        testrun : str
-        values : mapping of str to float or str
-
-        Returns
-        -------
-        Path
-            The result file that this run has written.
-
-        Raises
-        ------
-        SimulationError
-            CarMaker refuses, does not begin or end in time, is paused, or writes no new result file; as a
-            `SimulatorError`, it fails or does not stop.
-        InputError
-            It waits for a licence.
+        Raises `SimulationError` if CarMaker refuses, does not start or end in time, is paused or writes no result file,
+        `SimulatorError` if it fails or does not stop, and `InputError` if it waits for a licence.
         """
         self._come_to_rest()
         before = ResultFiles(self._project)
@@ -89,7 +63,7 @@ class PortRun:
         return self._line.ask(command, self._waiting)
 
     def _come_to_rest(self) -> None:
-        """Stop what is still running, or somebody else has started, and wait until nothing does."""
+        """Stop whatever is running, and wait until CarMaker is idle."""
         status = self._status()
         if status == _IDLE:
             return
@@ -103,18 +77,18 @@ class PortRun:
         return self._polled(lambda status: status == _IDLE, self._waiting)
 
     def _await_begin(self, before: ResultFiles) -> None:
-        """Wait until it runs, or has run already: a short run may be over before anyone asks."""
+        """Wait until the run has started; a short run may be over before the first poll."""
         self._wait_for("running", self._waiting)
         status = self._polled(
             lambda now: now >= 0 or now in (_POSTPROCESSING, _PAUSED) or (now == _IDLE and bool(before.written())),
             self._waiting,
         )
         if status == _IDLE and not before.written():
-            raise SimulationError(f"CarMaker did not begin the TestRun within {self._waiting:g} s: it is idle")
+            raise SimulationError(f"CarMaker did not start the TestRun within {self._waiting:g} s: it is idle")
         if status < 0 and status not in (_IDLE, _POSTPROCESSING):
             self._stopped()
             raise SimulationError(
-                f"CarMaker did not begin the TestRun within {self._waiting:g} s: it is {_name(status)}"
+                f"CarMaker did not start the TestRun within {self._waiting:g} s: it is {_name(status)}"
             )
 
     def _await_end(self) -> None:
@@ -130,7 +104,7 @@ class PortRun:
         raise SimulationError(f"CarMaker did not end the TestRun within {self._patience:g} s")
 
     def _result(self, before: ResultFiles) -> Path:
-        """Find the file of this run; one that was there before is never taken for it."""
+        """Return the result file of this run, never one that existed before."""
         deadline = time.monotonic() + min(_SETTLING, self._waiting)
         while True:
             name = self._ask("GetLastResultFName")
@@ -145,22 +119,22 @@ class PortRun:
         if not path.is_file():
             raise SimulationError(f"{path}: cannot be read; check that project is the folder of CarMaker's project")
         raise SimulationError(
-            f"CarMaker names {path} as its last result, which was there before this run; let the TestRun store its"
+            f"CarMaker names {path} as its last result, but it is older than this run; let the TestRun store its"
             " results"
         )
 
     def _wait_for(self, state: str, seconds: float) -> None:
-        """Let CarMaker wait; whatever it answers, its status is asked for afterwards."""
+        """Let CarMaker wait for a state; the status is polled afterwards in any case."""
         try:
             self._line.ask(f"WaitForStatus {state} {round(1000 * seconds)}", seconds + self._waiting)
         except SimulatorError:
             raise
         except SimulationError:
-            # It has waited long enough, or cannot wait.
+            # The time limit is over, or CarMaker cannot wait.
             pass
 
     def _polled(self, enough: Callable[[int], bool], seconds: float) -> int:
-        """Ask for the status until it is one that is enough, and give the last one."""
+        """Poll the status until `enough` accepts it; return the last one."""
         deadline = time.monotonic() + seconds
         while not enough(status := self._status()) and time.monotonic() < deadline:
             time.sleep(_BETWEEN)
@@ -175,13 +149,13 @@ class PortRun:
         if status == _LICENCE:
             raise InputError(
                 "CarMaker waits for a licence, or has lost its licence; restore the licence server and run the same"
-                " command again to go on."
+                " command again to resume."
             )
         if status == _FATAL:
-            # So that the next run does not find the same error.
+            # Clear the error for the next run.
             with suppress(SimulationError):
                 self._ask("StopSim")
-            raise SimulatorError("CarMaker ended the TestRun with a fatal error; its log tells which")
+            raise SimulatorError("CarMaker ended the TestRun with a fatal error; see its log")
         return status
 
 
@@ -190,8 +164,8 @@ def _name(status: int) -> str:
 
 
 def _word(value: Value) -> str:
-    """A value as one Tcl word."""
+    """Format a value as one Tcl word."""
     text = f"{value:.9g}" if isinstance(value, float) else str(value)
     if any(sign in text for sign in "{}\\\r\n"):
-        raise SimulationError(f"'{text}' has a character with a meaning in Tcl")
+        raise SimulationError(f"'{text}' contains a special character of Tcl")
     return text if text.replace(".", "").replace("-", "").replace("_", "").isalnum() else f"{{{text}}}"

@@ -1,4 +1,4 @@
-"""Which result files of a CarMaker project a run has written."""
+"""Detect the result files that a run writes in a CarMaker project."""
 
 from __future__ import annotations
 
@@ -7,46 +7,31 @@ from pathlib import Path
 
 
 class ResultFiles:
-    """The result files that a project had before a run.
-
-    Parameters
-    ----------
-    project : Path
-        Folder of the CarMaker project.
-    """
+    """The result files that a project has now, before a run."""
 
     def __init__(self, project: Path) -> None:
         self._folder = project / "SimOutput"
         self._before = self._now()
 
     def written(self) -> list[Path]:
-        """Return the files that are new or have changed since, in the order of their names."""
+        """Return files that are new or changed since, sorted by name."""
         return sorted(path for path, stamp in self._now().items() if self._before.get(path) != stamp)
 
     def is_old(self, path: Path) -> bool:
-        """Whether a file was there before and has not changed since.
-
-        Parameters
-        ----------
-        path : Path
-
-        Returns
-        -------
-        bool
-        """
+        """Return whether a file existed before and is unchanged."""
         with suppress(OSError):
             return self._before.get(path.resolve()) == _stamp(path)
         return False
 
     def _now(self) -> dict[Path, tuple[int, int]]:
-        found = {}
+        stamps = {}
         for path in self._folder.rglob("*.erg"):
-            # CarMaker may take one away meanwhile.
+            # CarMaker may delete a file meanwhile.
             with suppress(OSError):
-                found[path.resolve()] = _stamp(path)
-        return found
+                stamps[path.resolve()] = _stamp(path)
+        return stamps
 
 
 def _stamp(path: Path) -> tuple[int, int]:
-    about = path.stat()
-    return about.st_mtime_ns, about.st_size
+    stat = path.stat()
+    return stat.st_mtime_ns, stat.st_size

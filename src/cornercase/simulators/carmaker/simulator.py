@@ -1,4 +1,4 @@
-"""IPG CarMaker, by IPG's own Python module or by the command port of a running CarMaker."""
+"""IPG CarMaker, through IPG's Python module or the command port of a running CarMaker."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from cornercase.simulators.carmaker.port_run import WAITING, PortRun
 from cornercase.simulators.hosts import address
 
 _PORT: Final = 16660
-# s that a CarMaker on this machine gets to take a call.
+# Time limit in s to connect to a CarMaker on this machine.
 _PATIENCE: Final = 0.2
 _MISSING: Final = (
     f"IPG's Python module cmapi is not installed here, and no CarMaker listens on port {_PORT}; install the module from"
@@ -39,38 +39,37 @@ def _listens() -> bool:
 class CarMakerSimulator(Simulator):
     """Runs a TestRun of CarMaker, with a named value for each parameter.
 
-    Where IPG's Python module ``cmapi`` can be imported, it starts a CarMaker; else there has to be one that listens on
+    If IPG's Python module ``cmapi`` can be imported, it starts CarMaker; otherwise a running CarMaker has to listen on
     its command port.
 
-    The scenario file only tells which parameters and entities there are, ``Ego`` and the traffic objects ``T00``,
-    ``T01``, …, and what boxes they have. What happens is the TestRun's business; its file uses the named values.
-    Motion is read from the result file.
+    The scenario file only defines parameters, entities (``Ego`` and the traffic objects ``T00``, ``T01``, …) and their
+    boxes. The TestRun defines what happens; its file uses the named values. Motion is read from the result file.
 
     Parameters
     ----------
     time_step : float, default 0.05
-        Not used: CarMaker stores its results at a rate of its own.
+        Not used: CarMaker stores its results at its own rate.
     duration : float, default 60
-        s of simulated time after which a scenario that has not ended is given up.
+        Maximum simulated time in s.
     on_collision : {"continue"}, default "continue"
         In CarMaker a collision does not end a run, unless the TestRun says so.
     drivers : mapping, optional
-        None: CarMaker's driver is the TestRun's.
+        Must be empty: the TestRun defines CarMaker's driver.
     testrun : str
-        Name of the TestRun, in the project's ``Data/TestRun``.
+        Name of the TestRun in the project's ``Data/TestRun``.
     project : str
-        Folder of the CarMaker project, in which the result files lie; several, separated by ``+``, are taken in turn by
-        the workers. By ``cmapi`` each worker needs one of its own.
+        Folder of the CarMaker project with the result files; several, separated by ``+``, are used by the workers in
+        turn. With ``cmapi`` each worker needs its own.
     hosts : str, default "localhost"
-        Where ``CM.exe -cmdport`` runs, as in `cornercase.simulators.hosts.address`.
+        Where ``CM.exe -cmdport`` runs: ``host`` or ``host:port``, several separated by ``+``, used in turn.
     port : int, default 16660
-        Of the first worker; the next one on a host uses the next port, so that each has a CarMaker of its own.
+        Port of the first worker; the next one on a host uses the next port, so that each has its own CarMaker.
     worker : int, default 0
-        Which worker this is.
+        Number of this worker.
     via : {"auto", "cmapi", "port"}, default "auto"
         How CarMaker is controlled.
     speedup : float, default 1
-        How many times faster than real time CarMaker runs at least; the patience with it is measured by this.
+        Minimum factor by which CarMaker runs faster than real time; it determines the time-outs.
 
     Raises
     ------
@@ -98,15 +97,17 @@ class CarMakerSimulator(Simulator):
         speedup: float = 1.0,
     ) -> None:
         if drivers:
-            raise InputError("`drivers`: CarMaker has none of cornercase's drivers; the TestRun names its own.")
+            raise InputError("`drivers`: CarMaker does not support cornercase's drivers; the TestRun names its own.")
         if on_collision != "continue":
-            raise InputError("`on_collision` stop: in CarMaker a collision ends a run only where the TestRun says so.")
+            raise InputError("`on_collision` stop: in CarMaker a collision ends a run only if the TestRun says so.")
         if not testrun or not project:
             raise InputError("CarMaker needs a TestRun: `simulator` carmaker:testrun=NAME,project=FOLDER.")
         projects = project.split("+")
         for folder in projects:
             if not Path(folder).is_dir():
-                raise InputError(f"{folder}: there is no such folder; give the CarMaker project's as project=DIR.")
+                raise InputError(
+                    f"{folder}: there is no such folder; give that of the CarMaker project as project=DIR."
+                )
         if via not in ("auto", "cmapi", "port"):
             raise InputError(f"via={via}: {suggestion(str(via), ('auto', 'cmapi', 'port'))}")
         if via == "cmapi" and not has_cmapi():
@@ -115,7 +116,7 @@ class CarMakerSimulator(Simulator):
                 " installation to PYTHONPATH, or use carmaker:via=port."
             )
         if any(sign in testrun for sign in '"$[]{}\\;\r\n'):
-            raise InputError(f"The TestRun '{testrun}' has a character with a meaning in Tcl in its name.")
+            raise InputError(f"The name of the TestRun '{testrun}' contains a special character of Tcl.")
         if not (0.0 < duration < float("inf") and 0.0 < speedup < float("inf")):
             raise InputError(
                 f"A duration of {duration:g} s at a speed-up of {speedup:g} is not possible; give both above 0."
@@ -137,7 +138,7 @@ class CarMakerSimulator(Simulator):
 
     @classmethod
     def availability(cls) -> Availability:
-        """Say what it takes: IPG's module, or a CarMaker that listens where one does by default."""
+        """Return whether IPG's module is installed or a CarMaker listens on the default port."""
         return Availability(
             "",
             "" if has_cmapi() or _listens() else _MISSING,
@@ -150,22 +151,7 @@ class CarMakerSimulator(Simulator):
         )
 
     def run(self, concretes: Sequence[ConcreteScenario]) -> Iterator[Recording | SimulationError]:
-        """Run scenarios.
-
-        Parameters
-        ----------
-        concretes : sequence of ConcreteScenario
-
-        Yields
-        ------
-        Recording or SimulationError
-            One for each scenario, in order.
-
-        Raises
-        ------
-        InputError
-            Nobody listens on the port, CarMaker has lost its licence, or the scenario has entities that it has not.
-        """
+        """Run scenarios; `InputError` also if CarMaker does not listen, has no licence or lacks an entity."""
         for concrete in concretes:
             self._read = concrete.scenario(self._read)
             self.require_means(self._read)
@@ -176,16 +162,16 @@ class CarMakerSimulator(Simulator):
             if self._line is None:
                 self._line = CommandPort(self._host, self._port)
             try:
-                one = PortRun(self._line, self._project, self._patience)
-                yield _recording(one.run(self._testrun, concrete.values), bodies)
+                port_run = PortRun(self._line, self._project, self._patience)
+                yield _recording(port_run.run(self._testrun, concrete.values), bodies)
             except SimulationError as error:
-                # After an error an answer to an old command may still arrive on this connection.
+                # After an error, the answer to an old command may still arrive on this connection.
                 self._line.close()
                 self._line = None
                 yield error
 
     def close(self) -> None:
-        """End the CarMaker that was started here; hang up on one that was not."""
+        """End the CarMaker that was started here; disconnect from any other."""
         if self._api is not None:
             self._api.close()
             self._api = None
@@ -194,24 +180,14 @@ class CarMakerSimulator(Simulator):
             self._line = None
 
     def require_means(self, scenario: Scenario) -> None:
-        """Refuse a scenario with entities that CarMaker does not have.
-
-        Parameters
-        ----------
-        scenario : Scenario
-
-        Raises
-        ------
-        InputError
-            It has one.
-        """
+        """Refuse a scenario with entities that CarMaker does not have."""
         for name in scenario.entities:
             if not re.fullmatch(r"Ego|T\d{2,}", name):
                 raise InputError(
-                    f"{scenario.path}: '{name}' is not an entity of CarMaker; call the ego and the TestRun's traffic"
-                    " objects Ego, T00, T01, …, as its result files do."
+                    f"{scenario.path}: '{name}' is not an entity of CarMaker; name the ego and the TestRun's traffic"
+                    " objects Ego, T00, T01, …, as in its result files."
                 )
-        # Once a file.
+        # Once per file.
         if self._warned != scenario.path:
             self._warned = scenario.path
             warn_of_missing(scenario)

@@ -1,4 +1,4 @@
-"""esmini's library, by ctypes."""
+"""ctypes binding of esmini's library."""
 
 from __future__ import annotations
 
@@ -13,14 +13,14 @@ from cornercase.scenario import Value
 
 VARIABLE: Final = "CORNERCASE_ESMINI"
 MISSING: Final = (
-    f"esmini's library is not known; download esmini from github.com/esmini/esmini and set {VARIABLE} to its"
+    f"esmini's library is not found; download esmini from github.com/esmini/esmini and set {VARIABLE} to its"
     " libesminiLib.so, esminiLib.dll or libesminiLib.dylib."
 )
 _FILL: Final = 0xAA
 
 
 class State(ctypes.Structure):
-    """State of an object, as of esmini 3.6."""
+    """State of an object, in the memory layout of esmini 3.6."""
 
     _fields_ = (
         ("id", ctypes.c_int), ("model_id", ctypes.c_int), ("ctrl_type", ctypes.c_int), ("timestamp", ctypes.c_double),
@@ -38,47 +38,18 @@ CALLBACK: Final = ctypes.CFUNCTYPE(None, ctypes.c_void_p)
 
 
 def library_path(given: str | None) -> Path:
-    """Find esmini's library.
-
-    Parameters
-    ----------
-    given : str or None
-        Its path; None for that of the environment variable ``CORNERCASE_ESMINI``.
-
-    Returns
-    -------
-    Path
-
-    Raises
-    ------
-    InputError
-        It is not known, or there is no such file.
-    """
+    """Return the path of esmini's library: `given`, or that in the variable ``CORNERCASE_ESMINI``."""
     text = given or os.environ.get(VARIABLE, "")
     if not text:
         raise InputError(MISSING)
     path = Path(text)
     if not path.is_file():
-        raise InputError(f"{path}: there is no such file; {VARIABLE} has to be the path of esmini's library.")
+        raise InputError(f"{path}: there is no such file; set {VARIABLE} to the path of esmini's library.")
     return path.resolve()
 
 
 def load_library(path: Path) -> ctypes.CDLL:
-    """Load esmini's library, and declare its functions.
-
-    Parameters
-    ----------
-    path : Path
-
-    Returns
-    -------
-    CDLL
-
-    Raises
-    ------
-    InputError
-        It cannot be loaded, or lacks a function.
-    """
+    """Load esmini's library and declare its functions; `InputError` if it cannot be loaded or lacks a function."""
     try:
         lib = ctypes.CDLL(str(path))
     except OSError as error:
@@ -108,7 +79,7 @@ def load_library(path: Path) -> ctypes.CDLL:
         try:
             function = getattr(lib, name)
         except AttributeError:
-            raise InputError(f"{path}: has no function {name}; take esmini 3.6 or a version close to it.") from None
+            raise InputError(f"{path}: has no function {name}; use esmini 3.6 or a version close to it.") from None
         function.restype, function.argtypes = result, arguments
     lib.SE_SetOptionPersistent(b"disable_stdout")
     lib.SE_SetOptionPersistent(b"disable_log")
@@ -116,23 +87,7 @@ def load_library(path: Path) -> ctypes.CDLL:
 
 
 def state_of(lib: ctypes.CDLL, one: int) -> State:
-    """Read the state of an object.
-
-    Parameters
-    ----------
-    lib : CDLL
-    one : int
-        Number of the object.
-
-    Returns
-    -------
-    State
-
-    Raises
-    ------
-    InputError
-        esmini does not tell it.
-    """
+    """Read the state of the object with the id `one`; `InputError` if esmini does not report it."""
     state = State()
     if lib.SE_GetObjectState(one, ctypes.addressof(state)) != 0:
         raise InputError("esmini does not report the state of one of its objects; use another version.")
@@ -140,25 +95,13 @@ def state_of(lib: ctypes.CDLL, one: int) -> State:
 
 
 def require_layout(lib: ctypes.CDLL, one: int) -> None:
-    """Refuse a library that writes more or less of a state than is expected.
-
-    Parameters
-    ----------
-    lib : CDLL
-    one : int
-        Number of an object.
-
-    Raises
-    ------
-    InputError
-        It does.
-    """
+    """Raise `InputError` if the library's states have another size or layout than expected."""
     size = ctypes.sizeof(State)
     buffer = (ctypes.c_ubyte * (2 * size)).from_buffer_copy(bytes([_FILL]) * (2 * size))
     if lib.SE_GetObjectState(one, ctypes.addressof(buffer)) != 0:
         raise InputError("esmini does not report the state of one of its objects; use another version.")
     written = bytes(buffer)
-    # The last field is an int, which is followed by padding up to the next multiple of 8.
+    # The last field is an int, followed by padding up to the next multiple of 8 bytes.
     if written[size - 8 : size - 4] == bytes([_FILL]) * 4 or written[size:] != bytes([_FILL]) * size:
         raise InputError("esmini's library has another layout than that of esmini 3.6; use esmini 3.6.")
     if State.from_buffer_copy(written[:size]).id != one:
@@ -166,21 +109,7 @@ def require_layout(lib: ctypes.CDLL, one: int) -> None:
 
 
 def set_parameter(lib: ctypes.CDLL, name: str, value: Value, kind: str) -> int:
-    """Set a parameter of the scenario.
-
-    Parameters
-    ----------
-    lib : CDLL
-    name : str
-    value : float or str
-    kind : str
-        Type of its declaration.
-
-    Returns
-    -------
-    int
-        0 where esmini takes it.
-    """
+    """Set a scenario parameter, whose declared type is `kind`; returns 0 if esmini accepts it."""
     key = name.encode()
     if kind == "double":
         return int(lib.SE_SetParameterDouble(key, float(value)))
@@ -193,21 +122,7 @@ def set_parameter(lib: ctypes.CDLL, name: str, value: Value, kind: str) -> int:
 
 
 def encoded_path(path: Path) -> bytes:
-    """Return a path as esmini opens it.
-
-    Parameters
-    ----------
-    path : Path
-
-    Returns
-    -------
-    bytes
-
-    Raises
-    ------
-    InputError
-        It has characters that esmini cannot open on this platform.
-    """
+    """Encode a path as esmini opens it; `InputError` for characters that it cannot open on this platform."""
     try:
         return bytes_of_path(path)
     except UnicodeEncodeError:

@@ -1,4 +1,4 @@
-"""esmini, by its library."""
+"""esmini, through its library."""
 
 from __future__ import annotations
 
@@ -33,30 +33,30 @@ _VEHICLE, _PEDESTRIAN = 1, 2
 
 
 class EsminiSimulator(Simulator):
-    """Runs concrete scenarios with esmini, of which a process can hold only one.
+    """Runs concrete scenarios with esmini, one at a time per process.
 
     Parameters
     ----------
     time_step : float, default 0.05
-        s.
+        In s.
     duration : float, default 60
-        s after which a scenario ends at the latest.
+        Maximum duration of a scenario in s.
     on_collision : {"continue", "stop"}, default "continue"
-        Collisions are those that esmini finds.
+        Collisions are those that esmini detects.
     drivers : mapping, optional
-        None: esmini has controllers of its own, which the scenario file names.
+        Must be empty: esmini has its own controllers, which the scenario file names.
     seed : int, default 0
     controllers : bool, default True
-        Whether esmini's controllers drive the entities that have one; else all follow the storyboard alone.
+        Whether esmini's controllers drive the entities that have one; otherwise all follow the storyboard.
     undriven : bool, default False
-        Whether a scenario may run here that asks for a driver of cornercase, which esmini does not have.
+        Whether a scenario with a driver of cornercase, which esmini lacks, may run without it.
     library : str, optional
-        Path of esmini's library; by default that of the environment variable ``CORNERCASE_ESMINI``.
+        Path of esmini's library; default: that in the environment variable ``CORNERCASE_ESMINI``.
 
     Raises
     ------
     InputError
-        The library is not known or cannot be used, or an option is out of range.
+        The library is not found or cannot be used, or an option is out of range.
     """
 
     name = "esmini"
@@ -76,7 +76,9 @@ class EsminiSimulator(Simulator):
         library: str | None = None,
     ) -> None:
         if drivers:
-            raise InputError("`drivers`: esmini has none of cornercase's drivers; its own stand in the scenario file.")
+            raise InputError(
+                "`drivers`: esmini does not support cornercase's drivers; name its own in the scenario file."
+            )
         self._path = library_path(library)
         self._time_step, self._duration, self._stops = time_step, duration, on_collision == "stop"
         self._seed, self._controllers, self._undriven = seed, bool(controllers), bool(undriven)
@@ -93,7 +95,7 @@ class EsminiSimulator(Simulator):
 
     @classmethod
     def availability(cls) -> Availability:
-        """Say whether it can run here."""
+        """Return whether esmini's library is found."""
         try:
             missing = "" if library_path(None) else MISSING
         except InputError as error:
@@ -102,22 +104,7 @@ class EsminiSimulator(Simulator):
         return Availability("", missing, abilities)
 
     def run(self, concretes: Sequence[ConcreteScenario]) -> Iterator[Recording | SimulationError]:
-        """Run scenarios.
-
-        Parameters
-        ----------
-        concretes : sequence of ConcreteScenario
-
-        Yields
-        ------
-        Recording or SimulationError
-            One for each scenario, in order.
-
-        Raises
-        ------
-        InputError
-            The scenario file cannot be used, or the library has another layout.
-        """
+        """Run scenarios; `InputError` also if the library has another memory layout."""
         if self._loaded is None:
             self._loaded = load_library(self._path)
         for concrete in concretes:
@@ -129,58 +116,48 @@ class EsminiSimulator(Simulator):
                 self._loaded.SE_Close()
 
     def require_means(self, scenario: Scenario) -> None:
-        """Refuse a scenario that asks for what esmini does not have.
-
-        Parameters
-        ----------
-        scenario : Scenario
-
-        Raises
-        ------
-        InputError
-            It names a driver of cornercase, its axes are left-handed, or its road was found by its name alone.
-        """
+        """Refuse a scenario with a driver of cornercase, left-handed axes, or a road file that esmini does not find."""
         if scenario.is_left_handed:
             raise InputError(
-                f"{scenario.path}: its description begins with 'CARLA:', so that its axes are left-handed, which esmini"
-                " does not know; `cornercase convert` writes the scenario in other axes."
+                f"{scenario.path}: its description begins with 'CARLA:', so its axes are left-handed, which esmini does"
+                " not support; `cornercase convert` writes the scenario with right-handed axes."
             )
         reference = scenario.road_reference()
         road = scenario.road_at(reference) if reference else None
         if road not in (None, scenario.beside(reference, "road file"), scenario.path.with_name(Path(reference).name)):
             raise InputError(
-                f"{scenario.path}: names the road '{reference}', which was found as {road}, but esmini does not look"
+                f"{scenario.path}: names the road '{reference}', which was found as {road}, but esmini does not search"
                 " there; name that file in <LogicFile>."
             )
         if self._undriven or not scenario.drivers:
             return
         name, driver = next(iter(scenario.drivers.items()))
         raise InputError(
-            f"{scenario.path}: '{name}' asks for the driver '{driver}', which esmini does not have; `simulator`"
-            " esmini:undriven=true runs it by the storyboard alone."
+            f"{scenario.path}: '{name}' has the driver '{driver}', which esmini does not support; `simulator`"
+            " esmini:undriven=true runs it with the storyboard only."
         )
 
     def _run(self, lib: ctypes.CDLL, scenario: Scenario, values: Mapping[str, Value]) -> Recording | SimulationError:
-        kinds = {
+        parameter_types = {
             e.get("name", ""): e.get("parameterType", "")
             for e in scenario.root.iterfind("ParameterDeclarations/ParameterDeclaration")
         }
-        refused: list[str] = []
+        rejected: list[str] = []
 
         def declare(_: object) -> None:
             for name, value in values.items():
-                if set_parameter(lib, name, value, kinds.get(name, "")) != 0:
-                    refused.append(name)
+                if set_parameter(lib, name, value, parameter_types.get(name, "")) != 0:
+                    rejected.append(name)
 
-        # Has to live until the run is over, as esmini keeps only its address.
+        # Keep a reference until the run is over: esmini only stores the address.
         callback = CALLBACK(declare)
         lib.SE_RegisterParameterDeclarationCallback(callback, None)
         lib.SE_SetSeed(self._seed)
         lib.SE_CollisionDetection(True)
         if lib.SE_Init(encoded_path(scenario.path), 0 if self._controllers else 1, 0, 0, 0) != 0:
             return SimulationError("esmini cannot load the scenario; run it with esmini to see why")
-        if refused:
-            return SimulationError(f"esmini does not take the parameter {refused[0]}")
+        if rejected:
+            return SimulationError(f"esmini does not take the parameter {rejected[0]}")
         if not self._fits and lib.SE_GetNumberOfObjects() > 0:
             require_layout(lib, lib.SE_GetId(0))
             self._fits = True
@@ -188,19 +165,19 @@ class EsminiSimulator(Simulator):
         steps = round(self._duration / self._time_step)
         cut_off = False
         for step in range(steps + 1):
-            begun = log.note(step * self._time_step)
-            if step == steps or (begun and self._stops):
+            collides = log.note(step * self._time_step)
+            if step == steps or (collides and self._stops):
                 cut_off = step == steps and scenario.root.find("Storyboard/StopTrigger//Condition") is not None
                 break
             lib.SE_StepDT(self._time_step)
-            # The step in which the storyboard stops gives no row.
+            # The step in which the storyboard stops is not recorded.
             if lib.SE_GetQuitFlag() != 0:
                 break
         return log.recording(self._time_step, cut_off)
 
 
 class _Log:
-    """What esmini tells of each instant."""
+    """Records the state of all entities at each time step."""
 
     def __init__(self, lib: ctypes.CDLL) -> None:
         self._lib = lib
@@ -210,29 +187,29 @@ class _Log:
         self._collisions: dict[tuple[str, str], float] = {}
 
     def note(self, time: float) -> bool:
-        """Note the present instant; return whether two entities begin to collide."""
+        """Record the current state; return whether a collision between two entities begins."""
         lib, row, names = self._lib, {}, {}
         ids = [lib.SE_GetId(k) for k in range(lib.SE_GetNumberOfObjects())]
-        for one in ids:
-            state = state_of(lib, one)
-            name = names[one] = (lib.SE_GetObjectName(one) or b"").decode("utf-8", "replace")
+        for object_id in ids:
+            state = state_of(lib, object_id)
+            name = names[object_id] = (lib.SE_GetObjectName(object_id) or b"").decode("utf-8", "replace")
             row[name] = (state.x, state.y, state.h, state.speed)
             self._about.setdefault(name, (_kind(state), state.length, state.width, state.center_x))
         self._rows.append(row)
         touching = set()
-        for one in ids:
-            for k in range(max(lib.SE_GetObjectNumberOfCollisions(one), 0)):
-                if (other := lib.SE_GetObjectCollision(one, k)) in names:
-                    first, second = sorted((names[one], names[other]), key=list(self._about).index)
+        for object_id in ids:
+            for k in range(max(lib.SE_GetObjectNumberOfCollisions(object_id), 0)):
+                if (other := lib.SE_GetObjectCollision(object_id, k)) in names:
+                    first, second = sorted((names[object_id], names[other]), key=list(self._about).index)
                     touching.add((first, second))
-        begun = touching - self._touching
+        new_pairs = touching - self._touching
         self._touching = touching
-        for pair in sorted(begun):
+        for pair in sorted(new_pairs):
             self._collisions.setdefault(pair, time)
-        return bool(begun)
+        return bool(new_pairs)
 
     def recording(self, time_step: float, cut_off: bool) -> Recording | SimulationError:
-        """All instants as a recording."""
+        """Convert the recorded states to a recording."""
         if not self._about:
             return SimulationError("no entity is ever placed on the map")
         missing = (np.nan,) * 4
@@ -240,15 +217,15 @@ class _Log:
         x, y, heading, speed = np.moveaxis(motion, -1, 0)
         acceleration = np.zeros_like(speed)
         acceleration[:, 1:] = np.diff(speed, axis=1) / time_step
-        there = np.isfinite(x)
-        # At its first instant an entity has no speed before.
-        acceleration = np.where(there, np.nan_to_num(acceleration), np.nan)
-        kinds, lengths, widths, centers = zip(*self._about.values(), strict=True)
-        touched = sorted(self._collisions.items(), key=lambda one: one[1])
+        is_present = np.isfinite(x)
+        # No acceleration at an entity's first instant.
+        acceleration = np.where(is_present, np.nan_to_num(acceleration), np.nan)
+        object_types, lengths, widths, centers = zip(*self._about.values(), strict=True)
+        collisions = sorted(self._collisions.items(), key=lambda item: item[1])
         return Recording(
             time=np.arange(len(self._rows)) * time_step,
             names=tuple(self._about),
-            kinds=kinds,
+            kinds=object_types,
             x=x,
             y=y,
             heading=heading,
@@ -257,7 +234,7 @@ class _Log:
             length=np.array(lengths),
             width=np.array(widths),
             center_x=np.array(centers),
-            collisions=tuple(Collision(time, pair) for pair, time in touched),
+            collisions=tuple(Collision(time, pair) for pair, time in collisions),
             cut_off=cut_off,
         )
 

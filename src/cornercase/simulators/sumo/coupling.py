@@ -1,4 +1,4 @@
-"""One SUMO simulation in step with a storyboard."""
+"""Couple a SUMO simulation with a storyboard, step by step."""
 
 from __future__ import annotations
 
@@ -21,9 +21,9 @@ from cornercase.simulators.builtin.world.contacts import entity_corners
 from cornercase.simulators.builtin.world.motion import pull_entity
 from cornercase.simulators.builtin.world.state import Entity, World
 
-# Of SUMO's models: tau is the time headway in s, jmTimegapMinor the time in s that a driver leaves to traffic
-# with the right of way, and impatience how much it relies on that traffic to brake. With jmIgnoreJunctionFoeProb it
-# completes a turn that it has begun. None of them is calibrated.
+# Parameters of SUMO's models, not calibrated. tau: time headway in s. jmTimegapMinor: time gap in s to traffic with the
+# right of way. impatience: how much a driver relies on that traffic to brake. jmIgnoreJunctionFoeProb: it completes a
+# turn that it has started.
 TYPES: Final[dict[str, dict[str, float]]] = {
     "cautious": {
         "accel": 1.8, "decel": 3.5, "emergencyDecel": 8.0, "tau": 1.8, "minGap": 3.0, "speedFactor": 0.9,
@@ -38,7 +38,7 @@ TYPES: Final[dict[str, dict[str, float]]] = {
         "jmTimegapMinor": 0.2, "impatience": 1.0, "jmIgnoreJunctionFoeProb": 1.0,
     },
 }  # fmt: skip
-# An entity that the storyboard moves yields to nobody and goes exactly where it is put.
+# Entities that the storyboard moves do not yield, and go exactly where they are put.
 _MOVED: Final = {
     "minGap": 0.0, "jmIgnoreFoeProb": 1.0, "jmIgnoreFoeSpeed": 100.0, "jmIgnoreJunctionFoeProb": 1.0,
 }  # fmt: skip
@@ -47,27 +47,16 @@ _OPTIONS: Final = (
     "--no-step-log", "true", "--no-warnings", "true", "--xml-validation", "never", "--collision.action", "none",
     "--time-to-teleport", "-1", "--step-method.ballistic", "true", "--default.speeddev", "0",
 )  # fmt: skip
-# An entity that is further than this from the middle of its lane, in m, does not follow the lane.
+# Maximum offset in m from the middle of a lane for an entity that follows it.
 _BESIDE: Final = 0.3
 _AWAY: Final = 1e5
 
 
 class SumoCoupling:
-    """One run of SUMO, of which there is only one in a process.
+    """A run of SUMO; only one can exist per process.
 
-    Parameters
-    ----------
-    network : Path
-    types : mapping of str to str
-        Vehicle type of each entity that SUMO drives; it shows all others to it.
-    time_step : float
-        s.
-    seed : int
-
-    Attributes
-    ----------
-    error : SimulationError or None
-        Why SUMO could not go on.
+    `types` are the vehicle types of the entities that SUMO drives; it sees all others. `error` says why SUMO failed,
+    else None.
     """
 
     def __init__(self, network: Path, types: Mapping[str, str], time_step: float, seed: int) -> None:
@@ -81,11 +70,11 @@ class SumoCoupling:
         self._looked_up: dict[int, tuple[tuple[float, float, float], bool]] = {}
         self.error: SimulationError | None = None
         self._folder = tempfile.TemporaryDirectory(ignore_cleanup_errors=True)
-        kinds = Path(self._folder.name) / "types.add.xml"
-        kinds.write_text(_types(), encoding="utf-8")
+        types_file = Path(self._folder.name) / "types.add.xml"
+        types_file.write_text(_types(), encoding="utf-8")
         arguments = [
             "--additional-files",
-            str(kinds),
+            str(types_file),
             "--net-file",
             str(network),
             "--step-length",
@@ -95,7 +84,7 @@ class SumoCoupling:
             *_OPTIONS,
         ]
         arguments += ["--default.action-step-length", f"{time_step:g}"]
-        # Loading again takes far less time than starting.
+        # Loading is far faster than starting again.
         if libsumo.simulation.isLoaded():
             libsumo.simulation.load(arguments)
         else:
@@ -110,14 +99,9 @@ class SumoCoupling:
         self._folder.cleanup()
 
     def step(self, world: World, dt: float) -> None:
-        """Show SUMO the others as they will be at the end of a step, let it step, and take over whom it drives.
+        """Show SUMO the other entities as at the end of the step, let it step, and copy the entities that it drives.
 
-        Parameters
-        ----------
-        world : World
-            Of one scenario; changed in place.
-        dt : float
-            s; with 0 the entities that are there are only made known.
+        `world` holds one scenario and is changed in place; with `dt` 0, entities are only added.
         """
         if self.error is not None or not world.running[0]:
             return
@@ -137,29 +121,29 @@ class SumoCoupling:
                 if name in self._types:
                     self._take(world, e, name)
         except self._sumo.TraCIException as error:
-            self._fail(world, f"SUMO cannot go on at {world.time:g} s ({error})")
+            self._fail(world, f"SUMO fails at {world.time:g} s ({error})")
 
     def _fail(self, world: World, why: str) -> None:
         self.error = SimulationError(why)
         world.running[:] = False
 
     def _add(self, world: World, e: int) -> None:
-        sumo, one = self._sumo, world.entities[e]
-        name = one.name
-        kind = self._vehicle_type(one)
+        sumo, entity = self._sumo, world.entities[e]
+        name = entity.name
+        vehicle_type = self._vehicle_type(entity)
         start, end = self._ends(world, e)
         route = sumo.simulation.findRoute(start[0], end[0]).edges or (start[0],)
         sumo.route.add(f"route {name}", route)
         sumo.vehicle.add(
-            name, f"route {name}", typeID=kind, departLane=str(start[2]), departPos=f"{start[1]:.6f}",
+            name, f"route {name}", typeID=vehicle_type, departLane=str(start[2]), departPos=f"{start[1]:.6f}",
             departSpeed=f"{max(float(world.speed[e, 0]), 0.0):.6f}",
         )  # fmt: skip
-        # Puts it there at once, even where another one is.
+        # Insert it at once, even if another vehicle is there.
         sumo.vehicle.moveTo(name, f"{start[0]}_{start[2]}", start[1])
         if name in self._types:
             sumo.vehicle.setSpeed(name, max(float(world.speed[e, 0]), 0.0))
         else:
-            # It goes where the storyboard says and yields to nobody.
+            # No checks: it goes where the storyboard says.
             sumo.vehicle.setSpeedMode(name, 32)
             sumo.vehicle.setLaneChangeMode(name, 0)
         self._known[e] = name
@@ -170,26 +154,26 @@ class SumoCoupling:
         sumo.vehicletype.setLength(name, one.length)
         sumo.vehicletype.setWidth(name, one.width)
         if temper is not None:
-            kind = TYPES[temper]
-            sumo.vehicletype.setAccel(name, min(kind["accel"], one.max_acceleration))
-            sumo.vehicletype.setDecel(name, min(kind["decel"], one.max_deceleration))
+            type_settings = TYPES[temper]
+            sumo.vehicletype.setAccel(name, min(type_settings["accel"], one.max_acceleration))
+            sumo.vehicletype.setDecel(name, min(type_settings["decel"], one.max_deceleration))
             sumo.vehicletype.setEmergencyDecel(
-                name, max(kind["decel"], min(kind["emergencyDecel"], one.max_deceleration))
+                name, max(type_settings["decel"], min(type_settings["emergencyDecel"], one.max_deceleration))
             )
         return name
 
     def _ends(self, world: World, e: int) -> tuple[tuple[str, float, int], tuple[str, float, int]]:
-        """Edge, place on it and lane where an entity's front is, and where its way ends."""
+        """Start of an entity's front and end of its route, each as (edge, position, lane)."""
         x, y = self._front(world, e)
         begin = self._sumo.simulation.convertRoad(x, y)
         track = self._lane_track(world, e)
         if track is None or begin[0].startswith(":"):
-            # It may begin on a junction. As its place is set in each step, any edge will do.
-            anywhere = next(edge for edge in self._sumo.edge.getIDList() if not edge.startswith(":"))
-            return (anywhere, 0.0, 0), (anywhere, 0.0, 0)
-        # The very end of a path may lie just outside the network.
-        far = np.array([max(track.length - 1.0, 0.0)])
-        end_x, end_y, _ = track.at(far, np.zeros(1), np.zeros(1, dtype=np.int64))
+            # It may start on a junction. Its position is set in each step, so any edge will do.
+            any_edge = next(edge for edge in self._sumo.edge.getIDList() if not edge.startswith(":"))
+            return (any_edge, 0.0, 0), (any_edge, 0.0, 0)
+        # The very end of a path may be just outside the network.
+        end_s = np.array([max(track.length - 1.0, 0.0)])
+        end_x, end_y, _ = track.at(end_s, np.zeros(1), np.zeros(1, dtype=np.int64))
         return begin, self._sumo.simulation.convertRoad(float(end_x[0]), float(end_y[0]))
 
     def _lane_track(self, world: World, e: int) -> LaneTrack | None:
@@ -198,25 +182,25 @@ class SumoCoupling:
         return track if isinstance(track, LaneTrack) else None
 
     def _ask(self, world: World, e: int, name: str) -> None:
-        """Tell SUMO how fast an entity that it drives may go."""
+        """Set the maximum speed of an entity that SUMO drives."""
         self._sumo.vehicle.setSpeed(name, -1.0)
-        wanted = min(float(world.target_speed[e, 0]), world.entities[e].max_speed)
-        if math.isfinite(wanted):
-            self._sumo.vehicle.setMaxSpeed(name, max(wanted, 0.01))
+        max_speed = min(float(world.target_speed[e, 0]), world.entities[e].max_speed)
+        if math.isfinite(max_speed):
+            self._sumo.vehicle.setMaxSpeed(name, max(max_speed, 0.01))
 
     def _show(self, world: World, e: int, name: str, dt: float) -> None:
-        """Put an entity where it will be at the end of the step."""
+        """Move an entity in SUMO to its position at the end of the step."""
         speed, heading = float(world.speed[e, 0]), float(world.heading[e, 0])
         x, y = self._front(world, e)
         x, y = x + speed * dt * math.cos(heading), y + speed * dt * math.sin(heading)
-        on_way = self._lane_track(world, e) is not None and abs(float(world.offset[e, 0])) < _BESIDE
-        if not (on_way or self._on_lane(world, e)):
+        follows_lane = self._lane_track(world, e) is not None and abs(float(world.offset[e, 0])) < _BESIDE
+        if not (follows_lane or self._on_lane(world, e)):
             x, y = x + _AWAY, y + _AWAY
         self._sumo.vehicle.setSpeed(name, max(speed, 0.0))
-        self._sumo.vehicle.moveToXY(name, "", -1, x, y, _compass(heading), keepRoute=1 if on_way else 2)
+        self._sumo.vehicle.moveToXY(name, "", -1, x, y, _compass(heading), keepRoute=1 if follows_lane else 2)
 
     def _on_lane(self, world: World, e: int) -> bool:
-        """Whether an entity's box reaches into a lane for vehicles; looked up only where it has moved."""
+        """Return whether an entity's box reaches into a drivable lane; cached while it does not move."""
         if world.network is None:
             return True
         pose = (float(world.x[e, 0]), float(world.y[e, 0]), float(world.heading[e, 0]))
@@ -226,54 +210,62 @@ class SumoCoupling:
 
     def _reaches(self, world: World, e: int) -> bool:
         assert world.network is not None
-        one = world.entities[e]
+        entity = world.entities[e]
         corners = entity_corners(world)[e, 0]
-        places = np.concatenate([corners, corners.mean(axis=0, keepdims=True)])
-        found = world.network.locate(places[:, 0], places[:, 1])
-        for road, lane, s, offset in zip(found.road, found.lane, found.s, found.offset, strict=True):
-            road_ = world.network.roads[int(road)]
-            section = int(road_.section_at(np.array([s]))[0])
-            known = road_.sections[section][1].get(int(lane))
-            width = float(road_.width(section, int(lane), np.array([s]))[0])
-            if known is not None and known.drivable and abs(float(offset)) <= 0.5 * width + 0.05 * one.width:
+        points = np.concatenate([corners, corners.mean(axis=0, keepdims=True)])
+        positions = world.network.locate(points[:, 0], points[:, 1])
+        for road, lane, s, offset in zip(positions.road, positions.lane, positions.s, positions.offset, strict=True):
+            road_object = world.network.roads[int(road)]
+            section = int(road_object.section_at(np.array([s]))[0])
+            lane_object = road_object.sections[section][1].get(int(lane))
+            width = float(road_object.width(section, int(lane), np.array([s]))[0])
+            if (
+                lane_object is not None
+                and lane_object.drivable
+                and abs(float(offset)) <= 0.5 * width + 0.05 * entity.width
+            ):
                 return True
         return False
 
     def _front(self, world: World, e: int) -> tuple[float, float]:
-        one, heading = world.entities[e], float(world.heading[e, 0])
-        ahead = one.center_x + 0.5 * one.length
-        return float(world.x[e, 0]) + ahead * math.cos(heading), float(world.y[e, 0]) + ahead * math.sin(heading)
+        entity, heading = world.entities[e], float(world.heading[e, 0])
+        front_offset = entity.center_x + 0.5 * entity.length
+        return float(world.x[e, 0]) + front_offset * math.cos(heading), float(world.y[e, 0]) + front_offset * math.sin(
+            heading
+        )
 
     def _take(self, world: World, e: int, name: str) -> None:
-        """Move an entity where SUMO has driven it."""
+        """Move an entity to where SUMO has driven it."""
         sumo = self._sumo
         if name not in sumo.vehicle.getIDList():
-            # It has arrived at the end of its way, and stays there.
+            # It has arrived at the end of its route, and stays there.
             pull_entity(world, e, world.x[e], world.y[e], world.heading[e], np.zeros(1))
             return
         x, y = sumo.vehicle.getPosition(name)
         heading = math.pi / 2 - math.radians(sumo.vehicle.getAngle(name))
-        one = world.entities[e]
-        behind = one.center_x + 0.5 * one.length
+        entity = world.entities[e]
+        front_offset = entity.center_x + 0.5 * entity.length
         pull_entity(
             world,
             e,
-            np.array([x - behind * math.cos(heading)]),
-            np.array([y - behind * math.sin(heading)]),
+            np.array([x - front_offset * math.cos(heading)]),
+            np.array([y - front_offset * math.sin(heading)]),
             np.array([within_half_turn(heading)]),
             np.array([sumo.vehicle.getSpeed(name)]),
         )
 
 
 def _compass(heading: float) -> float:
-    """Degrees clockwise from north."""
+    """Convert a heading in rad to degrees clockwise from north."""
     return (90.0 - math.degrees(heading)) % 360.0
 
 
 def _types() -> str:
-    """Vehicle types as SUMO reads them; none leaves anything to chance."""
+    """Vehicle types as SUMO's XML; all are deterministic."""
     rows = [
-        f"<vType id={quoteattr(name)} sigma='0' " + " ".join(f"{key}='{value:g}'" for key, value in kind.items()) + "/>"
-        for name, kind in {**TYPES, "moved": _MOVED}.items()
+        f"<vType id={quoteattr(name)} sigma='0' "
+        + " ".join(f"{key}='{value:g}'" for key, value in settings.items())
+        + "/>"
+        for name, settings in {**TYPES, "moved": _MOVED}.items()
     ]
     return "<additional>\n" + "\n".join(rows) + "\n</additional>\n"

@@ -1,4 +1,4 @@
-"""SUMO's network of a scenario's roads."""
+"""Get SUMO's road network for a scenario."""
 
 from __future__ import annotations
 
@@ -19,27 +19,10 @@ _PATIENCE: Final = 120.0
 
 
 def sumo_network(scenario: Scenario, given: str | None = None, values: Mapping[str, Value] | None = None) -> Path:
-    """Find or make the network of a scenario: the one that is given, or netconvert's of the OpenDRIVE file.
+    """Return the ``.net.xml`` of a scenario: `given` if set, else converted from its OpenDRIVE file by netconvert.
 
-    What was converted is kept in the user's cache, under the hash of the OpenDRIVE file.
-
-    Parameters
-    ----------
-    scenario : Scenario
-    given : str, optional
-        A ``.net.xml`` in the coordinates of the scenario.
-    values : mapping of str to float or str, optional
-        Of its parameters, one of which may name the roads.
-
-    Returns
-    -------
-    Path
-        Of the ``.net.xml``.
-
-    Raises
-    ------
-    InputError
-        There is no such file, the scenario has no road network, or netconvert is missing or cannot convert it.
+    Converted files are cached in the user's cache by the hash of the OpenDRIVE file. `values` may select the road file.
+    Raises `InputError` if there is no such file, the scenario has no roads, or netconvert is missing or fails.
     """
     if given is not None:
         if not Path(given).is_file():
@@ -50,8 +33,8 @@ def sumo_network(scenario: Scenario, given: str | None = None, values: Mapping[s
         raise InputError(f"{scenario.path}: has no road network in <RoadNetwork><LogicFile>, which SUMO needs.")
     if roads.name.endswith(".net.xml"):
         raise InputError(
-            f"{scenario.path}: names SUMO's network {roads.name} as its roads, where positions on roads need OpenDRIVE;"
-            " name an OpenDRIVE file there, and give the network by `simulator` sumo:network=FILE."
+            f"{scenario.path}: names SUMO's network {roads.name} as its roads, but positions on roads need OpenDRIVE;"
+            " name an OpenDRIVE file there, and give the network with `simulator` sumo:network=FILE."
         )
     content = read_file(roads)
     key = hashlib.sha256(content).hexdigest()[:32]
@@ -64,38 +47,38 @@ def sumo_network(scenario: Scenario, given: str | None = None, values: Mapping[s
 
 def _convert(roads: Path, content: bytes, target: Path) -> None:
     program = _netconvert()
-    # netconvert would resolve the entities of a document type: it gets only what is refused nowhere else.
+    # netconvert would resolve XML entities, so check the file with our own parser first.
     try:
         parse_xml(content, roads)
     except InputError as error:
         raise InputError(f"{roads}: netconvert cannot convert it ({error}).") from error
-    # netconvert recognises the format by the ending of the name.
+    # netconvert recognizes the format by the file extension.
     with tempfile.TemporaryDirectory() as folder:
-        # A name of ours, since it takes commas for the end of a name.
-        given, written = Path(folder) / "roads.xodr", Path(folder) / "roads.net.xml"
-        given.write_bytes(content)
-        command = [program, "--opendrive", str(given), "--output-file", str(written)]
+        # Not the user's file name: netconvert splits names at commas.
+        input_file, output_file = Path(folder) / "roads.xodr", Path(folder) / "roads.net.xml"
+        input_file.write_bytes(content)
+        command = [program, "--opendrive", str(input_file), "--output-file", str(output_file)]
         command += ["--offset.disable-normalization", "true", "--xml-validation", "never"]
         try:
-            # It looks for data of its projections in the current folder, too.
+            # It would also search the current folder for projection data.
             done = subprocess.run(command, capture_output=True, timeout=_PATIENCE, check=False, cwd=folder)
         except subprocess.TimeoutExpired:
             raise InputError(f"{roads}: netconvert did not convert it within {_PATIENCE:g} s.") from None
-        if done.returncode != 0 or not written.exists():
-            said = done.stderr.decode("utf-8", "replace").splitlines()
-            lines = [line for line in said if "rror" in line] or said or ["?"]
+        if done.returncode != 0 or not output_file.exists():
+            messages = done.stderr.decode("utf-8", "replace").splitlines()
+            lines = [line for line in messages if "rror" in line] or messages or ["?"]
             raise InputError(f"{roads}: netconvert cannot convert it ({lines[0].strip()}).")
-        target.write_bytes(written.read_bytes())
+        target.write_bytes(output_file.read_bytes())
 
 
 def _netconvert() -> str:
-    found = find_program("netconvert")
-    if found is None and find_spec("sumo") is not None:
+    program = find_program("netconvert")
+    if program is None and find_spec("sumo") is not None:
         import sumo
 
-        found = find_program("netconvert", [str(Path(sumo.SUMO_HOME) / "bin")])
-    if found is None:
+        program = find_program("netconvert", [str(Path(sumo.SUMO_HOME) / "bin")])
+    if program is None:
         raise InputError(
-            "netconvert, which makes SUMO's network from OpenDRIVE, is missing; pip install 'cornercase[sumo]'."
+            "netconvert, which converts OpenDRIVE to SUMO's network, is missing; pip install 'cornercase[sumo]'."
         )
-    return found
+    return program

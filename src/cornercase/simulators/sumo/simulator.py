@@ -1,4 +1,4 @@
-"""Eclipse SUMO: it drives the ego, and the builtin storyboard moves all others."""
+"""Eclipse SUMO: SUMO drives the ego, the builtin storyboard moves all other entities."""
 
 from __future__ import annotations
 
@@ -27,27 +27,27 @@ _MISSING = "SUMO is not installed; pip install 'cornercase[sumo]'."
 
 
 class SumoSimulator(Simulator):
-    """Runs concrete scenarios with SUMO's car-following and junction model at the wheel.
+    """Runs concrete scenarios in which SUMO's car-following and junction models drive.
 
-    Entities with the driver ``cautious``, ``normal`` or ``aggressive`` are driven by SUMO, as a vehicle type of that
-    temper. All others are moved by the builtin storyboard, exactly as by the builtin simulator, and SUMO sees them:
-    vehicles that follow their lane as traffic on its way, all others where they are on the road. So whatever the
-    builtin simulator runs can be run here; but a vehicle that SUMO drives follows its lane and takes no trajectory.
+    SUMO drives entities with the driver ``cautious``, ``normal`` or ``aggressive``, as a vehicle type of that name. The
+    builtin storyboard moves all others as in the builtin simulator, and SUMO sees them: vehicles that follow their lane
+    as traffic on its route, others where they are on the road. So whatever the builtin simulator runs can be run here,
+    but a vehicle that SUMO drives follows its lane and ignores trajectories.
 
     Parameters
     ----------
     time_step : float, default 0.05
-        s.
+        In s.
     duration : float, default 60
-        s after which a scenario ends at the latest.
+        Maximum duration of a scenario in s.
     on_collision : {"continue", "stop"}, default "continue"
-        As of the builtin simulator; boxes that overlap collide.
+        As for the builtin simulator: overlapping boxes collide.
     drivers : mapping of str to str or Driver, optional
-        Who drives which entity: a vehicle type of SUMO, or a driver of cornercase.
+        By entity: a vehicle type of SUMO, or a driver of cornercase.
     seed : int, default 0
-        Of SUMO. The vehicle types leave nothing to chance, so it changes nothing as long as they are used.
+        Seed of SUMO. It has no effect with the built-in vehicle types, which are deterministic.
     network : str, optional
-        A ``.net.xml`` to use in place of the scenario's OpenDRIVE, with the same coordinates.
+        A ``.net.xml`` file to use instead of the scenario's OpenDRIVE file, in the same coordinates.
 
     Raises
     ------
@@ -84,14 +84,14 @@ class SumoSimulator(Simulator):
 
     @classmethod
     def availability(cls) -> Availability:
-        """Say whether it can run here."""
+        """Return whether SUMO is installed."""
         try:
-            found = version("libsumo")
+            installed_version = version("libsumo")
         except PackageNotFoundError:
-            found = ""
+            installed_version = ""
         return Availability(
-            version=found,
-            missing="" if found else _MISSING,
+            version=installed_version,
+            missing="" if installed_version else _MISSING,
             abilities=(
                 "pedestrians",
                 "car-following",
@@ -103,38 +103,11 @@ class SumoSimulator(Simulator):
 
     @classmethod
     def notices(cls, scenario: Scenario, values: Mapping[str, Value] | None = None) -> tuple[Notice, ...]:
-        """Name what of a scenario changes nothing here.
-
-        Parameters
-        ----------
-        scenario : Scenario
-        values : mapping of str to float or str, optional
-            Of its parameters.
-
-        Returns
-        -------
-        tuple of Notice
-            As of the builtin simulator, whose storyboard it has.
-        """
+        """List content without effect, as for the builtin simulator, whose storyboard is used."""
         return notices(scenario, values)
 
     def run(self, concretes: Sequence[ConcreteScenario]) -> Iterator[Recording | SimulationError]:
-        """Run scenarios.
-
-        Parameters
-        ----------
-        concretes : sequence of ConcreteScenario
-
-        Yields
-        ------
-        Recording or SimulationError
-            One for each scenario, in order.
-
-        Raises
-        ------
-        InputError
-            The scenario file cannot be used.
-        """
+        """Run scenarios, as `Simulator.run`."""
         prepared = self._prepared
         for concrete in concretes:
             scenario = concrete.scenario(None if prepared is None else prepared.scenario)
@@ -146,17 +119,17 @@ class SumoSimulator(Simulator):
             try:
                 yield self._run(prepared, concrete.values, types)
             except UnusableError as error:
-                read = partial(self._batch, prepared, {}, self._drivers, None)
-                yield SimulationError(prepared.what_is_wrong(error, concrete.values, read))
+                make_batch = partial(self._batch, prepared, {}, self._drivers, None)
+                yield SimulationError(prepared.what_is_wrong(error, concrete.values, make_batch))
 
     def _run(
         self, prepared: PreparedScenario, values: Mapping[str, Value], types: Mapping[str, str]
     ) -> Recording | SimulationError:
-        if wrong := prepared.unusable([values]).get(0):
-            return SimulationError(wrong)
+        if problem := prepared.unusable([values]).get(0):
+            return SimulationError(problem)
         roads = prepared.scenario.road_file(values)
         if roads is not None and not roads.is_file():
-            self._batch(prepared, values, self._drivers, None)  # says which parameter names them
+            self._batch(prepared, values, self._drivers, None)  # raises an error that names the parameter
         network = sumo_network(prepared.scenario, self._network, values)
         with SumoCoupling(network, types, self._time_step, self._seed) as coupling:
             batch = self._batch(prepared, values, {**self._drivers, **dict.fromkeys(types, _LeftToSumo())}, coupling)
@@ -176,32 +149,22 @@ class SumoSimulator(Simulator):
         )
 
     def require_means(self, scenario: Scenario) -> None:
-        """Refuse a scenario that asks for a driver that does not exist.
-
-        Parameters
-        ----------
-        scenario : Scenario
-
-        Raises
-        ------
-        InputError
-            It does.
-        """
+        """Refuse a scenario with an unknown driver."""
         self._types(scenario)
 
     def _types(self, scenario: Scenario) -> dict[str, str]:
-        """Vehicle type of each entity that SUMO drives."""
-        chosen = {**scenario.drivers, **self._drivers}
-        for name, driver in chosen.items():
+        """Vehicle types of the entities that SUMO drives."""
+        all_drivers = {**scenario.drivers, **self._drivers}
+        for name, driver in all_drivers.items():
             if isinstance(driver, str) and driver not in TYPES and not is_registered(driver):
-                known = suggestion(driver.partition(":")[0], (*TYPES, *DRIVERS.names()))
-                raise InputError(f"{scenario.path}: '{name}' asks for the driver '{driver}'; {known}")
-        return {name: driver for name, driver in chosen.items() if isinstance(driver, str) and driver in TYPES}
+                hint = suggestion(driver.partition(":")[0], (*TYPES, *DRIVERS.names()))
+                raise InputError(f"{scenario.path}: '{name}' asks for the driver '{driver}'; {hint}")
+        return {name: driver for name, driver in all_drivers.items() if isinstance(driver, str) and driver in TYPES}
 
 
 class _LeftToSumo(Driver):
-    """Driver that decides nothing, so that the storyboard leaves an entity to SUMO."""
+    """Driver that decides nothing, so that the storyboard leaves the entity to SUMO."""
 
     def acceleration(self, situation: Situation) -> FloatArray:
-        """Give none, as the coupling sets the speed; shape (1,)."""
+        """Return zero, shape (1,): the coupling sets the speed."""
         return np.zeros(1)
