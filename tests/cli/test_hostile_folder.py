@@ -57,7 +57,7 @@ COMMANDS: dict[str, tuple[object, ...]] = {
     "analyze": ("analyze", "study.db"),
     "analyze on a cluster": ("analyze", "study.db", "--cluster", "local"),
     "reduce": ("reduce", "study.db", "--scenario", X, "--size", "2", "-o", "new"),
-    "reduce by mutants": ("reduce", "study.db", "--scenario", X, "--size", "2", "--expose", "2", "-o", "new"),
+    "reduce by mutants": ("reduce", "study.db", "--scenario", X, "--size", "2", "--kill-mutants", "2", "-o", "new"),
     "report": ("report", "study.db", "--figures", "-o", "new.html"),
     "replay as a film": ("replay", "study.db", "1", "-o", "new.gif"),
     "replay as a page": ("replay", "study.db", "1", "-o", "new.html"),

@@ -95,7 +95,7 @@ def test_43_12_explore_varies_at_once_and_goes_on(tmp_path):
     with Study.open(tmp_path / "a" / "s.db", readonly=True) as opened:
         assert opened.meta.scenario == "s.varied.xosc"
         assert {one.name: one.unit for one in opened.space.parameters}["Ego_initial_x"] == "m"
-    replayed = explored(tmp_path / "a" / "s.db", "--budget", "20", "--replay")
+    replayed = explored(tmp_path / "a" / "s.db", "--budget", "20", "--check-proposals")
     assert replayed.returncode == 0, replayed.stdout
 
 

@@ -72,7 +72,8 @@ def test_scenarios_that_were_run_since_are_told_with_what_mends_it(path, tmp_pat
     grown = summarize(path)
     later = grown.run - before["run"]
     assert later > 0
-    told, command = put_in_words(grown)["clusters"]["distance"], "cornercase analyze STUDY.db --by distance --keep"
+    told = put_in_words(grown)["clusters"]["distance"]
+    command = "cornercase analyze STUDY.db --by distance --keep-clusters"
     assert told["run since, in no cluster yet"] == later
     assert told["they join with"] == command
     assert set(told) - set(before["clusters"]["distance"]) == {"run since, in no cluster yet", "they join with"}

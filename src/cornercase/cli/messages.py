@@ -15,19 +15,22 @@ LONGEST: Final = 1400
 _PARAMETERS: Final = (
     "against", "archetypes", "archetypes_by", "asynchronous", "audit", "batch", "beside", "budget", "by", "cluster",
     "continuous", "cover", "critical", "critical_if", "duration",
-    "ego", "encounter", "eps", "fps", "gamma", "host", "junit", "keep", "maps", "max_failures",
-    "max_seconds", "memory", "method", "min_samples", "most_repeats", "on_collision", "optimizer", "other", "pareto",
+    "ego", "encounter", "eps", "fps", "gamma", "host", "junit", "keep_clusters", "maps", "max_failures",
+    "max_repeats",
+    "max_seconds", "memory", "method", "min_samples", "on_collision", "optimizer", "other", "pareto",
     "patience", "port", "profile", "repair", "repeats", "require", "require_from_file", "requirements", "retries",
     "retry_failed", "scenario", "seed", "share", "simulator", "size",
-    "space", "stop_when", "summary", "time_step", "timeout", "vary", "window", "within", "workers",
+    "space", "stop_when", "summary", "time_step", "timeout", "vary", "warm_start", "window", "within", "workers",
 )  # fmt: skip
 # Those whose option has another name.
 _RENAMED: Final = {
     "client": "--cluster",
     "drivers": "--driver",
     "folder": "-o",
-    "from_study": "--from",
+    "from_study": "--warm-start",
+    "keep": "--keep-clusters",
     "metrics": "--metric",
+    "most_repeats": "--max-repeats",
     "output": "-o",
     "path": "-o",
     "ranges": "--range",

@@ -121,10 +121,10 @@ def explore(
     repeats: Annotated[
         int, typer.Option(metavar="N", help="Run each scenario N times; its score is the median.", min=1)
     ] = 1,
-    most_repeats: Annotated[
+    max_repeats: Annotated[
         int | None,
         typer.Option(
-            "--most-repeats",
+            "--max-repeats",
             metavar="M",
             help="Run a scenario N times more, up to M times in all, while it is open whether it is critical: while"
             " the 90 % interval of the probability that a run is critical contains 0.5.",
@@ -142,14 +142,17 @@ def explore(
     duration: Duration = 60.0,
     on_collision: OnCollision = "continue",
     driver: Drivers = None,
-    replay: Annotated[
+    check_proposals: Annotated[
         bool,
-        typer.Option("--replay", help="Simulate nothing; test whether the stored results lead to the same proposals."),
+        typer.Option(
+            "--check-proposals",
+            help="Simulate nothing; test whether the stored results lead to the same proposals.",
+        ),
     ] = False,
-    from_study: Annotated[
+    warm_start: Annotated[
         Path | None,
         typer.Option(
-            "--from",
+            "--warm-start",
             metavar="OTHER.db",
             help="Begin from the scores of a study of the same parameters: another driver, simulator or time step.",
         ),
@@ -163,7 +166,7 @@ def explore(
 ) -> None:
     """Search a logical scenario for its critical concrete scenarios.
 
-    The same command again goes on where it stopped. With --replay, exit code 1 means that a
+    The same command again goes on where it stopped. With --check-proposals, exit code 1 means that a
     proposal differs.
 
     \b
@@ -210,14 +213,14 @@ def explore(
         retries=retries,
         max_failures=max_failures,
         repeats=repeats,
-        most_repeats=most_repeats,
+        most_repeats=max_repeats,
         audit=audit,
         time_step=time_step,
         duration=duration,
         on_collision=on_collision,
         drivers=parsing.pairs(driver or (), "--driver"),
-        replay=replay,
-        from_study=from_study,
+        replay=check_proposals,
+        from_study=warm_start,
         retry_failed=retry_failed,
         progress=True,
     )

@@ -60,7 +60,9 @@ def analyze(
         float | None,
         typer.Option(metavar="S", help="Match only instants at most this many s apart; default: any."),
     ] = None,
-    keep: Annotated[bool, typer.Option("--keep", help="Keep existing clusters; new scenarios join them.")] = False,
+    keep_clusters: Annotated[
+        bool, typer.Option("--keep-clusters", help="Keep existing clusters; assign new scenarios to them.")
+    ] = False,
     workers: LocalWorkers = 1,
     cluster: Cluster = None,
     critical: CriticalAnew = None,
@@ -87,7 +89,7 @@ def analyze(
         min_samples=parsing.count_or_auto(min_samples, "--min-samples"),
         method=None if method is None else parsing.one_of(method, ("dbscan", "hdbscan"), "--method"),
         window=window,
-        keep=keep,
+        keep=keep_clusters,
         workers=workers,
         cluster=cluster,
         critical=critical,
@@ -158,7 +160,7 @@ def reduce(
             metavar="X", help="Two scenarios are alike within this share of the median distance inside clusters."
         ),
     ] = 0.5,
-    expose: Annotated[
+    kill_mutants: Annotated[
         int | None,
         typer.Option(
             metavar="N",
@@ -194,28 +196,28 @@ def reduce(
     \b
     Example:
       cornercase reduce study.db --size 32 -o reduced
-      cornercase reduce study.db --size 10 --expose 40 -o reduced
+      cornercase reduce study.db --size 10 --kill-mutants 40 -o reduced
     """
     from cornercase import reduction
     from cornercase.clustering import read_analysis
     from cornercase.study import open_study
     from cornercase.suite import find_exposure
 
-    if require and expose is None:
-        raise InputError("--require: says what mutants have to fail; give --expose too.")
-    if cluster is not None and expose is None:
-        raise InputError("--cluster: runs mutants; give --expose too.")
+    if require and kill_mutants is None:
+        raise InputError("--require: says what mutants have to fail; give --kill-mutants too.")
+    if cluster is not None and kill_mutants is None:
+        raise InputError("--cluster: runs mutants; give --kill-mutants too.")
     for option, given in (("--cover", cover), ("--archetypes", archetypes)):
-        if expose is not None and given is not None:
-            raise InputError(f"--expose, {option}: give one of them.")
+        if kill_mutants is not None and given is not None:
+            raise InputError(f"--kill-mutants, {option}: give one of them.")
     exposure = None
-    if expose is not None:
+    if kill_mutants is not None:
         # Not after the mutants have run.
         with open_study(study, readonly=True, critical=critical) as opened:
             read_analysis(opened, by or opened.meta.metrics[0])
         exposure = find_exposure(
             study,
-            expose,
+            kill_mutants,
             require=require or (),
             seed=seed,
             scenario=scenario,

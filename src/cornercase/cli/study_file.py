@@ -13,17 +13,15 @@ from cornercase._common.files import read_file
 
 _TEXTS: Final = ("ego", "optimizer", "critical-if", "simulator", "on-collision")
 _LISTS: Final = ("other", "metric", "range", "vary", "weight", "stop-when", "driver")
-_PATHS: Final = ("scenario", "space", "from")
-_WHOLE: Final = ("budget", "batch", "patience", "seed", "workers", "retries", "max-failures", "repeats", "most-repeats")
+_PATHS: Final = ("scenario", "space", "warm-start")
+_WHOLE: Final = ("budget", "batch", "patience", "seed", "workers", "retries", "max-failures", "repeats", "max-repeats")
 _NUMBERS: Final = ("critical", "max-seconds", "timeout", "audit", "time-step", "duration")
 _FLAGS: Final = ("continuous", "pareto", "asynchronous")
 KEYS: Final = (*_PATHS, *_TEXTS, *_LISTS, *_WHOLE, *_NUMBERS, *_FLAGS)
 """What a study file may hold: options of explore by their names, and the scenario."""
 
 # Where it goes and where it runs is for who types the command, as is what repeats or mends a search.
-_TYPED: Final = ("output", "cluster", "maps", "profile", "replay", "retry-failed", "config")
-# Those whose parameter has another name than the option.
-_PARAMETERS: Final = {"range": "ranges", "from": "from_study"}
+_TYPED: Final = ("output", "cluster", "maps", "profile", "check-proposals", "retry-failed", "config")
 _LARGEST: Final = 1_000_000
 
 
@@ -60,7 +58,7 @@ def read_study_file(path: Path) -> dict[str, Any]:
             raise InputError(f"{path}: '{key}' cannot stand in a study file; give --{key} on the command line.")
         if key not in KEYS:
             raise InputError(f"{path}: has '{key[:60]}', which is not known; {suggestion(key, KEYS)}")
-        found[_PARAMETERS.get(key, key.replace("-", "_"))] = _value(path, key, value)
+        found["ranges" if key == "range" else key.replace("-", "_")] = _value(path, key, value)
     return found
 
 

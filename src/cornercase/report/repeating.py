@@ -190,13 +190,13 @@ def _search(meta: StudyMeta) -> Iterator[str]:
     if meta.repeats > 1:
         yield from ("--repeats", str(meta.repeats))
     if meta.most_repeats is not None:
-        yield from ("--most-repeats", str(meta.most_repeats))
+        yield from ("--max-repeats", str(meta.most_repeats))
     if meta.audit:
         yield from ("--audit", _plain(meta.audit))
     if meta.asynchronous:
         yield "--asynchronous"
     if meta.elsewhere:
-        yield from ("--from", meta.elsewhere["study"])
+        yield from ("--warm-start", meta.elsewhere["study"])
 
 
 def _numbers(meta: StudyMeta) -> Iterator[str]:

@@ -19,7 +19,7 @@ from cornercase.study import Study, explored_scenario, open_study
 _LOOKED_AT: Final = 100
 _LARGEST: Final = 1_000_000
 _LISTS: Final = ("other", "metric", "range", "weight", "driver")
-_TEXTS: Final = ("ego", "space", "from", "critical-if", "optimizer", "simulator", "on-collision", *_LISTS)
+_TEXTS: Final = ("ego", "space", "warm-start", "critical-if", "optimizer", "simulator", "on-collision", *_LISTS)
 
 
 def tell_study_file(study: Study | Path | str) -> str:

@@ -189,9 +189,9 @@ def name_joining(analysis: Analysis) -> str:
     Returns
     -------
     str
-        ``"cornercase analyze STUDY.db --by wttc --keep"``.
+        ``"cornercase analyze STUDY.db --by wttc --keep-clusters"``.
     """
-    return f"cornercase analyze STUDY.db --by {analysis.by} --keep"
+    return f"cornercase analyze STUDY.db --by {analysis.by} --keep-clusters"
 
 
 def name_criterion(known: CriticalKnowledge, searched: str) -> str:

@@ -86,7 +86,8 @@ def _tell_clusters(data: ReportData, analysis: Analysis) -> Iterator[str]:
     if later := data.summary.run - len(ids):
         yield (
             f"<p>{later} of {data.summary.run} scenarios were run since and are in no cluster yet: add them with"
-            f" <code>{escape(name_joining(analysis))}</code>; without <code>--keep</code> all are clustered again.</p>"
+            f" <code>{escape(name_joining(analysis))}</code>; without <code>--keep-clusters</code>"
+            " all are clustered again.</p>"
         )
     if found.n_clusters < 2:
         return
