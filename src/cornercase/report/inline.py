@@ -1,4 +1,4 @@
-"""The page of a study in a notebook."""
+"""Show the report of a study in a notebook."""
 
 from __future__ import annotations
 
@@ -10,29 +10,15 @@ from typing import Final
 from cornercase.report.page import write_report
 from cornercase.study import Study
 
-# Pages of larger studies would make a notebook of tens of megabytes.
+# Reports of larger studies would make the notebook tens of megabytes large.
 _MOST: Final = 1000
 _HEIGHT: Final = 700
 
 
 def show_study(path: Path) -> str | None:
-    """Show a study in a notebook, as its page.
+    """Return the report of the study at `path` as an HTML iframe, isolated from the notebook.
 
-    Parameters
-    ----------
-    path : Path
-        Of the study.
-
-    Returns
-    -------
-    str or None
-        HTML with the whole page in a frame, in which it can reach nothing of the notebook. None where no scenario was
-        run, or more than 1,000 were.
-
-    Raises
-    ------
-    InputError
-        The study cannot be read.
+    None if no scenario or more than 1,000 were run.
     """
     with Study.open(path, readonly=True) as study:
         if not 0 < len(study.done()) <= _MOST:

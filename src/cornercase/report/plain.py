@@ -1,4 +1,4 @@
-"""What a study holds, in the words and plain values that `show` prints."""
+"""The summary of a study in words and plain values, as `show` prints it."""
 
 from __future__ import annotations
 
@@ -64,18 +64,7 @@ _HELD_OUT_CRITICAL: Final = {
 
 
 def put_in_words(summary: Summary) -> dict[str, Any]:
-    """Put a summary into words and plain values.
-
-    Parameters
-    ----------
-    summary : Summary
-        The summary.
-
-    Returns
-    -------
-    dict of str to object
-        What ``cornercase show`` prints; with ``--json`` keys are identifiers.
-    """
+    """Return a summary as words and plain values; ``cornercase show`` prints it, with ``--json`` under identifiers."""
     meta = summary.meta
     plain: dict[str, Any] = {
         "scenario": meta.scenario,
@@ -102,12 +91,12 @@ def put_in_words(summary: Summary) -> dict[str, Any]:
     }
     plain |= _knowledge(summary)
     plain["agreement"] = {
-        f"{one} and {two}": {
+        f"{one} and {other}": {
             "adjusted rand": agreement.rand,
             "adjusted mutual information": agreement.mutual,
             "scenarios that differ": len(agreement.differ),
         }
-        for (one, two), agreement in summary.agreements.items()
+        for (one, other), agreement in summary.agreements.items()
     }
     if summary.references:
         plain["references"] = {
@@ -157,10 +146,10 @@ def _clusters(one: Analysis, run: int) -> dict[str, Any]:
         "noise": int((one.labels < 0).sum()),
         "stability": one.clustering.stability,
     }
-    if later := run - len(one.ids):
-        plain |= {"run since, in no cluster yet": later, "they join with": name_joining(one)}
-    if judged := judge_clusters(one):
-        plain["in words"] = judged
+    if n_unassigned := run - len(one.ids):
+        plain |= {"run since, in no cluster yet": n_unassigned, "they join with": name_joining(one)}
+    if information := judge_clusters(one):
+        plain["in words"] = information
     if one.tells:
         plain["mutual information with"] = dict(one.tells)
     return plain | {
@@ -177,7 +166,7 @@ def _clusters(one: Analysis, run: int) -> dict[str, Any]:
 
 
 def _rule(rule: Rule) -> str:
-    # Nothing is judged of everywhere; studies of version 2 know only figures of what the rule was found from.
+    # A rule "everywhere" is not evaluated; studies of version 2 have no held-out figures.
     if math.isnan(rule.covers) or rule.text == EVERYWHERE:
         return rule.text
     return f"{rule.text} (held out: {rule.covers:.0%} of it, {rule.purity:.0%} pure)"
@@ -195,34 +184,34 @@ def _named(profile: Profile) -> dict[str, Any]:
 
 
 def _knowledge(summary: Summary) -> dict[str, Any]:
-    known, plain = summary.knowledge, dict[str, Any]()
-    if known.front is not None:
-        plain["front"] = {f"scenario {scenario}": dict(scores) for scenario, scores in known.front.items()}
-    if known.critical is not None:
+    estimates, plain = summary.knowledge, dict[str, Any]()
+    if estimates.front is not None:
+        plain["front"] = {f"scenario {scenario}": dict(scores) for scenario, scores in estimates.front.items()}
+    if estimates.critical is not None:
         plain["critical"] = {
-            "is": name_criterion(known.critical, summary.searched),
+            "is": name_criterion(estimates.critical, summary.searched),
             **({"asked": asked} if (asked := tell_asked(summary)) else {}),
-            "scenarios": known.critical.scenarios,
+            "scenarios": estimates.critical.scenarios,
         }
-        if (of_set := known.critical.known) is not None:
+        if (critical_set := estimates.critical.known) is not None:
             plain["critical"] |= {
-                "share": _interval(of_set.share, of_set.share_doubt),
-                "missed": _interval(of_set.missed, of_set.missed_doubt),
-                "hidden": of_set.hidden,
-                "overlooked": {"value": of_set.overlooked, "size": of_set.region},
-                "unvisited": {"value": of_set.unvisited, "size": of_set.region},
+                "share": _interval(critical_set.share, critical_set.share_doubt),
+                "missed": _interval(critical_set.missed, critical_set.missed_doubt),
+                "hidden": critical_set.hidden,
+                "overlooked": {"value": critical_set.overlooked, "size": critical_set.region},
+                "unvisited": {"value": critical_set.unvisited, "size": critical_set.region},
             }
         else:
             plain["critical"]["note"] = tell_unknown()
-        if (audit := known.critical.audit) is not None:
+        if (audit := estimates.critical.audit) is not None:
             plain["critical"]["audit"] = {
                 "scenarios": audit.scenarios,
                 "critical": audit.critical,
                 "share": asdict(audit.share),
                 "missed": audit.missed and asdict(audit.missed),
             }
-    if known.sensitivity is not None:
-        plain["sensitivity"] = _sensitivity(known.sensitivity)
+    if estimates.sensitivity is not None:
+        plain["sensitivity"] = _sensitivity(estimates.sensitivity)
     return plain
 
 
@@ -231,7 +220,7 @@ def _interval(found: Estimate, doubt: str | None) -> dict[str, float | str | Non
 
 
 def _sensitivity(found: Sensitivity) -> dict[str, Any]:
-    each = zip(found.names, found.first, found.first_interval, found.total, found.total_interval, strict=True)
+    rows = zip(found.names, found.first, found.first_interval, found.total, found.total_interval, strict=True)
     plain: dict[str, Any] = {
         "parameters": {
             name: {
@@ -240,7 +229,7 @@ def _sensitivity(found: Sensitivity) -> dict[str, Any]:
                 "total": total,
                 "total, 90 % interval": list(totals),
             }
-            for name, first, firsts, total, totals in each
+            for name, first, firsts, total, totals in rows
         },
         "predicted variance": found.predicted,
         "of little influence": list(found.little),
@@ -274,11 +263,11 @@ def _shape(one: ClusterShape) -> dict[str, Any]:
 def _labelled(
     found: Coverage | CriticalCoverage | HeldOut | HeldOutCritical, labels: Mapping[str, str]
 ) -> dict[str, Any]:
-    """Figures by their label; without those that are not known."""
+    """Return the known numbers of `found` under their labels."""
     plain: dict[str, Any] = {}
     for key, label in labels.items():
         value = getattr(found, key)
-        # An early version did not measure all of them.
+        # Early versions did not measure all of them.
         if value is None or (isinstance(value, float) and math.isnan(value)):
             continue
         if isinstance(value, HeldOut | HeldOutCritical):
