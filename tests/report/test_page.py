@@ -26,7 +26,7 @@ from cornercase.report import packing, put_in_words, summarize, write_report
 from cornercase.report.answers import page_answers
 from cornercase.report.blocks import pack_block, pack_record
 from cornercase.report.data import read_report_data
-from cornercase.report.repeating import name_command
+from cornercase.report.study_files import name_command
 from cornercase.report.words import format_value, percent
 from cornercase.scenario import Parameter, ParameterSpace
 from cornercase.study import Study, import_recordings

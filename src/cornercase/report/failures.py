@@ -7,8 +7,8 @@ from typing import Final
 from markupsafe import Markup
 
 from cornercase._common.texts import plain_text
-from cornercase.report.repeating import tell_again
 from cornercase.report.sections.overview import tell_provenance, tell_reasons
+from cornercase.report.study_files import tell_again
 from cornercase.report.summary import Summary, summarize_with
 from cornercase.report.tables import make_table
 from cornercase.report.templates import fill_template
