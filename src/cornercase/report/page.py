@@ -6,7 +6,7 @@ import base64
 import importlib.resources
 import time
 import zlib
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
@@ -24,12 +24,16 @@ from cornercase._common.progress import bars_wanted, step
 from cornercase._common.texts import plain_text
 from cornercase.report.contents import page_contents
 from cornercase.report.data import ReportData, read_report_data
-from cornercase.report.details import page_details
 from cornercase.report.failures import fill_failures
 from cornercase.report.packing import PackedRecordings, pack_most, tell_left_out
 from cornercase.report.rerun import tell_rerun
 from cornercase.report.roads import find_roads, is_of_map, pack_roads
-from cornercase.report.sections.overview import tell_provenance
+from cornercase.report.sections.kept import show_kept
+from cornercase.report.sections.kinds import compare_kinds, show_kinds
+from cornercase.report.sections.knowledge import show_knowledge
+from cornercase.report.sections.overview import tell_failures, tell_provenance, tell_scores
+from cornercase.report.sections.part import Part
+from cornercase.report.sections.verdicts import show_verdicts
 from cornercase.report.templates import fill_template
 from cornercase.scenario import Scenario
 from cornercase.study import Study, open_study
@@ -157,6 +161,13 @@ def fill_page(data: ReportData, packed: PackedRecordings, roads: Mapping[str, An
         provenance=tell_provenance(data.study, data.summary),
         blocks=packed.blocks,
     )
+
+
+def page_details(data: ReportData) -> Iterator[Part]:
+    """Render all detail sections in the order of the page."""
+    sections = (show_verdicts, tell_scores, show_knowledge, show_kinds, compare_kinds, show_kept, tell_failures)
+    for section in sections:
+        yield from section(data)
 
 
 def fill_frame(title: str) -> str:
