@@ -289,7 +289,7 @@ def test_where_all_failed_the_page_says_why_and_what_is_missing(of, tmp_path):
     else:
         assert "All 3 scenarios that ended could not be run. 1 not run yet." in page
         assert "2 &lt;b&gt;no road&lt;/b&gt; 2, 3 1 too slow 1 What is missing" in text
-    assert "there is no score" in text
+    assert "there are no scores" in text
     assert "--retry-failed" in text
     value = format_value(rows[0].values["a"])
     assert f"scenario a b why 1 {value} " in text

@@ -62,16 +62,16 @@ def simulators(*, as_json: opt.Json = False) -> None:
 
     from cornercase.simulators import availabilities
 
-    found = availabilities()
+    available = availabilities()
     if as_json:
-        sys.stdout.write(json_text({name: asdict(simulator) for name, simulator in found.items()}) + "\n")
+        sys.stdout.write(json_text({name: asdict(simulator) for name, simulator in available.items()}) + "\n")
         return
     # Addresses are printed whole even on a narrow terminal.
     missing = Column("what is missing", overflow="fold")
     table = Table("simulator", "here", "version", "what it can do", missing, box=None)
-    for name, simulator in found.items():
-        here, abilities = "no" if simulator.missing else "yes", ", ".join(simulator.abilities)
-        table.add_row(name, here, simulator.version or "-", abilities, simulator.missing or "-")
+    for name, simulator in available.items():
+        is_available, abilities = "no" if simulator.missing else "yes", ", ".join(simulator.abilities)
+        table.add_row(name, is_available, simulator.version or "-", abilities, simulator.missing or "-")
     out.print(table)
 
 

@@ -145,11 +145,11 @@ def show(
             raise InputError("--config: prints how the study was made; leave --json and --critical out.")
         sys.stdout.write(tell_study_file(study))
         return
-    words = put_in_words(summarize(study, critical=critical))
+    summary = put_in_words(summarize(study, critical=critical))
     if as_json:
-        sys.stdout.write(json_text(with_identifiers(words, NAMED)) + "\n")
+        sys.stdout.write(json_text(with_identifiers(summary, NAMED)) + "\n")
         return
-    for key, value in words.items():
+    for key, value in summary.items():
         if value != {}:
             _print_entry(key, value)
         elif key == "clusters":

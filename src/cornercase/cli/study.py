@@ -69,10 +69,10 @@ def analyze(
     numbers = (Column(name, no_wrap=True) for name in ("noise", "stability", "gamma", "eps"))
     table = Table(Column("by", no_wrap=True), "clusters", "sizes", *numbers, "min samples", box=None, pad_edge=False)
     for name, analysis in results.items():
-        found = analysis.clustering
-        sizes, noise = " ".join(map(str, analysis.sizes)), str(int((found.labels < 0).sum()))
-        stability = "–" if found.stability is None else f"{found.stability:.2f}"
-        settings = f"{found.gamma:.4g}", f"{found.eps:.4g}", str(found.min_samples)
+        fit = analysis.clustering
+        sizes, noise = " ".join(map(str, analysis.sizes)), str(int((fit.labels < 0).sum()))
+        stability = "–" if fit.stability is None else f"{fit.stability:.2f}"
+        settings = f"{fit.gamma:.4g}", f"{fit.eps:.4g}", str(fit.min_samples)
         table.add_row(name, str(len(analysis.sizes)), sizes, noise, stability, *settings)
     out.print(table)
     for name, analysis in results.items():

@@ -190,8 +190,8 @@ def _print_kills(result: SuiteResult, exposure: Exposure) -> None:
     counts = dict(zip(exposure.scenarios, exposure.exposed.sum(axis=1).tolist(), strict=True))
     order = sorted((scenario for scenario, count in counts.items() if count), key=lambda scenario: -counts[scenario])
     if order:
-        most = ", ".join(f"{files[scenario]} ({counts[scenario]})" for scenario in order[:_NAMED])
-        out.print(f"Most are exposed by {most}; {len(order)} of {len(files)} scenarios expose any.")
+        names = ", ".join(f"{files[scenario]} ({counts[scenario]})" for scenario in order[:_NAMED])
+        out.print(f"Most are exposed by {names}; {len(order)} of {len(files)} scenarios expose any.")
     if exposure.unexposed:
         out.print(f"Exposed by none: {' '.join(exposure.unexposed)}.")
     if exposure.failed.all():

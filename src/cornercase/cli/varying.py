@@ -72,11 +72,11 @@ def _tell(listed: tuple[Variable, ...]) -> None:
         out.print("no numbers that could vary")
         return
     rows = [("name", "value", "unit", "proposed", "line")]
-    for group, members in groupby(listed, key=lambda one: one.group):
+    for group, members in groupby(listed, key=lambda variable: variable.group):
         rows.append((shorten(group, _LONGEST_GROUP), "", "", "", ""))
-        for one in members:
-            proposal = "–" if one.fixed or not one.proposal else one.proposal
-            rows.append((f"  {one.name}", _short(one.text), one.unit, proposal, str(one.line)))
+        for variable in members:
+            proposal = "–" if variable.fixed or not variable.proposal else variable.proposal
+            rows.append((f"  {variable.name}", _short(variable.text), variable.unit, proposal, str(variable.line)))
     name, value, unit, proposal_, line = (max(map(len, column)) for column in zip(*rows, strict=True))
     # Names are printed whole, as they are typed again; a long one only shifts its own line.
     left_width = min(name + 1 + value, _WIDTH - unit - proposal_ - line - 3)
@@ -84,11 +84,11 @@ def _tell(listed: tuple[Variable, ...]) -> None:
         left = f"{row[0]} {row[1]:>{max(left_width - len(row[0]) - 1, 0)}}"
         text = f"{left} {row[2]:<{unit}} {row[3]:<{proposal_}} {row[4]:>{line}}"
         out.print(text.rstrip())
-    if any(one.fixed and one.text.startswith("$") for one in listed):
+    if any(variable.fixed and variable.text.startswith("$") for variable in listed):
         out.print("Values with $ refer to parameters: vary the parameter.")
-    for one in listed:
-        if one.fixed and not one.text.startswith("$"):
-            out.print(f"{one.name}: {one.fixed}.", soft_wrap=False)
+    for variable in listed:
+        if variable.fixed and not variable.text.startswith("$"):
+            out.print(f"{variable.name}: {variable.fixed}.", soft_wrap=False)
 
 
 def _short(text: str) -> str:

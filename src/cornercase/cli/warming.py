@@ -52,8 +52,8 @@ def warm_up() -> None:
 
     def heard(name: str) -> None:
         compiled.append(name)
-        ready, known = count_kernels()
-        bar.update(ready, name, known)
+        ready, total = count_kernels()
+        bar.update(ready, name, total)
 
     try:
         with tempfile.TemporaryDirectory() as folder, heard_compilation(heard), warnings.catch_warnings():
@@ -131,16 +131,16 @@ def _drive() -> None:
 
     from cornercase import drivers
 
-    distance, one = np.arange(0.0, 50.0, 0.5), np.ones(1)
+    distance, ones = np.arange(0.0, 50.0, 0.5), np.ones(1)
     path = drivers.DrivenPath(distance, distance, *np.zeros((3, len(distance))))
     driver = drivers.named_driver("normal")
     driver.start(1, 1)
     driver.acceleration(
         drivers.Situation(
-            0.0, 0.05, path, one, one, 0.0 * one, 0.0 * one, one, 0.0 * one,
-            length=4.0, width=2.0, center_x=1.5, target_speed=10.0 * one,
+            0.0, 0.05, path, ones, ones, 0.0 * ones, 0.0 * ones, ones, 0.0 * ones,
+            length=4.0, width=2.0, center_x=1.5, target_speed=10.0 * ones,
             others_x=np.full((1, 1), 30.0), others_y=np.zeros((1, 1)), others_heading=np.zeros((1, 1)),
-            others_speed=np.zeros((1, 1)), others_length=one, others_width=one, others_center_x=0.0 * one,
+            others_speed=np.zeros((1, 1)), others_length=ones, others_width=ones, others_center_x=0.0 * ones,
             others_kind=("pedestrian",), active=np.ones(1, dtype=np.bool_),
         )
     )  # fmt: skip
@@ -174,13 +174,13 @@ def _small_runs(folder: Path) -> Iterator[tuple[str, Callable[[], Any]]]:
     # Short runs never reach a crossing.
     yield "clustering", partial(clustering.find_outcome, _crossing(), "Ego", "Other")
     simulate = partial(simulators.simulate, scenario, duration=_SECONDS)
-    for one in drivers.DRIVERS.names():
-        yield "drivers", partial(simulate, drivers={"Ego": one})
+    for plugin in drivers.DRIVERS.names():
+        yield "drivers", partial(simulate, drivers={"Ego": plugin})
     yield "metrics", partial(metrics.measure, simulate(), config.ego, config.other)
-    for one in optimizers.OPTIMIZERS.names():
-        changed = replace(config, optimizer=one, critical=1.0, metrics=config.metrics[:1])
+    for plugin in optimizers.OPTIMIZERS.names():
+        changed = replace(config, optimizer=plugin, critical=1.0, metrics=config.metrics[:1])
 
-        def explore(searched: exploration.Configuration = changed, study: Path = folder / f"{one}.db") -> None:
+        def explore(searched: exploration.Configuration = changed, study: Path = folder / f"{plugin}.db") -> None:
             try:
                 exploration.explore_configuration(searched, study)
             except InputError:
@@ -199,7 +199,7 @@ def _reduce_many() -> None:
     points = np.linspace(0.0, 1.0, _MANY)[:, None]
     distances = clustering.PlacedDistances(points)
     selected = reduction.choose_scenarios(points, [distances], np.zeros(len(points), dtype=np.int64), size=2)
-    reduction.measure_gaps(distances, [one.index for one in selected] + list(range(0, _MANY, 10)), draws=1)
+    reduction.measure_gaps(distances, [scenario.index for scenario in selected] + list(range(0, _MANY, 10)), draws=1)
 
 
 def _two_groups() -> FloatArray:

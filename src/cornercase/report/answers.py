@@ -113,14 +113,14 @@ def _scenarios(count: int) -> str:
 
 
 def _about(share: float) -> str:
-    words = percent(share)
-    return f"About {words}" if words[0].isdigit() else words.capitalize()
+    text = percent(share)
+    return f"About {text}" if text[0].isdigit() else text.capitalize()
 
 
 def _interval(estimate: Estimate) -> str:
     low, high = percent(estimate.low), percent(estimate.high)
     if low == high and estimate.low < estimate.high:
-        low, high = (f"{100.0 * one:.4g} %" for one in (estimate.low, estimate.high))
+        low, high = (f"{100.0 * bound:.4g} %" for bound in (estimate.low, estimate.high))
     return f"90 % interval {low} to {high}"
 
 
@@ -141,8 +141,8 @@ def _of_share(data: ReportData) -> Answer:
     else:
         counts = f"None of the {summary.run} scenarios{which_ran} is critical ({criterion})."
     counts += tell_references(summary.references)
-    if asked := tell_asked(summary):
-        counts += f" {asked}"
+    if override := tell_asked(summary):
+        counts += f" {override}"
     if estimates is None:
         return Answer(name, question, f"{counts} {tell_unknown()}")
     space = "the space, as far as it can be run," if data.failed else "the space"
@@ -203,14 +203,14 @@ def _of_kinds(data: ReportData) -> Answer:
     chosen = find_default_aspect(data)
     if chosen is None:
         return Answer(name, question, "The study has not been analysed yet; cornercase analyze finds the kinds.")
-    divided = [by for by, one in analyses.items() if one.clustering.n_clusters > 1 and by != chosen]
-    undivided = [by for by, one in analyses.items() if one.clustering.n_clusters <= 1]
+    divided = [by for by, analysis in analyses.items() if analysis.clustering.n_clusters > 1 and by != chosen]
+    undivided = [by for by, analysis in analyses.items() if analysis.clustering.n_clusters <= 1]
     if analyses[chosen].clustering.n_clusters <= 1:
         return Answer(name, question, f"There are no separate kinds by {_listed(undivided)}.")
     analysis = analyses[chosen]
     noise = int((analysis.labels < 0).sum())
     outside = f", and {noise} scenarios of noise" if noise else ""
-    compared = f" ({what})" if (what := tell_compared(chosen)) else ""
+    compared = f" ({description})" if (description := tell_compared(chosen)) else ""
     sentences = [f"By {chosen}{compared} there are {analysis.clustering.n_clusters} kinds{outside}."]
     points = [
         f"{profile.label or f'cluster {profile.cluster}'} ({profile.size} scenarios)."
@@ -263,8 +263,8 @@ def _of_kept(data: ReportData) -> Answer:
     name, question, reduced = "kept", "Which scenarios should be kept?", data.summary.reduced
     if reduced is None:
         return Answer(name, question, "The study has not been reduced yet; cornercase reduce finds the few to keep.")
-    roles = Counter(str(one.role) for one in reduced.kept)
-    counts = _listed([f"{n} {words[n != 1]}" for role, words in _ROLES.items() if (n := roles[role])])
+    roles = Counter(str(scenario.role) for scenario in reduced.kept)
+    counts = _listed([f"{n} {forms[n != 1]}" for role, forms in _ROLES.items() if (n := roles[role])])
     sentences = [f"Keep {len(reduced.kept)} of the {reduced.run} scenarios: {counts or 'none'}."]
     if later := data.summary.run - reduced.run:
         sentences.append(f"{_scenarios(later)} run since.")
@@ -274,7 +274,7 @@ def _of_kept(data: ReportData) -> Answer:
 
 
 def _left_out(data: ReportData, reduced: ReducedSet) -> Iterator[str]:
-    critical = {name: one.held_out for name, one in reduced.critical.items() if one.held_out is not None}
+    critical = {name: entry.held_out for name, entry in reduced.critical.items() if entry.held_out is not None}
     by = reduced.by if reduced.by in critical else next(iter(critical), None)
     if by is not None:
         count = critical[by].scenarios
@@ -284,7 +284,7 @@ def _left_out(data: ReportData, reduced: ReducedSet) -> Iterator[str]:
     elif reduced.by in reduced.critical and (share := reduced.critical[reduced.by].critical) is not None:
         # Evaluated with another threshold than that of the selection.
         yield f"{_about(share)} of the critical scenarios that were run are like a kept one by {reduced.by}."
-    graded = {name: one.held_out for name, one in reduced.coverage.items() if one.held_out is not None}
+    graded = {name: entry.held_out for name, entry in reduced.coverage.items() if entry.held_out is not None}
     by = reduced.by if reduced.by in graded else next(iter(graded), None)
     if by is not None and by in data.summary.analyses:
         held_out, unit = graded[by], data.summary.analyses[by].unit
@@ -324,20 +324,20 @@ def _of_failures(data: ReportData) -> Answer:
         )
     reasons = find_reasons(failed)
     points = [f"{len(ids)}: {why}" for why, ids in list(reasons.items())[:_MOST_POINTS]]
-    more = f" The {_MOST_POINTS} most frequent reasons:" if len(reasons) > _MOST_POINTS else ""
-    return Answer(name, question, f"{len(failed)} of {total} scenarios could not be run.{more}", tuple(points))
+    note = f" The {_MOST_POINTS} most frequent reasons:" if len(reasons) > _MOST_POINTS else ""
+    return Answer(name, question, f"{len(failed)} of {total} scenarios could not be run.{note}", tuple(points))
 
 
 def _of_verdicts(data: ReportData) -> Answer:
     failed = {row.id for row in data.failed}
     states = {scenario: worst_state(verdicts) for scenario, verdicts in data.verdicts.items()}
     counts = Counter("not run" if scenario in failed else state for scenario, state in states.items())
-    parts = [f"{counts[one]} {one}" for one in ("passed", "failed", "inconclusive", "not run") if counts[one]]
+    parts = [f"{counts[state]} {state}" for state in ("passed", "failed", "inconclusive", "not run") if counts[state]]
     violations = [
-        f"Scenario {scenario}: {one.requirement}: {one.reason}."
+        f"Scenario {scenario}: {verdict.requirement}: {verdict.reason}."
         for scenario, verdicts in data.verdicts.items()
-        for one in verdicts
-        if one.state == "failed"
+        for verdict in verdicts
+        if verdict.state == "failed"
     ]
     note = f" The first {_MOST_POINTS} requirements that failed:" if len(violations) > _MOST_POINTS else ""
     text = f"{', '.join(parts)} of {len(states)} scenarios.{note}"
@@ -347,9 +347,9 @@ def _of_verdicts(data: ReportData) -> Answer:
 def _of_probability(found: Any) -> Answer:
     criterion = with_signs(found["critical is"])
     points = []
-    for event, words in (("critical", f"a critical scenario ({criterion})"), ("collision", "a collision")):
+    for event, description in (("critical", f"a critical scenario ({criterion})"), ("collision", "a collision")):
         low, high = found[event]["95 % interval"]
-        points.append(f"Of {words}: {found[event]['probability']:.3g} (95 % interval {low:.3g} to {high:.3g}).")
+        points.append(f"Of {description}: {found[event]['probability']:.3g} (95 % interval {low:.3g} to {high:.3g}).")
     text = f"Under the distributions of the space, from {found['scenarios']} scenarios:"
     return Answer("probability", "How probable is it?", text, (*points, *found["warnings"]))
 

@@ -35,13 +35,13 @@ def page_captions(data: ReportData) -> dict[str, Any]:
         "space": {metric.name: of_scores(data, metric) for metric in data.metrics},
         "histogram": {metric.name: of_distribution(data, metric) for metric in data.metrics},
         "search": of_search(data),
-        "kernel": {name: of_clusters(one) for name, one in analyses.items()},
+        "kernel": {name: of_clusters(analysis) for name, analysis in analyses.items()},
     }
     if estimates.front is not None:
         captions["front"] = " ".join(ends_of_front(data))
     if estimates.sensitivity is not None:
         captions["matters"] = of_influence(estimates.sensitivity)
-    return {view: _plain(one) for view, one in captions.items()}
+    return {view: _plain(caption) for view, caption in captions.items()}
 
 
 def _plain(caption: Any) -> Any:
@@ -88,9 +88,9 @@ def of_search(data: ReportData) -> str:
     sentences = []
     for name, summary in data.summary.metrics.items():
         round_number = next(row.round for row in data.rows if row.id == summary.scenario)
-        best = with_unit(f"{summary.most_critical:.3g}", summary.unit)
+        score = with_unit(f"{summary.most_critical:.3g}", summary.unit)
         sentences.append(
-            f"The most critical {name} of all, {best}, was first found in round {round_number}"
+            f"The most critical {name} of all, {score}, was first found in round {round_number}"
             f" (scenario {summary.scenario})."
         )
     return " ".join(sentences)
@@ -104,9 +104,9 @@ def of_scores(data: ReportData, metric: Metric) -> str:
         for parameter in data.parameters
     )
     n_most_critical = int((data.scores[metric.name] == summary.most_critical).sum())
-    which = f"One of the {n_most_critical} most critical scenarios" if n_most_critical > 1 else "The most critical"
-    best = with_unit(f"{summary.most_critical:.3g}", metric.unit)
-    text = f"{which} is scenario {summary.scenario}, {metric.name} {best} at {at}."
+    subject = f"One of the {n_most_critical} most critical scenarios" if n_most_critical > 1 else "The most critical"
+    score = with_unit(f"{summary.most_critical:.3g}", metric.unit)
+    text = f"{subject} is scenario {summary.scenario}, {metric.name} {score} at {at}."
     if summary.alike:
         text += f" {summary.alike}"
     if summary.spread is not None:

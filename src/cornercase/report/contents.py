@@ -42,7 +42,7 @@ def scenario_part(data: ReportData) -> dict[str, Any]:
     selected = set() if data.summary.reduced is None else set(data.summary.reduced.ids)
     outcomes = data.outcomes
     outcome_names = sorted(set(outcomes.values()))
-    against = [[data.against[one.name].get(row.id) for one in data.metrics] for row in data.rows if data.against]
+    against = [[data.against[metric.name].get(row.id) for metric in data.metrics] for row in data.rows if data.against]
     return {
         "outcomes": outcome_names,
         "scenarios": {
@@ -50,7 +50,7 @@ def scenario_part(data: ReportData) -> dict[str, Any]:
             "round": [row.round for row in rows],
             "failed": [int(row.state == "failed") for row in rows],
             "values": plain_values(data.parameters, rows),
-            "scores": {name: of_done([plain_score(one) for one in scores]) for name, scores in data.scores.items()},
+            "scores": {name: of_done([plain_score(score) for score in scores]) for name, scores in data.scores.items()},
             "critical": of_done(data.critical.astype(int).tolist(), 0),
             "collides": of_done([int(not data.touched[row.id].isdisjoint(meta.others)) for row in data.rows], 0),
             "outcome": [outcome_names.index(outcomes[row.id]) if row.id in outcomes else None for row in rows],
@@ -71,7 +71,7 @@ def tell_against(meta: StudyMeta, whom: Sequence[Sequence[str | None] | None]) -
     if len(meta.others) == 1:
         return {}
     indices = {name: k for k, name in enumerate(meta.others)}
-    return {"against": [None if one is None else [indices.get(name or "") for name in one] for one in whom]}
+    return {"against": [None if row is None else [indices.get(name or "") for name in row] for row in whom]}
 
 
 def knowledge_part(data: ReportData) -> dict[str, Any]:
@@ -84,12 +84,17 @@ def knowledge_part(data: ReportData) -> dict[str, Any]:
         "critical": _critical(data),
         "default_aspect": find_default_aspect(data),
         "influential": list(data.influential),
-        "answers": [one.to_json() for one in page_answers(data)],
+        "answers": [answer.to_json() for answer in page_answers(data)],
         "captions": page_captions(data),
         "notes": {str(scenario): text for scenario, text in data.notes.items()},
         "kept": {
-            str(one.id): {"role": one.role, "cluster": one.cluster, "file": one.file, "why": one.why}
-            for one in selected
+            str(scenario.id): {
+                "role": scenario.role,
+                "cluster": scenario.cluster,
+                "file": scenario.file,
+                "why": scenario.why,
+            }
+            for scenario in selected
         },
         "search": search_curve(data),
         "sensitivity": sensitivity_bars(data),
@@ -97,7 +102,7 @@ def knowledge_part(data: ReportData) -> dict[str, Any]:
         "front": None if data.summary.knowledge.front is None else list(data.summary.knowledge.front),
         "hulls": hull_edges(data),
         "reduced_by": None if data.summary.reduced is None else data.summary.reduced.by,
-        "kinds": {name: _kinds(one, indices, len(rows)) for name, one in data.summary.analyses.items()},
+        "kinds": {name: _kinds(analysis, indices, len(rows)) for name, analysis in data.summary.analyses.items()},
     }
 
 
@@ -111,12 +116,18 @@ def tell_subject(meta: StudyMeta, study: str) -> dict[str, Any]:
         "other": meta.other if isinstance(meta.other, str) else list(meta.other),
         "searched": Objective.of_study(meta).text,
         "parameters": [
-            {"name": one.name, "unit": one.unit, "low": one.low, "high": one.high, "choices": list(one.choices)}
-            for one in meta.space.parameters
+            {
+                "name": parameter.name,
+                "unit": parameter.unit,
+                "low": parameter.low,
+                "high": parameter.high,
+                "choices": list(parameter.choices),
+            }
+            for parameter in meta.space.parameters
         ],
         "metrics": [
-            {"name": one.name, "unit": one.unit, "lower_is_critical": one.lower_is_critical, "cap": one.cap}
-            for one in map(METRICS.create, meta.metrics)
+            {"name": metric.name, "unit": metric.unit, "lower_is_critical": metric.lower_is_critical, "cap": metric.cap}
+            for metric in map(METRICS.create, meta.metrics)
         ],
     }
 
@@ -147,8 +158,10 @@ def _kinds(analysis: Analysis, place: Mapping[int, int], count: int) -> dict[str
     return {
         "labels": labels,
         "embedding": columns,
-        "names": {str(one.cluster): name_kind(one) for one in analysis.profiles},
-        "examples": {str(one.cluster): one.example for one in analysis.profiles if one.example is not None},
+        "names": {str(profile.cluster): name_kind(profile) for profile in analysis.profiles},
+        "examples": {
+            str(profile.cluster): profile.example for profile in analysis.profiles if profile.example is not None
+        },
         "judged": judge_clusters(analysis),
         "compares": tell_compared(analysis.by),
     }
@@ -170,4 +183,4 @@ def plain_score(value: float) -> float | None:
 
 def plain_values(parameters: Sequence[Parameter], rows: Sequence[Row]) -> list[list[float]]:
     """Return the parameter values of scenarios as numbers, shape (d, n); for a choice its index."""
-    return [[one.read_number(row.values) for row in rows] for one in parameters]
+    return [[parameter.read_number(row.values) for row in rows] for parameter in parameters]

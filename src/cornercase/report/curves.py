@@ -24,12 +24,12 @@ def search_curve(data: ReportData) -> dict[str, Any]:
     rounds = np.array([row.round for row in data.rows])
     # Scenarios are numbered in the order of their rounds.
     ends = np.flatnonzero(np.append(np.diff(rounds) != 0, True))
-    best = [objective.flip(value) for value in np.fmin.accumulate(searched)[ends].tolist()]
+    best_scores = [objective.flip(value) for value in np.fmin.accumulate(searched)[ends].tolist()]
     return {
         "metric": data.metrics[0].name if objective.pareto else data.summary.searched,
         "unit": data.metrics[0].unit if objective.pareto else objective.unit,
         "run": (ends + 1).tolist(),
-        "best": [_short(value) for value in best],
+        "best": [_short(value) for value in best_scores],
         "critical": np.cumsum(data.critical)[ends].tolist(),
         "missed": [
             {

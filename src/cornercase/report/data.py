@@ -85,11 +85,11 @@ def read_report_data(
     rows = study.done()
     metrics = tuple(METRICS.create(name) for name in study.meta.metrics)
     scores = {metric.name: study.scores(metric.name) for metric in metrics}
-    values = np.array([[one.read_number(row.values) for one in study.space.parameters] for row in rows])
+    values = np.array([[parameter.read_number(row.values) for parameter in study.space.parameters] for row in rows])
     times: dict[int, FloatArray] = {}
     shared_times: dict[bytes, FloatArray] = {}
-    lines: dict[str, dict[int, FloatArray]] = {one.name: {} for one in metrics}
-    courses: dict[str, dict[int, Float32Array]] = {one.name: {} for one in metrics}
+    lines: dict[str, dict[int, FloatArray]] = {metric.name: {} for metric in metrics}
+    courses: dict[str, dict[int, Float32Array]] = {metric.name: {} for metric in metrics}
     touched: dict[int, frozenset[str]] = {}
     region: Region | None = None
     # One recording at a time: those of a large study would not fit into memory.
@@ -98,11 +98,11 @@ def read_report_data(
             _require_room(memory, len(rows), len(metrics), len(recording.time) if figures else 0, tell is not None)
         # Most scenarios share the same instants.
         times[scenario] = shared_times.setdefault(recording.time.tobytes(), recording.time)
-        for one in metrics:
-            course = one.capped(score_courses[one.name]).astype(np.float32)
-            lines[one.name][scenario] = draw_course(recording.time, course, one.lower_is_critical)
+        for metric in metrics:
+            course = metric.capped(score_courses[metric.name]).astype(np.float32)
+            lines[metric.name][scenario] = draw_course(recording.time, course, metric.lower_is_critical)
             if figures:
-                courses[one.name][scenario] = course
+                courses[metric.name][scenario] = course
         touched[scenario] = touched_by_ego(study.meta, recording.collisions)
         region = _joined(region, recorded_region([recording]))
         if tell is not None:
@@ -150,11 +150,11 @@ def _joined(one: Region | None, two: Region | None) -> Region | None:
 
 
 def _examples(study: Study, analyses: Mapping[str, Analysis]) -> dict[int, Recording]:
-    ids = {profile.example for one in analyses.values() for profile in one.profiles}
+    ids = {profile.example for analysis in analyses.values() for profile in analysis.profiles}
     other = study.main_other()
     return {
         scenario: study.recording(scenario).with_absent([other])
-        for scenario in sorted(one for one in ids if one is not None)
+        for scenario in sorted(scenario for scenario in ids if scenario is not None)
     }
 
 
@@ -172,8 +172,8 @@ def _influential(values: FloatArray, scores: FloatArray) -> tuple[int, ...]:
 
 def _gaps(study: Study, analyses: Mapping[str, Analysis], kept: list[int]) -> dict[str, Gaps]:
     gaps = {}
-    for name, one in analyses.items():
-        index = one.rows_of(kept)
+    for name, analysis in analyses.items():
+        index = analysis.rows_of(kept)
         if len(index):
             gaps[name] = measure_gaps(read_distances(study, name), index)
     return gaps

@@ -40,24 +40,28 @@ def draw_all(data: ReportData) -> Iterator[Drawing]:
 
 
 def _draw_knowledge(data: ReportData) -> Iterator[Drawing]:
-    known = data.summary.knowledge
-    if known.front is not None:
-        scores, chosen = [data.scores[one.name] for one in data.metrics], data.rows_of(list(known.front))
+    estimates = data.summary.knowledge
+    if estimates.front is not None:
+        scores, chosen = [data.scores[metric.name] for metric in data.metrics], data.rows_of(list(estimates.front))
         yield Drawing("front", draw_front(scores, data.metrics, chosen), captions.of_front(len(chosen)))
-    if known.sensitivity is not None:
-        caption = captions.of_sensitivity(known.sensitivity, data.summary.searched)
-        yield Drawing("sensitivity", draw_sensitivities(known.sensitivity), caption)
+    if estimates.sensitivity is not None:
+        caption = captions.of_sensitivity(estimates.sensitivity, data.summary.searched)
+        yield Drawing("sensitivity", draw_sensitivities(estimates.sensitivity), caption)
 
 
 def _draw_kinds(data: ReportData, analysis: Analysis) -> Iterator[Drawing]:
     name, labels, clustering = analysis.by, analysis.labels, analysis.clustering
     ids = analysis.ids.tolist()
     rows = data.rows_of(ids)
-    names = {one.cluster: name_kind(one) for one in analysis.profiles if one.name}
-    examples = [one for one in analysis.profiles if one.name and one.example is not None][:MOST_EXAMPLES]
+    names = {profile.cluster: name_kind(profile) for profile in analysis.profiles if profile.name}
+    examples = [profile for profile in analysis.profiles if profile.name and profile.example is not None][
+        :MOST_EXAMPLES
+    ]
     if examples:
-        recordings = {name_kind(one): data.examples[one.example] for one in examples if one.example is not None}
-        left_out = sum(bool(one.name) for one in analysis.profiles) - len(examples)
+        recordings = {
+            name_kind(profile): data.examples[profile.example] for profile in examples if profile.example is not None
+        }
+        left_out = sum(bool(profile.name) for profile in analysis.profiles) - len(examples)
         yield Drawing(
             f"examples-{name}",
             draw_examples(recordings, data.summary.meta.ego, data.other),

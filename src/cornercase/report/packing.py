@@ -41,7 +41,7 @@ def pack_recordings(study: Study, ids: Sequence[int], *, most: int | None = None
             break
         block_ids = ids[k : k + _IN_BLOCK]
         block, offsets = pack_block(list(_records(study, block_ids)))
-        index |= {str(one): [len(blocks), offset] for one, offset in zip(block_ids, offsets, strict=True)}
+        index |= {str(scenario): [len(blocks), offset] for scenario, offset in zip(block_ids, offsets, strict=True)}
         blocks.append(base64.b64encode(block).decode())
         size += len(blocks[-1])
     return PackedRecordings(tuple(blocks), index)
@@ -81,8 +81,8 @@ def _telling(data: ReportData) -> Iterator[int]:
     yield from data.examples
     yield from summary.knowledge.front or ()
     ids = np.array([row.id for row in data.rows])
-    for one in data.metrics:
-        oriented = one.oriented(data.scores[one.name])
+    for metric in data.metrics:
+        oriented = metric.oriented(data.scores[metric.name])
         yield from ids[np.argsort(oriented, kind="stable")[:_MOST_CRITICAL]].tolist()
 
 
@@ -96,5 +96,5 @@ def _spread(count: int) -> list[int]:
 def _records(study: Study, ids: Sequence[int]) -> Iterator[bytes]:
     metrics = [METRICS.create(name) for name in study.meta.metrics]
     for scenario in ids:
-        courses = {one.name: one.capped(study.course(scenario, one.name)) for one in metrics}
+        courses = {metric.name: metric.capped(study.course(scenario, metric.name)) for metric in metrics}
         yield pack_record(scenario, study.recording(scenario), courses)

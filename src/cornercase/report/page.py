@@ -123,7 +123,7 @@ def write_report(
                 raise InputError(f"{opened.path}: no scenario was run yet, so there is nothing to report.")
             _write(path, fill_failures(opened))
             return path
-        begun = time.monotonic()
+        start = time.monotonic()
         with bars_wanted(progress), step(len(opened.done()), "reading", "recordings") as tell:
             data = read_report_data(opened, figures=folder is not False, memory=limit, tell=tell)
         packed = pack_most(opened, data)
@@ -133,7 +133,7 @@ def write_report(
         rerun = tell_rerun(opened, scenario)
         if not opened.readonly:
             # Stored, so that later reports of the study, opened read-only, are identical.
-            opened.add_elapsed("draw", time.monotonic() - begun)
+            opened.add_elapsed("draw", time.monotonic() - start)
             data = replace(data, summary=replace(data.summary, seconds=opened.elapsed()))
     roads = {"roads": None if sketch is None else pack_roads(sketch), "roads_missing": missing, "rerun": rerun}
     # Written together, so that page and figures always match.
@@ -148,8 +148,8 @@ def write_report(
 
 def fill_page(data: ReportData, packed: PackedRecordings, roads: Mapping[str, Any]) -> str:
     """Render the report; `roads` holds ``roads``, ``roads_missing`` (why there are none) and ``rerun``."""
-    recordings = {"recordings": packed.index, "recordings_left_out": tell_left_out(data, packed)}
-    contents = page_contents(data) | recordings | dict(roads)
+    recording_payload = {"recordings": packed.index, "recordings_left_out": tell_left_out(data, packed)}
+    contents = page_contents(data) | recording_payload | dict(roads)
     return _fill(
         live=False,
         left_out=contents["recordings_left_out"],

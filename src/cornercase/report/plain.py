@@ -73,16 +73,20 @@ def put_in_words(summary: Summary) -> dict[str, Any]:
         "optimizer": meta.optimizer,
         "seed": meta.seed,
         "simulator": meta.simulator,
-        **({"drivers": {name: driver_text(one) for name, one in meta.drivers.items()}} if meta.drivers else {}),
-        "parameters": {one.name: name_range(one) for one in meta.space.parameters},
+        **({"drivers": {name: driver_text(driver) for name, driver in meta.drivers.items()}} if meta.drivers else {}),
+        "parameters": {parameter.name: name_range(parameter) for parameter in meta.space.parameters},
         "run": summary.run,
         "failed": summary.failed,
         "pending": summary.pending,
-        **({"failures": {why: _failure(one) for why, one in summary.failures.items()}} if summary.failures else {}),
+        **(
+            {"failures": {why: _failure(failure) for why, failure in summary.failures.items()}}
+            if summary.failures
+            else {}
+        ),
         "collisions": summary.collisions,
         **_beside(summary),
-        "metrics": {name: _metric(one, meta) for name, one in summary.metrics.items()},
-        "clusters": {name: _clusters(one, summary.run) for name, one in summary.analyses.items()},
+        "metrics": {name: _metric(metric, meta) for name, metric in summary.metrics.items()},
+        "clusters": {name: _clusters(analysis, summary.run) for name, analysis in summary.analyses.items()},
         "seconds": {stage: round(seconds, 2) for stage, seconds in summary.seconds.items()},
         "searched": summary.searched,
         **({"runs differ": meta.runs_differ} if meta.runs_differ else {}),
@@ -91,17 +95,21 @@ def put_in_words(summary: Summary) -> dict[str, Any]:
     }
     plain |= _knowledge(summary)
     plain["agreement"] = {
-        f"{one} and {other}": {
+        f"{aspect} and {other}": {
             "adjusted rand": agreement.rand,
             "adjusted mutual information": agreement.mutual,
             "scenarios that differ": len(agreement.differ),
         }
-        for (one, other), agreement in summary.agreements.items()
+        for (aspect, other), agreement in summary.agreements.items()
     }
     if summary.references:
         plain["references"] = {
-            name: {"prevents": one.prevents, "does not prevent": one.collides, "says nothing of": one.says_nothing}
-            for name, one in summary.references.items()
+            name: {
+                "prevents": count.prevents,
+                "does not prevent": count.collides,
+                "says nothing of": count.says_nothing,
+            }
+            for name, count in summary.references.items()
         }
     if summary.probability is not None:
         plain["probability"] = dict(summary.probability)
@@ -190,7 +198,7 @@ def _knowledge(summary: Summary) -> dict[str, Any]:
     if estimates.critical is not None:
         plain["critical"] = {
             "is": name_criterion(estimates.critical, summary.searched),
-            **({"asked": asked} if (asked := tell_asked(summary)) else {}),
+            **({"asked": override} if (override := tell_asked(summary)) else {}),
             "scenarios": estimates.critical.scenarios,
         }
         if (critical_set := estimates.critical.known) is not None:
@@ -240,13 +248,13 @@ def _sensitivity(found: Sensitivity) -> dict[str, Any]:
 
 
 def _reduced(summary: Summary, reduced: ReducedSet) -> dict[str, Any]:
-    coverage = {name: _labelled(one, _COVERAGE) for name, one in reduced.coverage.items()}
-    for name, one in reduced.critical.items():
-        coverage.setdefault(name, {})["critical scenarios"] = _labelled(one, _CRITICAL)
+    coverage = {name: _labelled(entry, _COVERAGE) for name, entry in reduced.coverage.items()}
+    for name, entry in reduced.critical.items():
+        coverage.setdefault(name, {})["critical scenarios"] = _labelled(entry, _CRITICAL)
     return {
         "kept": len(reduced.kept),
         **({"chosen": chosen} if (chosen := tell_chosen(summary)) else {}),
-        "shapes": {name_cluster(one.cluster): _shape(one) for one in reduced.shapes},
+        "shapes": {name_cluster(shape.cluster): _shape(shape) for shape in reduced.shapes},
         "coverage": coverage,
     }
 

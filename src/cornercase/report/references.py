@@ -30,10 +30,10 @@ def count_references(study: Study) -> dict[str, ReferenceCount]:
     with damage_told(study.path):
         condition = condition_of(meta.metrics)
         names = list(CriticalIf.of(condition).references) if condition else []
-        names += [Requirement.parse(one).reference for one in meta.requirements]
+        names += [Requirement.parse(text).reference for text in meta.requirements]
         counts = {}
         for reference in filter(None, dict.fromkeys(names)):
-            collisions = [one.collides for one in study.references(reference).values()]
+            collisions = [count.collides for count in study.references(reference).values()]
             counts[reference] = ReferenceCount(collisions.count(False), collisions.count(True), collisions.count(None))
         return counts
 

@@ -31,8 +31,8 @@ def tell_rerun(study: Study, given: Path | str | Scenario | None = None, *, whol
     meta = study.meta
     why = _why_no_command(meta)
     name = meta.file_name
-    scenario, file_why = _find(study, given)
-    pieces = _pieces(meta, scenario, why_kept(study)) if whole and scenario is not None else None
+    explored, file_why = _find(study, given)
+    pieces = _pieces(meta, explored, why_kept(study)) if whole and explored is not None else None
     facts = {key: value for key, value in meta.to_json().items() if key not in ("budget", "repeatability")}
     return {
         "name": portable_name(meta.title),
@@ -63,7 +63,7 @@ def _find(study: Study, given: Path | str | Scenario | None) -> tuple[Scenario |
 def why_kept(study: Study) -> dict[int, str]:
     """Return why each scenario of the reduced set was selected, by id; empty before the study was reduced."""
     reduced = read_reduction(study)
-    return {} if reduced is None else {one.id: one.why for one in reduced.kept}
+    return {} if reduced is None else {scenario.id: scenario.why for scenario in reduced.kept}
 
 
 def write_one(meta: StudyMeta, scenario: Scenario, row: Row, why: str | None) -> bytes:
@@ -80,10 +80,10 @@ def _why_no_command(meta: StudyMeta) -> str:
 
 
 def _settings(meta: StudyMeta) -> list[str]:
-    words = [f"{option}={meta.settings[name]}" for name, option in SIMULATOR_OPTIONS.items() if name in meta.settings]
+    options = [f"{option}={meta.settings[name]}" for name, option in SIMULATOR_OPTIONS.items() if name in meta.settings]
     if meta.simulator != _BUILTIN:
-        words += [f"--simulator={meta.simulator}", f"--ego={meta.ego}"]
-    return [*words, *(f"--driver={entity}={driver_command(driver)}" for entity, driver in meta.drivers.items())]
+        options += [f"--simulator={meta.simulator}", f"--ego={meta.ego}"]
+    return [*options, *(f"--driver={entity}={driver_command(driver)}" for entity, driver in meta.drivers.items())]
 
 
 def _describe(meta: StudyMeta, scenario: str, why: str | None) -> str:
@@ -103,30 +103,35 @@ def _pieces(meta: StudyMeta, scenario: Scenario, kept: Mapping[int, str]) -> dic
     source = etree.tostring(scenario.root).decode()
     while mark in source:
         mark += "-"
-    marks = {one.name: f"{mark}:{k}:" for k, one in enumerate(parameters)}
+    marks = {parameter.name: f"{mark}:{k}:" for k, parameter in enumerate(parameters)}
     try:
         text = _fill(meta, scenario, marks, f"{mark}:n:").decode()
     except (InputError, UnicodeDecodeError):
         # A file that it needs is missing.
         return None
     first, *rest = text.split(f"{mark}:")
-    slots = [one.partition(":")[0] for one in rest]
-    pieces = [first, *(one.partition(":")[2] for one in rest)]
-    types = {one.get("name"): one.get("parameterType") for one in scenario.root.iterfind("ParameterDeclarations/*")}
+    slots = [piece.partition(":")[0] for piece in rest]
+    pieces = [first, *(piece.partition(":")[2] for piece in rest)]
+    types = {
+        element.get("name"): element.get("parameterType")
+        for element in scenario.root.iterfind("ParameterDeclarations/*")
+    }
     choices = {
-        one.name: [_in_attribute(_typed(choice, types.get(one.name))) for choice in one.choices] for one in parameters
+        parameter.name: [_in_attribute(_typed(choice, types.get(parameter.name))) for choice in parameter.choices]
+        for parameter in parameters
     }
     return {
         "pieces": pieces,
         # Index of a parameter; None for the description.
-        "slots": [None if one == "n" else int(one) for one in slots],
-        "kinds": [types.get(one.name, "string") for one in parameters],
+        "slots": [None if slot == "n" else int(slot) for slot in slots],
+        "kinds": [types.get(parameter.name, "string") for parameter in parameters],
         "whole": sorted(INTEGERS),
-        "choices": [choices[one.name] for one in parameters],
+        "choices": [choices[parameter.name] for parameter in parameters],
         # Text before and after the id of a scenario without a selection reason.
-        "description": [_in_attribute(plain_text(one)) for one in _describe(meta, "\0", None).split("\0")],
+        "description": [_in_attribute(plain_text(text)) for text in _describe(meta, "\0", None).split("\0")],
         "kept": {
-            str(one): _in_attribute(plain_text(_describe(meta, str(one), why))) for one, why in sorted(kept.items())
+            str(scenario): _in_attribute(plain_text(_describe(meta, str(scenario), why)))
+            for scenario, why in sorted(kept.items())
         },
     }
 

@@ -98,7 +98,7 @@ def pack_roads(sketch: RoadSketch) -> dict[str, Any]:
     def packed(points: FloatArray) -> list[int]:
         whole: IntArray = np.rint((points - origin) * 100.0).astype(np.int64)
         steps = np.diff(whole, axis=0, prepend=np.zeros((1, 2), dtype=np.int64))
-        return [int(one) for one in steps[(steps != 0).any(axis=1) | (np.arange(len(steps)) == 0)].ravel()]
+        return [int(number) for number in steps[(steps != 0).any(axis=1) | (np.arange(len(steps)) == 0)].ravel()]
 
     return {
         "origin": origin.tolist(),

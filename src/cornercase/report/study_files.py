@@ -36,26 +36,26 @@ _TEXTS: Final = ("ego", "space", "warm-start", "critical-if", "optimizer", "simu
 def name_command(meta: StudyMeta) -> str:
     """Return the command that makes a study again, to be run in the folder of the scenario or imported recordings."""
     if meta.optimizer.startswith(_ESTIMATE):
-        words = ["estimate", "STUDY.db", *_numbers(meta)]
+        arguments = ["estimate", "STUDY.db", *_numbers(meta)]
     elif meta.simulator == IMPORTED:
-        words = ["import", meta.file_name, *_measures(meta), *_table(meta)]
+        arguments = ["import", meta.file_name, *_measures(meta), *_table(meta)]
     elif meta.suite:
-        words = ["test", meta.title, *_measured(meta), *_required(meta), *_simulator(meta)]
+        arguments = ["test", meta.title, *_measured(meta), *_required(meta), *_simulator(meta)]
     else:
-        words = ["explore", meta.file_name, *_ranges(meta), *_measures(meta), *_search(meta), *_simulator(meta)]
-    return shlex.join(["cornercase", *words, "-o", "study.db"])
+        arguments = ["explore", meta.file_name, *_ranges(meta), *_measures(meta), *_search(meta), *_simulator(meta)]
+    return shlex.join(["cornercase", *arguments, "-o", "study.db"])
 
 
 def explore_options(meta: StudyMeta) -> dict[str, list[str]] | None:
     """Return the `explore` options of a study as values by option name; None if another command made it."""
     if meta.optimizer.startswith(_ESTIMATE) or meta.simulator == IMPORTED or meta.suite:
         return None
-    words = iter([*_ranges(meta), *_measures(meta), *_search(meta), *_simulator(meta)])
+    arguments = iter([*_ranges(meta), *_measures(meta), *_search(meta), *_simulator(meta)])
     values_by_option: dict[str, list[str]] = {}
-    for option in words:
+    for option in arguments:
         values = values_by_option.setdefault(option.removeprefix("--"), [])
         if option not in _FLAGS:
-            values.append(next(words))
+            values.append(next(arguments))
     return values_by_option
 
 
@@ -231,9 +231,9 @@ def _settings(options: dict[str, list[str]]) -> Iterator[str]:
             yield f"# Its options are not for a file: --simulator {values[0]}"
             values = [values[0].partition(":")[0]]
         if key == "driver":
-            unregistered = [one for one in values if not _is_for_file(one.partition("=")[2])]
-            yield from (f"# A class of one's own has to be given again: --driver {one}" for one in unregistered)
-            values = [one for one in values if one not in unregistered]
+            unregistered = [driver for driver in values if not _is_for_file(driver.partition("=")[2])]
+            yield from (f"# A class of one's own has to be given again: --driver {driver}" for driver in unregistered)
+            values = [driver for driver in values if driver not in unregistered]
         if key in _LISTS:
             if values:
                 yield f"{key} = [{', '.join(map(_text, values))}]"

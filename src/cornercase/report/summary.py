@@ -142,8 +142,8 @@ class Summary:
             parts.append(f"{self.failed} failed")
         if self.pending:
             parts.append(f"{self.pending} pending")
-        parts += [f"{name} from {one.most_critical:.4g} {one.unit}" for name, one in self.metrics.items()]
-        parts += [f"{len(one.sizes)} clusters by {by}" for by, one in self.analyses.items()]
+        parts += [f"{name} from {metric.most_critical:.4g} {metric.unit}" for name, metric in self.metrics.items()]
+        parts += [f"{len(analysis.sizes)} clusters by {by}" for by, analysis in self.analyses.items()]
         if self.reduced is not None:
             parts.append(f"{len(self.reduced)} kept")
         return f"Summary({', '.join(parts)})"
@@ -186,7 +186,7 @@ def summarize(study: Study | Path | str, *, critical: float | None = None) -> Su
 
 def touched_by_ego(meta: StudyMeta, collisions: Iterable[Collision]) -> frozenset[str]:
     """Return the names of all entities that the ego collides with."""
-    hits = (one.entities for one in collisions if meta.ego in one.entities)
+    hits = (collision.entities for collision in collisions if meta.ego in collision.entities)
     return frozenset(name for pair in hits for name in pair if name != meta.ego)
 
 
@@ -194,7 +194,7 @@ def summarize_with(study: Study, touched: Sequence[frozenset[str]]) -> Summary:
     """Like `summarize`, given for each run scenario the entities that the ego collides with."""
     states = [row.state for row in study.rows()]
     others = frozenset(study.meta.others)
-    names, alike = study.meta.metrics, tell_alike(study)
+    names, constant_notes = study.meta.metrics, tell_alike(study)
     reduced = read_reduction(study)
     return Summary(
         meta=study.meta,
@@ -202,9 +202,11 @@ def summarize_with(study: Study, touched: Sequence[frozenset[str]]) -> Summary:
         run=states.count("done"),
         failed=states.count("failed"),
         pending=states.count("pending"),
-        collisions=sum(not one.isdisjoint(others) for one in touched),
-        beside={name: sum(name in one for one in touched) for name in sorted(frozenset().union(*touched) - others)},
-        metrics={name: _of_metric(study, name, alike.get(name, "")) for name in names} if "done" in states else {},
+        collisions=sum(not names.isdisjoint(others) for names in touched),
+        beside={name: sum(name in names for names in touched) for name in sorted(frozenset().union(*touched) - others)},
+        metrics={name: _of_metric(study, name, constant_notes.get(name, "")) for name in names}
+        if "done" in states
+        else {},
         analyses=read_analyses(study),
         agreements=compare_clusterings(study),
         seconds=study.elapsed(),
@@ -228,9 +230,12 @@ def _probability(study: Study) -> dict[str, Any] | None:
         with damage_told(study.path):
             for event in ("critical", "collision"):
                 low, high = estimate[event]["95 % interval"]
-                require(all(isinstance(one, float | int) for one in (estimate[event]["probability"], low, high)), event)
+                require(
+                    all(isinstance(number, float | int) for number in (estimate[event]["probability"], low, high)),
+                    event,
+                )
             require(isinstance(estimate["critical is"], str) and isinstance(estimate["scenarios"], int), "its estimate")
-            require(all(isinstance(one, str) for one in estimate["warnings"]), "the warnings of its estimate")
+            require(all(isinstance(warning, str) for warning in estimate["warnings"]), "the warnings of its estimate")
     return estimate
 
 
@@ -240,7 +245,7 @@ def _of_metric(study: Study, name: str, alike: str) -> MetricSummary:
     row = study.done()[worst]
     ranges = study.spread(name)
     against = study.against(name)
-    counts = Counter(one for one in against.values() if one is not None)
+    counts = Counter(other for other in against.values() if other is not None)
     width = None if ranges is None else ranges[:, 1] - ranges[:, 0]
     return MetricSummary(
         name=name,
@@ -253,5 +258,5 @@ def _of_metric(study: Study, name: str, alike: str) -> MetricSummary:
         spread=None if width is None else (float(np.median(width)), float(width.max())),
         alike=alike,
         against=against.get(row.id),
-        counts={one: counts[one] for one in study.meta.others} if against else {},
+        counts={name: counts[name] for name in study.meta.others} if against else {},
     )

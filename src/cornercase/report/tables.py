@@ -51,14 +51,14 @@ def tell_profiles(profiles: Sequence[Profile]) -> str:
         ["cluster", "how it ends", "where", "of the cluster", "purity"],
         [
             [
-                name_cluster(one.cluster) if k == 0 else "",
-                ", ".join(f"{end} ({count})" for end, count in one.outcomes.items()) if k == 0 else "",
+                name_cluster(profile.cluster) if k == 0 else "",
+                ", ".join(f"{end} ({count})" for end, count in profile.outcomes.items()) if k == 0 else "",
                 rule.text,
                 share(rule.covers),
                 share(rule.purity),
             ]
-            for one in profiles
-            for k, rule in enumerate(one.rules)
+            for profile in profiles
+            for k, rule in enumerate(profile.rules)
         ],
         text=(0, 1, 2),
     )
@@ -75,11 +75,11 @@ def tell_names(profiles: Sequence[Profile]) -> str:
         ["cluster", "name", "scenarios", "collide", "true of", "of all others", "example"],
         [
             [
-                name_cluster(one.cluster), one.name, str(one.size), str(one.collisions), f"{one.true_of:.0%}",
-                f"{one.true_elsewhere:.0%}", f"scenario {one.example}",
+                name_cluster(profile.cluster), profile.name, str(profile.size), str(profile.collisions),
+                f"{profile.true_of:.0%}", f"{profile.true_elsewhere:.0%}", f"scenario {profile.example}",
             ]
-            for one in profiles
-            if one.name
+            for profile in profiles
+            if profile.name
         ],
         text=(0, 1, -1),
     )  # fmt: skip
@@ -87,13 +87,16 @@ def tell_names(profiles: Sequence[Profile]) -> str:
 
 def tell_facts(tells: Mapping[str, Mapping[str, float]]) -> str:
     """Render how much each clustering says about facts: adjusted mutual information by aspect and fact."""
-    facts = list(dict.fromkeys(fact for each in tells.values() for fact in each))
+    facts = list(dict.fromkeys(fact for information in tells.values() for fact in information))
 
     def figure(value: float) -> str:
         # + 0.0: no "-0.00".
         return f"{round(value, 2) + 0.0:.2f}"
 
-    rows = [[by, *(figure(each[fact]) if fact in each else _UNKNOWN for fact in facts)] for by, each in tells.items()]
+    rows = [
+        [by, *(figure(information[fact]) if fact in information else _UNKNOWN for fact in facts)]
+        for by, information in tells.items()
+    ]
     return make_table(["by", *facts], rows)
 
 
@@ -104,32 +107,33 @@ def tell_choices(found: Clustering) -> str:
         # A single cluster has no separation from others.
         return _UNKNOWN if math.isnan(value) else f"{value:.2f}"
 
-    def stability(one: Candidate) -> str:
+    def stability(candidate: Candidate) -> str:
         # If all scenarios are one group or noise, every subsample is stable.
-        divides = one.clusters > 1 or (one.clusters == 1 and one.noise > 0.0)
-        return figure(one.stability) if divides else _UNKNOWN
+        divides = candidate.clusters > 1 or (candidate.clusters == 1 and candidate.noise > 0.0)
+        return figure(candidate.stability) if divides else _UNKNOWN
 
-    def chosen(one: Candidate) -> bool:
-        return (one.gamma, one.eps) == (found.gamma, found.eps)
+    def chosen(candidate: Candidate) -> bool:
+        return (candidate.gamma, candidate.eps) == (found.gamma, found.eps)
 
     best_by_number: dict[int, Candidate] = {}
-    for one in found.candidates:
+    for candidate in found.candidates:
         # Scores without stability are not comparable.
-        comparable = math.isfinite(one.score) and not math.isnan(one.stability)
-        if comparable and (
-            chosen(one) or one.clusters not in best_by_number or one.score > best_by_number[one.clusters].score
-        ):
-            best_by_number[one.clusters] = one
+        if not math.isfinite(candidate.score) or math.isnan(candidate.stability):
+            continue
+        best = best_by_number.get(candidate.clusters)
+        if best is None or chosen(candidate) or candidate.score > best.score:
+            best_by_number[candidate.clusters] = candidate
     if len(best_by_number) < 2:
         return ""
     return make_table(
         ["clusters", "gamma", "eps", "noise", "DBCV", "silhouette", "stability", "score"],
         [
             [
-                f"{number}{' (chosen)' if chosen(one) else ''}", f"{one.gamma:.4g}", f"{one.eps:.4g}",
-                f"{one.noise:.1%}", figure(one.dbcv), figure(one.silhouette), stability(one), figure(one.score),
+                f"{number}{' (chosen)' if chosen(candidate) else ''}", f"{candidate.gamma:.4g}", f"{candidate.eps:.4g}",
+                f"{candidate.noise:.1%}", figure(candidate.dbcv), figure(candidate.silhouette), stability(candidate),
+                figure(candidate.score),
             ]
-            for number, one in sorted(best_by_number.items())
+            for number, candidate in sorted(best_by_number.items())
         ],
     )  # fmt: skip
 
@@ -140,10 +144,10 @@ def tell_shapes(shapes: Sequence[ClusterShape]) -> str:
         ["cluster", "convexity of the parameters", "in kernel space", "archetypes"],
         [
             [
-                name_cluster(one.cluster), f"{one.convexity:.2f}", f"{one.kernel_convexity:.2f}",
-                _ARCHETYPES[one.method].format(parts=one.parts),
+                name_cluster(shape.cluster), f"{shape.convexity:.2f}", f"{shape.kernel_convexity:.2f}",
+                _ARCHETYPES[shape.method].format(parts=shape.parts),
             ]
-            for one in shapes
+            for shape in shapes
         ],
         text=(0, -1),
     )  # fmt: skip
@@ -154,8 +158,14 @@ def tell_coverage(coverage: Mapping[str, Coverage]) -> str:
     return make_table(
         ["compared by", "largest distance", "of all", "mean distance", "of all"],
         [
-            [name, f"{one.largest:.4g}", f"{one.largest_relative:.1%}", f"{one.mean:.4g}", f"{one.mean_relative:.1%}"]
-            for name, one in coverage.items()
+            [
+                name,
+                f"{entry.largest:.4g}",
+                f"{entry.largest_relative:.1%}",
+                f"{entry.mean:.4g}",
+                f"{entry.mean_relative:.1%}",
+            ]
+            for name, entry in coverage.items()
         ],
     )
 
@@ -168,8 +178,8 @@ def tell_held_out(coverage: Mapping[str, Coverage]) -> str:
             f"{held_out.medoids_largest:.4g}", f"{held_out.mean:.4g}", f"{100 * held_out.better_mean:.0f} of 100",
             f"{held_out.medoids_mean:.4g}",
         ]
-        for name, one in coverage.items()
-        if (held_out := one.held_out) is not None
+        for name, entry in coverage.items()
+        if (held_out := entry.held_out) is not None
     ]  # fmt: skip
     head = [
         "compared by", "held out", "largest distance", "better than random", "k-medoids", "mean distance",
@@ -196,10 +206,10 @@ def tell_critical_coverage(critical: Mapping[str, CriticalCoverage]) -> str:
         ],
         [
             [
-                name, f"{one.within:.3g}", share(one.critical), *held_out(one.held_out),
-                share(one.unlike.value if one.unlike else None),
-                f"{one.unlike.low:.0%} to {one.unlike.high:.0%}" if one.unlike else _UNKNOWN,
+                name, f"{entry.within:.3g}", share(entry.critical), *held_out(entry.held_out),
+                share(entry.unlike.value if entry.unlike else None),
+                f"{entry.unlike.low:.0%} to {entry.unlike.high:.0%}" if entry.unlike else _UNKNOWN,
             ]
-            for name, one in critical.items()
+            for name, entry in critical.items()
         ],
     )  # fmt: skip

@@ -77,9 +77,9 @@ def judge_clusters(analysis: Analysis) -> str:
     if clustering.n_clusters < 2:
         noise = int((clustering.labels < 0).sum())
         outside = f", except {noise} of noise" if noise and clustering.n_clusters else ""
-        alike = "all scenarios are one group" if clustering.n_clusters else "all scenarios are noise"
-        return f"No separate kinds: by {by} {alike}{outside}."
-    if not any(one.name for one in analysis.profiles):
+        uniform = "all scenarios are one group" if clustering.n_clusters else "all scenarios are noise"
+        return f"No separate kinds: by {by} {uniform}{outside}."
+    if not any(profile.name for profile in analysis.profiles):
         return ""
     if not analysis.tells:
         return f"All scenarios end in the same way; the kinds by {by} distinguish how they get there."
@@ -91,12 +91,12 @@ def judge_clusters(analysis: Analysis) -> str:
             parts.append(f"{amount} about {', '.join(facts)}")
     if parts:
         return f"The kinds by {by} say {', and '.join(parts)}."
-    best = max(analysis.tells.values())
-    if best < _SAYS_NOTHING:
-        amount, best = "nothing", max(best, 0.0)
+    highest = max(analysis.tells.values())
+    if highest < _SAYS_NOTHING:
+        amount, highest = "nothing", max(highest, 0.0)
     else:
         amount = "little"
-    return f"The kinds by {by} say {amount} about how scenarios end (mutual information of at most {best:.2f})."
+    return f"The kinds by {by} say {amount} about how scenarios end (mutual information of at most {highest:.2f})."
 
 
 def name_joining(analysis: Analysis) -> str:

@@ -70,16 +70,16 @@ def _draw_ways(axis: Axes, recording: Recording, ego: str, other: str, nearest: 
     middle = time[nearest] if nearest is not None else 0.5 * (time[0] + time[-1])
     around = np.abs(time - middle) <= _AROUND
     marked = _marks(time, around)
-    shown = []
+    visible = []
     for i, name in enumerate(recording.names):
         colour, line, width = _look(name, ego, other)
         center = recording.center(name)
         axis.plot(*center.T, line, color=colour, linewidth=width)
         if name in (ego, other):
-            shown.append(center[around])
+            visible.append(center[around])
             _draw_box(axis, recording, i, nearest if nearest is not None else int(np.flatnonzero(around)[0]), colour)
             axis.plot(*center[marked].T, "o", color=colour, markersize=3.5)
-    points = np.concatenate(shown)
+    points = np.concatenate(visible)
     points = points[np.isfinite(points).all(axis=1)]
     half = _REACH[1]
     if len(points):
@@ -87,10 +87,10 @@ def _draw_ways(axis: Axes, recording: Recording, ego: str, other: str, nearest: 
         half = float(np.clip(np.ptp(points, axis=0).max() / 2.0 + _MARGIN, *_REACH))
         x, y = (points.min(axis=0) + points.max(axis=0)) / 2.0
         if nearest is not None:
-            both = np.array([recording.center(name)[nearest] for name in (ego, other)])
-            x, y = both.mean(axis=0)
+            closest = np.array([recording.center(name)[nearest] for name in (ego, other)])
+            x, y = closest.mean(axis=0)
             # Show both even if they never come close.
-            half = max(half, float(np.ptp(both, axis=0).max()) / 2.0 + _MARGIN)
+            half = max(half, float(np.ptp(closest, axis=0).max()) / 2.0 + _MARGIN)
         axis.set_xlim(x - half, x + half)
         axis.set_ylim(y - half, y + half)
     for name in (ego, other):

@@ -22,7 +22,7 @@ _MARKS: Final = (("archetype", "o", 42), ("prototype", "*", 190), ("gap", "^", 5
 def draw_criticality(values: FloatArray, parameters: Sequence[Parameter], scores: FloatArray, metric: Metric) -> Figure:
     """Draw the scores (n,) over up to six pairs of parameters, values (n, d); critical ones dark."""
     # Numeric parameters first; parameters with a single value are left out.
-    varied = [i for i, one in enumerate(parameters) if one.size != 1] or [0]
+    varied = [i for i, parameter in enumerate(parameters) if parameter.size != 1] or [0]
     varied.sort(key=lambda i: bool(parameters[i].choices))
     pairs = list(combinations(varied, 2))[:6] or [(varied[0], varied[0])]
     columns = min(3, len(pairs))
@@ -104,16 +104,20 @@ def draw_hulls(
         edges = {tuple(sorted(pair)) for facet in facets for pair in combinations(facet, 2)}
         for a, b in sorted(edges):
             axis.plot(*place([row_by_id[a], row_by_id[b]]).T, color=colour, linewidth=0.7, alpha=0.55)
-    for label in sorted({one.cluster for one in reduced.kept}):
+    for label in sorted({scenario.cluster for scenario in reduced.kept}):
         colour, _, name = look_of(label)
         for role, marker, size in _MARKS:
-            members = [row_by_id[one.id] for one in reduced.kept if (one.cluster, one.role) == (label, role)]
+            members = [
+                row_by_id[scenario.id]
+                for scenario in reduced.kept
+                if (scenario.cluster, scenario.role) == (label, role)
+            ]
             if members:
                 axis.scatter(
                     *place(members).T, c=colour, marker=marker, s=size, edgecolors="black", linewidths=0.6,
                     label=f"{role}, {name}",
                 )  # fmt: skip
-    for one, k in zip((axis.xaxis, axis.yaxis, *([axis.zaxis] if is_3d else [])), chosen, strict=False):
-        set_axis(one, parameters[k])
+    for panel_axis, k in zip((axis.xaxis, axis.yaxis, *([axis.zaxis] if is_3d else [])), chosen, strict=False):
+        set_axis(panel_axis, parameters[k])
     axis.legend(loc="center left", bbox_to_anchor=(1.05, 0.5), frameon=False)
     return figure

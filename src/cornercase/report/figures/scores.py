@@ -29,7 +29,7 @@ def draw_courses(
     table = np.full((len(values), len(longest)), np.nan)
     for row, course in zip(table, values, strict=True):
         row[: len(course)] = course
-    for label in [one for one in np.unique(labels).tolist() if one >= 0]:
+    for label in [cluster for cluster in np.unique(labels).tolist() if cluster >= 0]:
         colour, _, name = look_of(label, names)
         rows = table[labels == label]
         is_covered = np.isfinite(rows).sum(axis=0) >= max(1, len(rows) // 2)
@@ -64,7 +64,7 @@ def draw_coverage(curves: Mapping[str, tuple[Gaps, BoolArray]], units: Sequence[
         def share(gaps: FloatArray, reach: FloatArray = reach) -> FloatArray:
             return np.asarray(np.searchsorted(np.sort(gaps), reach, side="right") / max(len(gaps), 1))
 
-        band = np.quantile([share(one) for one in coverage.random], (0.05, 0.95), axis=0)
+        band = np.quantile([share(distances) for distances in coverage.random], (0.05, 0.95), axis=0)
         axis.fill_between(reach, *(100.0 * band), color=GREY, alpha=0.35, linewidth=0, label="random choices")
         axis.plot(reach, 100.0 * share(coverage.medoids), ":", color=COLOURS[6], linewidth=1.6, label="k-medoids")
         axis.plot(reach, 100.0 * share(coverage.kept), color=COLOURS[0], linewidth=2.0, label="kept")

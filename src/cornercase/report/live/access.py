@@ -61,8 +61,8 @@ class Guard:
             query = parse_qs(scope["query_string"].decode("latin-1"), max_num_fields=_MOST_FIELDS)
         except ValueError:
             query = {}
-        given = query.get("token", [""])[-1].encode("utf-8", "replace")
-        if secrets.compare_digest(given, self._token):
+        token = query.get("token", [""])[-1].encode("utf-8", "replace")
+        if secrets.compare_digest(token, self._token):
             return None
         return "The address lacks the token; open the address that `cornercase watch` printed."
 

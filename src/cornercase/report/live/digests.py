@@ -44,10 +44,10 @@ class Digester:
         recording, scores = study.recording(row.id), study.scores_of(row.id)
         time = recording.time
         courses = {
-            one.name: draw_course(
-                time, one.capped(study.course(row.id, one.name)).astype(np.float32), one.lower_is_critical
+            metric.name: draw_course(
+                time, metric.capped(study.course(row.id, metric.name)).astype(np.float32), metric.lower_is_critical
             )
-            for one in self._objective.metrics
+            for metric in self._objective.metrics
         }
         return Digest(
             row,
@@ -60,16 +60,16 @@ class Digester:
         )
 
     def _is_critical(self, scores: dict[str, float]) -> bool:
-        scores_row = np.array([[scores[one.name] for one in self._objective.metrics]])
+        scores_row = np.array([[scores[metric.name] for metric in self._objective.metrics]])
         return bool(self._objective.critical(scores_row, self._study.meta.critical)[0])
 
 
 def tell_scenarios(meta: StudyMeta, digests: Sequence[Digest]) -> dict[str, Any]:
     """Return digests as the columns ``scenarios`` and ``errors`` of the page, without results of an analysis."""
-    rows = [one.row for one in digests]
+    rows = [digest.row for digest in digests]
 
     def scores(name: str) -> list[float | None]:
-        return [plain_score(one.scores[name]) if name in one.scores else None for one in digests]
+        return [plain_score(digest.scores[name]) if name in digest.scores else None for digest in digests]
 
     return {
         "scenarios": {
@@ -78,14 +78,14 @@ def tell_scenarios(meta: StudyMeta, digests: Sequence[Digest]) -> dict[str, Any]
             "failed": [int(row.state == "failed") for row in rows],
             "values": plain_values(meta.space.parameters, rows),
             "scores": {name: scores(name) for name in meta.metrics},
-            "critical": [int(one.critical) for one in digests],
-            "collides": [int(one.collides) if one.scores else None for one in digests],
+            "critical": [int(digest.critical) for digest in digests],
+            "collides": [int(digest.collides) if digest.scores else None for digest in digests],
             "outcome": [None] * len(rows),
             "kept": [0] * len(rows),
             "audit": [int(meta.is_audit(row.id)) for row in rows],
         }
         | tell_against(
-            meta, [[one.against.get(name) for name in meta.metrics] if one.scores else None for one in digests]
+            meta, [[digest.against.get(name) for name in meta.metrics] if digest.scores else None for digest in digests]
         ),
         "errors": {str(row.id): row.error or "" for row in rows if row.state == "failed"},
     }
@@ -94,6 +94,6 @@ def tell_scenarios(meta: StudyMeta, digests: Sequence[Digest]) -> dict[str, Any]
 def tell_courses(meta: StudyMeta, digests: Sequence[Digest]) -> dict[str, Any]:
     """Return the courses of digests, by metric, in the form of the page."""
     return {
-        name: pack_courses([one.courses.get(name) for one in digests], [one.span for one in digests])
+        name: pack_courses([digest.courses.get(name) for digest in digests], [digest.span for digest in digests])
         for name in meta.metrics
     }

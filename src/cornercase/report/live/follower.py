@@ -182,7 +182,7 @@ class Follower:
 
     def _count(self, read: Sequence[Digest], pending: int, last: float | None) -> None:
         """Add digests and update the state under one lock."""
-        self._failed |= {one.row.id: one.row.error for one in read if one.row.state == "failed"}
+        self._failed |= {digest.row.id: digest.row.error for digest in read if digest.row.state == "failed"}
         failed = len(self._failed)
         with self._lock:
             self._digests += read

@@ -100,10 +100,10 @@ class Finder:
 
 def _by_id(kinds: dict[str, Any], ids: list[int]) -> dict[str, Any]:
     """Key the clusters by scenario id, as rows may have been added when the page asks."""
-    known = [k for k, label in enumerate(kinds["labels"]) if label is not None]
+    assigned = [k for k, label in enumerate(kinds["labels"]) if label is not None]
     return kinds | {
-        "labels": {ids[k]: kinds["labels"][k] for k in known},
-        "embedding": [{ids[k]: column[k] for k in known} for column in kinds["embedding"]],
+        "labels": {ids[k]: kinds["labels"][k] for k in assigned},
+        "embedding": [{ids[k]: column[k] for k in assigned} for column in kinds["embedding"]],
     }
 
 
@@ -115,14 +115,16 @@ def _find(path: Path, surroundings: Surroundings) -> tuple[dict[str, Any], dict[
         data = read_report_data(study)
         road_and_rerun = surroundings.of(study, data)
     parts, scenarios = knowledge_part(data) | road_and_rerun, scenario_part(data)
-    ids, named = scenarios["scenarios"]["id"], scenarios["outcomes"]
+    ids, outcome_names = scenarios["scenarios"]["id"], scenarios["outcomes"]
     indices = zip(ids, scenarios["scenarios"]["outcome"], strict=True)
-    outcomes = {scenario: named[place] for scenario, place in indices if place is not None}
-    parts["kinds"] = {name: _by_id(one, ids) for name, one in parts["kinds"].items()}
-    parts["outcomes"] = named
+    outcomes = {scenario: outcome_names[index] for scenario, index in indices if index is not None}
+    parts["kinds"] = {name: _by_id(clusters, ids) for name, clusters in parts["kinds"].items()}
+    parts["outcomes"] = outcome_names
     parts["known_of"] = len(ids)
     # The page counts its scenarios itself, as they come.
     parts["about"] = tell_about(data, counts=False)
-    parts["details"] = [{"name": one.name, "title": one.title, "html": str(one.html)} for one in page_details(data)]
+    parts["details"] = [
+        {"name": section.name, "title": section.title, "html": str(section.html)} for section in page_details(data)
+    ]
     parts["provenance"] = str(tell_provenance(data.study, data.summary))
     return parts, outcomes

@@ -36,9 +36,9 @@ class Cursor:
     def of(cls, text: str) -> Cursor:
         """Parse the output of `str`; an empty cursor for any other text."""
         parts = text[:100].split(".")
-        if len(parts) != 4 or not all(one.isascii() and one.isdecimal() for one in parts[1:]):
+        if len(parts) != 4 or not all(number.isascii() and number.isdecimal() for number in parts[1:]):
             return cls()
-        return cls(parts[0], *(int(one) for one in parts[1:]))
+        return cls(parts[0], *(int(number) for number in parts[1:]))
 
 
 class Teller:
@@ -85,8 +85,8 @@ class Teller:
             return Cursor(epoch, len(digests), knowledge.number, knowledge.layout), "contents", None
         new_digests, state = update
         if new_digests and meta is not None:
-            courses = {name: [_rounded(one.courses.get(name)) for one in new_digests] for name in meta.metrics}
-            spans = [one.span for one in new_digests]
+            courses = {name: [_rounded(digest.courses.get(name)) for digest in new_digests] for name in meta.metrics}
+            spans = [digest.span for digest in new_digests]
             progress = None if state is None else asdict(state)
             columns = tell_scenarios(meta, new_digests) | {"courses": courses, "spans": spans, "state": progress}
             return Cursor(epoch, cursor.count + len(new_digests), cursor.knowledge, cursor.layout), "scenarios", columns
@@ -122,7 +122,7 @@ def _event(name: str, data: Any, number: str | None = None) -> str:
 
 
 def _rounded(course: Any) -> list[float] | None:
-    return None if course is None else [float(f"{one:.6g}") for one in course]
+    return None if course is None else [float(f"{value:.6g}") for value in course]
 
 
 def _plain(meta: StudyMeta, path: Path) -> dict[str, Any]:
@@ -145,13 +145,13 @@ def _add_knowledge(contents: dict[str, Any], knowledge: Knowledge) -> None:
     columns, outcomes = contents["scenarios"], contents["outcomes"]
     ids = columns["id"]
     indices = {outcome: k for k, outcome in enumerate(outcomes)}
-    columns["outcome"] = [indices.get(knowledge.outcomes.get(one, "")) for one in ids]
-    columns["kept"] = [int(str(one) in contents["kept"]) for one in ids]
+    columns["outcome"] = [indices.get(knowledge.outcomes.get(scenario, "")) for scenario in ids]
+    columns["kept"] = [int(str(scenario) in contents["kept"]) for scenario in ids]
     contents["kinds"] = {
-        name: one
+        name: clusters
         | {
-            "labels": [one["labels"].get(scenario) for scenario in ids],
-            "embedding": [[column.get(scenario) for scenario in ids] for column in one["embedding"]],
+            "labels": [clusters["labels"].get(scenario) for scenario in ids],
+            "embedding": [[column.get(scenario) for scenario in ids] for column in clusters["embedding"]],
         }
-        for name, one in contents["kinds"].items()
+        for name, clusters in contents["kinds"].items()
     }

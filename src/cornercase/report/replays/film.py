@@ -52,10 +52,10 @@ class Film:
         self._footage = footage
         self._figure = Figure(figsize=_SIZE[len(footage.takes)], dpi=dots, facecolor="white")
         self._canvas = FigureCanvasAgg(self._figure)
-        places = np.concatenate([self._places(take) for take in footage.takes])
+        positions = np.concatenate([self._places(take) for take in footage.takes])
         # All scenes show the same region.
-        self._middle: tuple[float, float] = tuple(((places.min(axis=0) + places.max(axis=0)) / 2.0).tolist())
-        self._high = max(_LEAST, float(np.ptp(places, axis=0).max()) + 2.0 * _MARGIN) / 2.0
+        self._middle: tuple[float, float] = tuple(((positions.min(axis=0) + positions.max(axis=0)) / 2.0).tolist())
+        self._high = max(_LEAST, float(np.ptp(positions, axis=0).max()) + 2.0 * _MARGIN) / 2.0
         with rc_context({"text.parse_math": False, "font.size": 10.0}):
             self._scenes = [self._scene(k, take) for k, take in enumerate(footage.takes)]
             self._course = self._draw_course(footage.metrics[0])
@@ -109,15 +109,15 @@ class Film:
     def _places(self, take: Take) -> FloatArray:
         """Return the positions of ego and other while they are in view, in m, shape (P, 2)."""
         recording, meta = take.recording, self._footage.meta
-        shown = (meta.ego, self._footage.other_of(take))
-        paths = [recording.center(name) for name in shown if name in recording.names]
-        places = np.stack(paths or [recording.center(name) for name in recording.names])
+        names = (meta.ego, self._footage.other_of(take))
+        paths = [recording.center(name) for name in names if name in recording.names]
+        centers = np.stack(paths or [recording.center(name) for name in recording.names])
         middle = take.critical_time(self._footage.metrics[0])
         positions = np.zeros((1, 2))
         for before in (np.inf, *_BEFORE):
             is_visible = recording.time >= middle - before
             is_visible &= recording.time <= middle + (_AFTER if np.isfinite(before) else np.inf)
-            visible = places[:, is_visible].reshape(-1, 2)
+            visible = centers[:, is_visible].reshape(-1, 2)
             visible = visible[np.isfinite(visible).all(axis=1)]
             if len(visible):
                 positions = visible

@@ -85,14 +85,16 @@ def read_footage(study: Study, ids: Sequence[int], scenario: Path | str | Scenar
     outcomes = study.outcomes()
     rows = {row.id: row for row in study.rows()}
     takes = []
-    for one in ids:
-        row = _require_run(study, rows, one)
-        scores = study.scores_of(one)
-        courses = {metric.name: metric.capped(study.course(one, metric.name)) for metric in metrics}
+    for scenario_id in ids:
+        row = _require_run(study, rows, scenario_id)
+        scores = study.scores_of(scenario_id)
+        courses = {metric.name: metric.capped(study.course(scenario_id, metric.name)) for metric in metrics}
         scores_row = np.array([[scores[metric.name] for metric in metrics]])
         critical = bool(objective.critical(scores_row, study.critical)[0])
-        against = study.against_of(one)
-        takes.append(Take(row, study.recording(one), courses, scores, outcomes.get(one, ""), critical, against))
+        against = study.against_of(scenario_id)
+        takes.append(
+            Take(row, study.recording(scenario_id), courses, scores, outcomes.get(scenario_id, ""), critical, against)
+        )
     region = recorded_region(take.recording for take in takes)
     road, missing = find_roads(study, region, scenario, takes[0].row.values)
     return Footage(study.path.name, meta, metrics, threshold, tuple(takes), road, missing)

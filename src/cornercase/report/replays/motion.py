@@ -72,7 +72,7 @@ def motion_at(recording: Recording, times: FloatArray) -> Motion:
 
 def sees(motion: Motion, driver: int, target: int, k: int) -> bool:
     """Return whether a driver sees an entity at time index `k`, by the same rule as the drivers."""
-    obstacles = [one for one in motion.there(k) if one not in (driver, target)]
+    obstacles = [entity for entity in motion.there(k) if entity not in (driver, target)]
     watched = [target, *obstacles]
     poses = np.stack((motion.x[:, k], motion.y[:, k], motion.heading[:, k]))
     boxes = np.stack((motion.length, motion.width, np.zeros(len(motion.length))))
@@ -88,7 +88,7 @@ def shadow(motion: Motion, driver: int, other: int, k: int) -> FloatArray | None
     right, left = corners[angles.argmin()], corners[angles.argmax()]
     if float(np.ptp(angles)) >= np.pi or not direction.any():
         return None
-    far = [one * (_FAR / max(float(np.hypot(*one)), 1e-9)) for one in (right, left)]
+    far = [corner * (_FAR / max(float(np.hypot(*corner)), 1e-9)) for corner in (right, left)]
     return np.array([right, far[0], far[1], left]) + eye
 
 

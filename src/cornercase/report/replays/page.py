@@ -22,9 +22,9 @@ def fill_replay(footage: Footage) -> str:
     """Render the page of a replay; the same study gives the same bytes."""
     item_by_id = {take.row.id: take for take in footage.takes}
     block, offsets = pack_block(
-        [pack_record(one, take.recording, take.courses) for one, take in sorted(item_by_id.items())]
+        [pack_record(scenario, take.recording, take.courses) for scenario, take in sorted(item_by_id.items())]
     )
-    index = {str(one): [0, offset] for one, offset in zip(sorted(item_by_id), offsets, strict=True)}
+    index = {str(scenario): [0, offset] for scenario, offset in zip(sorted(item_by_id), offsets, strict=True)}
     meta = footage.meta
     ids = " beside ".join(str(take.row.id) for take in footage.takes)
     return fill_template(
@@ -57,12 +57,12 @@ def _contents(footage: Footage) -> dict[str, Any]:
             "round": [take.row.round for take in items],
             "failed": [0] * len(items),
             "values": plain_values(footage.parameters, [take.row for take in items]),
-            "scores": {one.name: [plain_score(take.scores[one.name]) for take in items] for one in metrics},
+            "scores": {metric.name: [plain_score(take.scores[metric.name]) for take in items] for metric in metrics},
             "critical": [int(take.critical) for take in items],
             "outcome": [outcomes.index(take.outcome) if take.outcome else None for take in items],
             "kept": [0] * len(items),
         }
-        | tell_against(meta, [[take.against.get(one.name) for one in metrics] for take in items]),
+        | tell_against(meta, [[take.against.get(metric.name) for metric in metrics] for take in items]),
         "kept": {},
         "errors": {},
         "kinds": {},

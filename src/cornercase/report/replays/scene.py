@@ -45,7 +45,7 @@ class Scene:
         names = recording.names
         self._ego = names.index(footage.meta.ego) if footage.meta.ego in names else -1
         self._other = names.index(other) if other in names else -1
-        self._others = {names.index(one) for one in footage.meta.others if one in names}
+        self._others = {names.index(name) for name in footage.meta.others if name in names}
         self._high = float(np.ptp(axes.get_ylim()))
         if footage.road is not None:
             self._draw_road(footage)
@@ -62,7 +62,7 @@ class Scene:
     def _draw_road(self, footage: Footage) -> None:
         assert footage.road is not None
         for order, (kind, colour) in enumerate(_AREAS.items()):
-            areas = [points for one, points in footage.road.areas if one == kind]
+            areas = [points for area_kind, points in footage.road.areas if area_kind == kind]
             # All outlines lie below all areas, so that only the outline of the union is visible.
             self._axes.add_collection(
                 PolyCollection(areas, facecolors="none", edgecolors=LINE, linewidths=1.8, zorder=0.1 + order),
@@ -130,7 +130,9 @@ class Scene:
         is_neutral = entity != self._ego and entity not in self._others
         text = name if is_neutral and not abs(speed) > 0.05 else f"{name} {speed:.1f} m/s"
         # The upper one of ego and other has its label above, the lower one below.
-        height = {one: motion.y[one, k] if one in motion.there(k) else -np.inf for one in (self._ego, self._other)}
+        height = {
+            entity: motion.y[entity, k] if entity in motion.there(k) else -np.inf for entity in (self._ego, self._other)
+        }
         lower = self._other if height[self._ego] >= height[self._other] else self._ego
         offset = float(np.ptp(motion.corners(entity, k)[:, 1])) / 2.0 + 0.02 * self._high
         y = motion.y[entity, k] + (-offset if entity == lower else offset)

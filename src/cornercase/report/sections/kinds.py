@@ -24,7 +24,7 @@ def show_kinds(data: ReportData) -> Iterator[Part]:
 
 def compare_kinds(data: ReportData) -> Iterator[Part]:
     """Render how much the clusterings say about facts, and how far they agree with each other."""
-    tells = {by: one.tells for by, one in data.summary.analyses.items() if one.tells}
+    tells = {by: analysis.tells for by, analysis in data.summary.analyses.items() if analysis.tells}
     if tells:
         yield make_part("facts", "Do the clusterings say what happened?", _tell_facts(tells))
     if data.summary.agreements:
@@ -76,7 +76,7 @@ def _tell_clusters(data: ReportData, analysis: Analysis) -> Iterator[str]:
         )
     if clustering.n_clusters < 2:
         return
-    if any(one.name for one in analysis.profiles):
+    if any(profile.name for profile in analysis.profiles):
         yield tables.tell_names(analysis.profiles)
     yield f"<p>{escape(tell_how_found(analysis))}</p>"
     if settings := tables.tell_choices(clustering):

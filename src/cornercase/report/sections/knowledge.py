@@ -30,12 +30,12 @@ def _tell_front(data: ReportData, front: Mapping[int, Mapping[str, float]]) -> I
     parameters, rows = data.parameters, {row.id: row for row in data.rows}
     yield f"<p>{escape(tell_front(len(front)))}</p>"
     yield make_table(
-        ["scenario", *map(name_axis, parameters), *(f"{one.name} [{one.unit}]" for one in data.metrics)],
+        ["scenario", *map(name_axis, parameters), *(f"{metric.name} [{metric.unit}]" for metric in data.metrics)],
         [
             [
                 str(scenario),
-                *(format_value(one.read(rows[scenario].values)) for one in parameters),
-                *(f"{scores[one.name]:.4g}" for one in data.metrics),
+                *(format_value(parameter.read(rows[scenario].values)) for parameter in parameters),
+                *(f"{scores[metric.name]:.4g}" for metric in data.metrics),
             ]
             for scenario, scores in front.items()
         ],
@@ -64,8 +64,8 @@ def _tell_critical(known: CriticalKnowledge, criterion: str, run: int, asked: st
     rows += [[overlooked, f"{estimates.overlooked:.2%}", ""], [unvisited, f"{estimates.unvisited:.2%}", ""]]
     yield make_table(["what", "estimate", "90 % interval"], rows)
     if estimates.missed_doubt is not None:
-        both = "the share and of " if estimates.share_doubt is not None else ""
-        yield f"<p>There is no interval of {both}what is missed: {escape(estimates.missed_doubt)}.</p>"
+        prefix = "the share and of " if estimates.share_doubt is not None else ""
+        yield f"<p>There is no interval of {prefix}what is missed: {escape(estimates.missed_doubt)}.</p>"
     model = "a Gaussian process of the scores"
     if estimates.by_committee:
         model = (

@@ -33,26 +33,28 @@ _STAGES: Final = {"files": "read the scenario"}
 def tell_scores(data: ReportData) -> Iterator[Part]:
     """Render the scores by each metric."""
     rows = []
-    for one in data.summary.metrics.values():
-        spread = "" if one.spread is None else f"{one.spread[0]:.3g}, at most {one.spread[1]:.3g}"
+    for summary in data.summary.metrics.values():
+        spread = "" if summary.spread is None else f"{summary.spread[0]:.3g}, at most {summary.spread[1]:.3g}"
         location = ", ".join(
-            f"{parameter.name} = {format_value(parameter.read(one.at))}" for parameter in data.parameters
+            f"{parameter.name} = {format_value(parameter.read(summary.at))}" for parameter in data.parameters
         )
-        scores_per_other = ", ".join(f"{other} in {count}" for other, count in one.counts.items() if count)
+        scores_per_other = ", ".join(f"{other} in {count}" for other, count in summary.counts.items() if count)
         rows.append(
             [
-                one.name, one.unit, "low" if one.lower_is_critical else "high", f"{one.most_critical:.4g}",
-                one.against or "", f"scenario {one.scenario} ({location})", f"{one.median:.4g}", scores_per_other,
-                spread, one.alike,
+                summary.name, summary.unit, "low" if summary.lower_is_critical else "high",
+                f"{summary.most_critical:.4g}", summary.against or "", f"scenario {summary.scenario} ({location})",
+                f"{summary.median:.4g}", scores_per_other, spread, summary.alike,
             ]
         )  # fmt: skip
     head = [
         "metric", "unit", "critical is", "most critical", "against", "in", "median", "scenarios against",
         "between runs of one scenario", "note",
     ]  # fmt: skip
-    shown = [k for k in range(len(head)) if any(row[k] for row in rows)]
-    text_columns = [at for at, k in enumerate(shown) if head[k] in _WORDS]
-    lines = [make_table([head[k] for k in shown], [[row[k] for k in shown] for row in rows], text=tuple(text_columns))]
+    columns = [k for k in range(len(head)) if any(row[k] for row in rows)]
+    text_columns = [at for at, k in enumerate(columns) if head[k] in _WORDS]
+    lines = [
+        make_table([head[k] for k in columns], [[row[k] for k in columns] for row in rows], text=tuple(text_columns))
+    ]
     yield make_part("scores", "Scores by each metric", lines)
 
 
@@ -76,7 +78,7 @@ def tell_provenance(study: str, summary: Summary) -> Markup:
         "study": study,
         "scenario file": meta.file_name,
         "fingerprint (SHA-256 of the scenario and all files that it uses)": meta.fingerprint,
-        **{f"range of {one.name}": name_range(one) for one in meta.space.parameters},
+        **{f"range of {parameter.name}": name_range(parameter) for parameter in meta.space.parameters},
         "optimizer": meta.optimizer,
         "seed": meta.seed,
         "simulator": meta.simulator,
@@ -98,7 +100,7 @@ def _in_seconds(seconds: float) -> str:
 def _plain(value: Any) -> str:
     """Format a setting without Python syntax."""
     if isinstance(value, dict):
-        return ", ".join(f"{name}: {_plain(one)}" for name, one in value.items())
+        return ", ".join(f"{name}: {_plain(item)}" for name, item in value.items())
     if isinstance(value, list | tuple):
         return ", ".join(map(str, value))
     # Only the file name, as folders of the author are private.

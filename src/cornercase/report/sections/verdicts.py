@@ -24,6 +24,8 @@ def show_verdicts(data: ReportData) -> Iterator[Part]:
         if not verdicts:
             rows.append([*names, "passed", "", "no requirement is for it"])
     head = ["scenario", "file", "kind", "verdict", "requirement", "why"]
-    shown = [k for k in range(len(head)) if any(row[k] for row in rows)]
-    lines = [make_table([head[k] for k in shown], [[row[k] for k in shown] for row in rows], text=range(len(shown)))]
+    columns = [k for k in range(len(head)) if any(row[k] for row in rows)]
+    lines = [
+        make_table([head[k] for k in columns], [[row[k] for k in columns] for row in rows], text=range(len(columns)))
+    ]
     yield make_part("verdicts", "Verdicts", lines)

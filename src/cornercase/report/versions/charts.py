@@ -45,18 +45,18 @@ class Chart:
 
 def draw_charts(found: Comparison, parameters: Sequence[Parameter]) -> Iterator[Chart]:
     """Yield a chart for each metric whose scores changed, and one of the first two numeric parameters."""
-    ran = [one for one in found.pairs if one.ran]
+    ran = [pair for pair in found.pairs if pair.ran]
     for score in found.scores:
         if score.moved:
             yield _of_scores(ran, score.metric)
-    axes = [one for one in parameters if not one.choices][:2]
-    if len(axes) == 2 and any(one.run not in ("the same", "within rounding") for one in found.pairs):
+    axes = [parameter for parameter in parameters if not parameter.choices][:2]
+    if len(axes) == 2 and any(pair.run not in ("the same", "within rounding") for pair in found.pairs):
         yield _of_space(found.pairs, axes)
 
 
 def _of_scores(pairs: Sequence[Pair], name: str) -> Chart:
     metric = METRICS.create(name)
-    scores = np.array([one.scores[name] for one in pairs])
+    scores = np.array([pair.scores[name] for pair in pairs])
     low, high = float(scores.min()), float(scores.max())
     low, high = (low, high) if high > low else (low - 0.5, high + 0.5)
     oriented = np.asarray(metric.oriented(scores))
@@ -64,8 +64,8 @@ def _of_scores(pairs: Sequence[Pair], name: str) -> Chart:
     unit = "" if metric.unit == "1" else f" [{metric.unit}]"
     points = np.stack([_across(scores[:, 0], low, high), _up(scores[:, 1], low, high)], axis=1)
     texts = [
-        f"{one.ids[0]}, {one.ids[1]}: {before:.4g} → {after:.4g}"
-        for one, (before, after) in zip(pairs, scores, strict=True)
+        f"{pair.ids[0]}, {pair.ids[1]}: {before:.4g} → {after:.4g}"
+        for pair, (before, after) in zip(pairs, scores, strict=True)
     ]
     ends = np.array([low, high])
     corner = [*_across(ends, low, high).tolist(), *_up(ends, low, high).tolist()]
@@ -83,19 +83,19 @@ def _of_scores(pairs: Sequence[Pair], name: str) -> Chart:
 
 
 def _of_space(pairs: Sequence[Pair], axes: Sequence[Parameter]) -> Chart:
-    values = np.array([[one.read_number(pair.values) for one in axes] for pair in pairs])
-    has_threshold = any(one.critical is not None for one in pairs)
+    values = np.array([[parameter.read_number(pair.values) for parameter in axes] for pair in pairs])
+    has_threshold = any(pair.critical is not None for pair in pairs)
     classes, texts = [], []
-    for one in pairs:
-        before, after = one.critical if has_threshold and one.critical is not None else one.collides
+    for pair in pairs:
+        before, after = pair.critical if has_threshold and pair.critical is not None else pair.collides
         point_class = (
             "new" if after and not before else "old" if before and not after else "always" if after else "both"
         )
-        if point_class == "both" and one.run in ("otherwise", "not in one"):
+        if point_class == "both" and pair.run in ("otherwise", "not in one"):
             point_class = "moved"
         classes.append(point_class)
-        ends = [outcome or error or "" for outcome, error in zip(one.outcomes, one.errors, strict=True)]
-        texts.append(f"{one.ids[0]}, {one.ids[1]}: {ends[0]} → {ends[1]}")
+        ends = [outcome or error or "" for outcome, error in zip(pair.outcomes, pair.errors, strict=True)]
+        texts.append(f"{pair.ids[0]}, {pair.ids[1]}: {ends[0]} → {ends[1]}")
     event = "critical" if has_threshold else "a collision"
     first, second = axes
     return Chart(
@@ -141,18 +141,18 @@ def _ticks(low: float, high: float, *, across: bool) -> tuple[tuple[float, str],
         return ()
     min_step = (high - low) / _TICKS
     power = 10.0 ** math.floor(math.log10(min_step))
-    step = next(one * power for one in (1.0, 2.0, 5.0, 10.0) if one * power >= min_step * (1.0 - 1e-9))
+    step = next(factor * power for factor in (1.0, 2.0, 5.0, 10.0) if factor * power >= min_step * (1.0 - 1e-9))
     numbers = step * np.arange(math.ceil(low / step - 1e-9), math.floor(high / step + 1e-9) + 1)
     positions = (_across if across else _up)(numbers, low, high)
     return tuple(
-        (place, f"{number + 0.0:.4g}") for place, number in zip(positions.tolist(), numbers.tolist(), strict=True)
+        (position, f"{number + 0.0:.4g}") for position, number in zip(positions.tolist(), numbers.tolist(), strict=True)
     )
 
 
 def _thinned(places: FloatArray, kinds: Sequence[str], words: Sequence[str]) -> tuple[tuple[Any, ...], ...]:
     """Return points with class and text; changed ones last, so that they are on top."""
-    unchanged = [k for k, one in enumerate(kinds) if one == "both"]
-    changed = [k for k, one in enumerate(kinds) if one != "both"]
+    unchanged = [k for k, point_class in enumerate(kinds) if point_class == "both"]
+    changed = [k for k, point_class in enumerate(kinds) if point_class != "both"]
     stride = max(1, math.ceil(len(unchanged) / _MOST))
     order = [*unchanged[::stride], *changed]
     return tuple((*places[k].tolist(), kinds[k], words[k]) for k in order)

@@ -82,13 +82,13 @@ def write_comparison(
 def _filled(found: Comparison, old: Study, new: Study, scenario: Path | str | Scenario | None) -> str:
     recordings, records = [], []
     for k, telling in enumerate(found.telling):
-        for one, study, scenario_id in _both(k, telling, old, new):
+        for number, study, scenario_id in _both(k, telling, old, new):
             if study.scores_of(scenario_id):
                 recordings.append(study.recording(scenario_id))
-                records.append((one, pack_record(one, recordings[-1], _courses(study, scenario_id, found))))
+                records.append((number, pack_record(number, recordings[-1], _courses(study, scenario_id, found))))
     block, offsets = pack_block([record for _, record in records])
-    index = {str(one): [0, offset] for (one, _), offset in zip(records, offsets, strict=True)}
-    sections = [one for one in tell_comparison(found) if one.key not in ("answer", "findings", "telling")]
+    index = {str(number): [0, offset] for (number, _), offset in zip(records, offsets, strict=True)}
+    sections = [section for section in tell_comparison(found) if section.key not in ("answer", "findings", "telling")]
     answer = tell_comparison(found)[0]
     contents = _contents(found, old, new) | {"recordings": index} | _roads(found, old, recordings, scenario)
     return fill_template(
@@ -101,10 +101,10 @@ def _filled(found: Comparison, old: Study, new: Study, scenario: Path | str | Sc
         answer=answer,
         verdict=found.verdict,
         reason=found.verdict_reason,
-        findings=[(title, _findings(each, found)) for title, each in _directions(found) if each],
+        findings=[(title, _findings(findings, found)) for title, findings in _directions(found) if findings],
         sections=sections,
         charts=list(draw_charts(found, old.space.parameters)),
-        telling=[(2 * k + 1, 2 * k + 2, one.why, _ids(one)) for k, one in enumerate(found.telling)],
+        telling=[(2 * k + 1, 2 * k + 2, example.why, _ids(example)) for k, example in enumerate(found.telling)],
         contents=contents,
         blocks=[base64.b64encode(block).decode()],
     )
@@ -116,15 +116,15 @@ def _directions(found: Comparison) -> tuple[tuple[str, tuple[Finding, ...]], ...
 
 def _findings(findings: Sequence[Finding], found: Comparison) -> list[dict[str, Any]]:
     """Return the texts of findings, with the page's numbers of their scenarios if they can be replayed."""
-    page_numbers = {one.pair.ids: (2 * k + 1, 2 * k + 2) for k, one in enumerate(found.telling)}
+    page_numbers = {example.pair.ids: (2 * k + 1, 2 * k + 2) for k, example in enumerate(found.telling)}
     return [
         {
-            "what": one.what,
-            "test": one.tell_test(),
-            "scenarios": [(name_pair(ids), *page_numbers.get(ids, (None, None))) for ids in one.ids[:NAMED]],
-            "more": max(len(one.ids) - NAMED, 0),
+            "what": finding.what,
+            "test": finding.tell_test(),
+            "scenarios": [(name_pair(ids), *page_numbers.get(ids, (None, None))) for ids in finding.ids[:NAMED]],
+            "more": max(len(finding.ids) - NAMED, 0),
         }
-        for one in findings
+        for finding in findings
     ]
 
 
@@ -139,16 +139,16 @@ def _ids(telling: Telling) -> str:
 
 
 def _courses(study: Study, scenario: int, found: Comparison) -> dict[str, FloatArray]:
-    names = [one.metric for one in found.scores]
+    names = [score.metric for score in found.scores]
     return {name: METRICS.create(name).capped(study.course(scenario, name)) for name in names}
 
 
 def _contents(found: Comparison, old: Study, new: Study) -> dict[str, Any]:
     """Return the contents of the replays; the two scenarios of each pair have numbers of the page's own."""
     rows = [{row.id: row for row in study.rows()} for study in (old, new)]
-    pairs = [one.pair for one in found.telling]
-    outcomes = sorted({outcome for one in pairs for outcome in one.outcomes if outcome})
-    metrics = [one.metric for one in found.scores]
+    pairs = [example.pair for example in found.telling]
+    outcomes = sorted({outcome for pair in pairs for outcome in pair.outcomes if outcome})
+    metrics = [score.metric for score in found.scores]
     members = [(pair, side, rows[side][pair.ids[side]]) for pair in pairs for side in (0, 1)]
     errors = {str(k + 1): row.error or "" for k, (_, _, row) in enumerate(members) if row.state == "failed"}
     meta = old.meta
@@ -157,10 +157,10 @@ def _contents(found: Comparison, old: Study, new: Study) -> dict[str, Any]:
     if old.critical is not None and not meta.weights and not meta.pareto:
         first = METRICS.create(meta.metrics[0])
         critical = {"threshold": old.critical, "lower_is_critical": first.lower_is_critical, "unit": first.unit}
-    shown = [one for one in subject["metrics"] if one["name"] in metrics] or subject["metrics"]
+    metrics_of_page = [metric for metric in subject["metrics"] if metric["name"] in metrics] or subject["metrics"]
     sources = [(old, new)[side].against_of(row.id) for _, side, row in members]
     return subject | {
-        "metrics": shown,
+        "metrics": metrics_of_page,
         "searched": meta.metrics[0] if critical is not None else "",
         "critical": critical,
         "outcomes": outcomes,
@@ -180,7 +180,7 @@ def _contents(found: Comparison, old: Study, new: Study) -> dict[str, Any]:
             ],
             "kept": [0] * len(members),
         }
-        | tell_against(meta, [[one.get(metric["name"]) for metric in shown] for one in sources]),
+        | tell_against(meta, [[source.get(metric["name"]) for metric in metrics_of_page] for source in sources]),
         "kept": {},
         "errors": errors,
         "kinds": {},
