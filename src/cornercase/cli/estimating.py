@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from cornercase._common.json_keys import with_identifiers
 from cornercase._common.texts import json_text
 from cornercase.cli import options as opt
 from cornercase.cli import parsing
@@ -73,7 +72,9 @@ def estimate(
         progress=True,
     )
     if as_json:
-        sys.stdout.write(json_text(with_identifiers(estimation.to_json(), {})) + "\n")
+        from cornercase.report.plain import estimate_to_dict
+
+        sys.stdout.write(json_text(estimate_to_dict(estimation.to_json())) + "\n")
     else:
         _print_estimation(estimation)
     if estimation.interrupted:

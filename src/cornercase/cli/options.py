@@ -76,8 +76,7 @@ Ego = Annotated[str, Option(metavar="NAME", help="Entity under test.")]
 Other = Annotated[
     list[str],
     Option(
-        metavar="NAME|*",
-        help="Other entity; repeat it for several, '*' for all others. The most critical one counts.",
+        metavar="NAME|*", help="Other entity; repeat it for several, '*' for all others. The most critical one counts."
     ),
 ]
 Metrics = Annotated[

@@ -9,7 +9,6 @@ from typing import Annotated, Any
 import typer
 
 from cornercase._common.errors import InputError
-from cornercase._common.json_keys import with_identifiers
 from cornercase._common.memory import DEFAULT_MEMORY
 from cornercase._common.texts import json_text
 from cornercase.cli import options as opt
@@ -23,8 +22,7 @@ def report(
     *,
     output: opt.PageOutput,
     figures: Annotated[
-        bool,
-        Option("--figures", help="Also write figures for a paper, as PNG and SVG, into a folder beside the page."),
+        bool, Option("--figures", help="Also write figures for a paper, as PNG and SVG, into a folder beside the page.")
     ] = False,
     figures_in: Annotated[
         Path | None, Option("--figures-in", metavar="DIR", help="Write these figures into another folder.")
@@ -138,7 +136,8 @@ def show(
       cornercase show study.db --critical 0.5
       cornercase show study.db --config > study.toml
     """
-    from cornercase.report import NAMED, put_in_words, summarize, tell_study_file
+    from cornercase.report import put_in_words, summarize, tell_study_file
+    from cornercase.report.plain import with_words
 
     if config:
         if as_json or critical is not None:
@@ -147,9 +146,9 @@ def show(
         return
     summary = put_in_words(summarize(study, critical=critical))
     if as_json:
-        sys.stdout.write(json_text(with_identifiers(summary, NAMED)) + "\n")
+        sys.stdout.write(json_text(summary) + "\n")
         return
-    for key, value in summary.items():
+    for key, value in with_words(summary).items():
         if value != {}:
             _print_entry(key, value)
         elif key == "clusters":

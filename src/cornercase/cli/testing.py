@@ -73,8 +73,7 @@ def test_(
         ),
     ] = None,
     simulator: Annotated[
-        str | None,
-        Option(metavar="NAME", help="Simulator that runs the scenarios; default: that of the manifest."),
+        str | None, Option(metavar="NAME", help="Simulator that runs the scenarios; default: that of the manifest.")
     ] = None,
     driver: opt.Drivers = None,
     workers: opt.Workers = 1,
@@ -84,8 +83,7 @@ def test_(
     max_failures: opt.MaxFailures = 5,
     ego: Annotated[str | None, Option(metavar="NAME", help="Entity under test; default: as in the manifest.")] = None,
     other: Annotated[
-        list[str] | None,
-        Option(metavar="NAME|*", help="Other entity, also several; default: as in the manifest."),
+        list[str] | None, Option(metavar="NAME|*", help="Other entity, also several; default: as in the manifest.")
     ] = None,
     metric: Annotated[
         list[str] | None,
@@ -99,8 +97,7 @@ def test_(
         str | None, Option(metavar="stop|continue", help="What a collision does; default: as in the manifest.")
     ] = None,
     mutants: Annotated[
-        int | None,
-        Option(metavar="N", help="Test how many of N mutants of the ego's driver the suite exposes.", min=1),
+        int | None, Option(metavar="N", help="Test how many of N mutants of the ego's driver the suite exposes.", min=1)
     ] = None,
     seed: opt.MutantSeed = 0,
     maps: opt.Maps = None,

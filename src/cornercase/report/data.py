@@ -72,11 +72,7 @@ class ReportData:
 
 
 def read_report_data(
-    study: Study,
-    *,
-    figures: bool = False,
-    memory: MemoryLimit | None = None,
-    tell: Callable[[int], None] | None = None,
+    study: Study, *, figures: bool = False, memory: MemoryLimit | None = None, tell: Callable[[int], None] | None = None
 ) -> ReportData:
     """Read all data of a report in one pass over the recordings; InputError if it exceeds the memory limit.
 

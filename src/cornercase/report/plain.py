@@ -1,4 +1,4 @@
-"""The summary of a study in words and plain values, as `show` prints it."""
+"""The summary of a study as plain values, under identifiers or words, as `show` prints it."""
 
 from __future__ import annotations
 
@@ -14,7 +14,6 @@ from cornercase.reduction import ClusterShape, Coverage, CriticalCoverage, HeldO
 from cornercase.report.summary import FailureSummary, MetricSummary, Summary
 from cornercase.report.words import (
     judge_clusters,
-    name_cluster,
     name_criterion,
     name_joining,
     name_range,
@@ -28,43 +27,60 @@ from cornercase.report.words import (
 from cornercase.study import StudyMeta
 
 NAMED: Final = {
-    "parameters": 1, "metrics": 1, "at": 1, "clusters": 1, "collisions not measured against": 1, "scenarios against": 1,
-    "mutual information with": 1, "outcomes": 1, "median": 1, "front": 2, "agreement": 1, "references": 1,
+    "parameters": 1, "metrics": 1, "at": 1, "clusters": 1, "collisions_not_measured_against": 1, "scenarios_against": 1,
+    "mutual_information_with": 1, "outcomes": 1, "median": 1, "front": 2, "agreement": 1, "references": 1,
     "coverage": 1, "drivers": 1, "failures": 1,
 }  # fmt: skip
-"""Below these keys the keys of so many levels are names: of metrics, parameters, aspects."""
+"""Number of levels below these keys whose keys are names of metrics, parameters or aspects."""
+# Words of the keys in which more than the underscores differ.
+_WORDS: Final = {
+    "largest_one_of_k_medoids": "largest one of k-medoids",
+    "mean_of_k_medoids": "mean of k-medoids",
+    "on_the_boundary_like_a_kept_one": "on the boundary, like a kept one",
+    "like_one_of_k_medoids": "like one of k-medoids",
+    "runs_of_each_at_most": "runs of each, at most",
+    "spread_of_the_runs_median": "spread of the runs, median",
+    "spread_of_the_runs_largest": "spread of the runs, largest",
+    "run_since_in_no_cluster_yet": "run since, in no cluster yet",
+    "first_order_interval_90": "first order, 90 % interval",
+    "total_interval_90": "total, 90 % interval",
+    "interval_95": "95 % interval",
+    "interval_90": "90 % interval",
+    "plain_monte_carlo_would_need": "plain Monte Carlo would need",
+}
+_IDENTIFIERS: Final = {words: key for key, words in _WORDS.items()}
 _COVERAGE: Final = {
-    "largest": "largest distance to a kept one",
-    "mean": "mean distance",
-    "held_out": "held out",
+    "largest": "largest_distance_to_a_kept_one",
+    "mean": "mean_distance",
+    "held_out": "held_out",
 }
 _HELD_OUT: Final = {
     "scenarios": "scenarios",
-    "largest": "largest distance to a kept one",
-    "mean": "mean distance",
-    "better_largest": "random subsets with a larger largest one",
-    "better_mean": "random subsets with a larger mean",
-    "medoids_largest": "largest one of k-medoids",
-    "medoids_mean": "mean of k-medoids",
+    "largest": "largest_distance_to_a_kept_one",
+    "mean": "mean_distance",
+    "better_largest": "random_subsets_with_a_larger_largest_one",
+    "better_mean": "random_subsets_with_a_larger_mean",
+    "medoids_largest": "largest_one_of_k_medoids",
+    "medoids_mean": "mean_of_k_medoids",
 }
 _CRITICAL: Final = {
-    "within": "alike up to a distance of",
-    "critical": "like a kept one",
-    "boundary": "on the boundary, like a kept one",
-    "held_out": "held out",
-    "unlike": "one of the space is unlike all kept",
+    "within": "alike_up_to_a_distance_of",
+    "critical": "like_a_kept_one",
+    "boundary": "on_the_boundary_like_a_kept_one",
+    "held_out": "held_out",
+    "unlike": "one_of_the_space_is_unlike_all_kept",
 }
 _HELD_OUT_CRITICAL: Final = {
-    "scenarios": "critical scenarios",
-    "critical": "like a kept one",
-    "random": "like one of a random subset",
-    "medoids": "like one of k-medoids",
-    "boundary": "on the boundary, like a kept one",
+    "scenarios": "critical_scenarios",
+    "critical": "like_a_kept_one",
+    "random": "like_one_of_a_random_subset",
+    "medoids": "like_one_of_k_medoids",
+    "boundary": "on_the_boundary_like_a_kept_one",
 }
 
 
 def put_in_words(summary: Summary) -> dict[str, Any]:
-    """Return a summary as words and plain values; ``cornercase show`` prints it, with ``--json`` under identifiers."""
+    """Return a summary as plain values under identifiers, as ``cornercase show --json`` prints it."""
     meta = summary.meta
     plain: dict[str, Any] = {
         "scenario": meta.scenario,
@@ -89,16 +105,16 @@ def put_in_words(summary: Summary) -> dict[str, Any]:
         "clusters": {name: _clusters(analysis, summary.run) for name, analysis in summary.analyses.items()},
         "seconds": {stage: round(seconds, 2) for stage, seconds in summary.seconds.items()},
         "searched": summary.searched,
-        **({"runs differ": meta.runs_differ} if meta.runs_differ else {}),
-        **({"began from": tell_beginning(meta)} if meta.elsewhere else {}),
+        **({"runs_differ": meta.runs_differ} if meta.runs_differ else {}),
+        **({"began_from": tell_beginning(meta)} if meta.elsewhere else {}),
         **({"rounds": "none: each scenario was proposed as soon as one had ended"} if meta.asynchronous else {}),
     }
     plain |= _knowledge(summary)
     plain["agreement"] = {
         f"{aspect} and {other}": {
-            "adjusted rand": agreement.rand,
-            "adjusted mutual information": agreement.mutual,
-            "scenarios that differ": len(agreement.differ),
+            "adjusted_rand": agreement.rand,
+            "adjusted_mutual_information": agreement.mutual,
+            "scenarios_that_differ": len(agreement.differ),
         }
         for (aspect, other), agreement in summary.agreements.items()
     }
@@ -106,14 +122,32 @@ def put_in_words(summary: Summary) -> dict[str, Any]:
         plain["references"] = {
             name: {
                 "prevents": count.prevents,
-                "does not prevent": count.collides,
-                "says nothing of": count.says_nothing,
+                "does_not_prevent": count.collides,
+                "says_nothing_of": count.says_nothing,
             }
             for name, count in summary.references.items()
         }
     if summary.probability is not None:
-        plain["probability"] = dict(summary.probability)
+        plain["probability"] = estimate_to_dict(summary.probability)
     return plain | (_reduced(summary, summary.reduced) if summary.reduced is not None else {})
+
+
+def estimate_to_dict(stored: Mapping[str, Any]) -> dict[str, Any]:
+    """Return a stored estimate, whose keys are words, under identifiers."""
+    return {
+        _IDENTIFIERS.get(words, words.replace(" ", "_")): estimate_to_dict(value) if isinstance(value, dict) else value
+        for words, value in stored.items()
+    }
+
+
+def with_words(values: Mapping[str, Any], levels: int = 0) -> dict[str, Any]:
+    """Replace identifiers by words, except names in the first `levels` levels."""
+    renamed = {}
+    for key, value in values.items():
+        below = levels - 1 if levels else NAMED.get(key, 0)
+        words = key if levels else _WORDS.get(key, key.replace("_", " "))
+        renamed[words] = with_words(value, below) if isinstance(value, dict) else value
+    return renamed
 
 
 def _failure(one: FailureSummary) -> dict[str, Any]:
@@ -123,25 +157,25 @@ def _failure(one: FailureSummary) -> dict[str, Any]:
 def _beside(summary: Summary) -> dict[str, Any]:
     if not summary.beside:
         return {}
-    return {"collisions not measured against": dict(summary.beside), "note": tell_beside(summary)}
+    return {"collisions_not_measured_against": dict(summary.beside), "note": tell_beside(summary)}
 
 
 def _metric(one: MetricSummary, meta: StudyMeta) -> dict[str, Any]:
     plain: dict[str, Any] = {
         "unit": one.unit,
-        "critical is": "low" if one.lower_is_critical else "high",
-        "most critical": one.most_critical,
+        "critical_is": "low" if one.lower_is_critical else "high",
+        "most_critical": one.most_critical,
         "median": one.median,
         "at": dict(one.at),
     }
     if one.counts:
-        plain |= {"against": one.against, "scenarios against": dict(one.counts)}
+        plain |= {"against": one.against, "scenarios_against": dict(one.counts)}
     if one.spread is not None:
         plain |= {
-            "runs of each": meta.repeats,
-            **({} if meta.most_repeats is None else {"runs of each, at most": meta.most_repeats}),
-            "spread of the runs, median": one.spread[0],
-            "spread of the runs, largest": one.spread[1],
+            "runs_of_each": meta.repeats,
+            **({} if meta.most_repeats is None else {"runs_of_each_at_most": meta.most_repeats}),
+            "spread_of_the_runs_median": one.spread[0],
+            "spread_of_the_runs_largest": one.spread[1],
         }
     if one.alike:
         plain["note"] = one.alike
@@ -155,13 +189,13 @@ def _clusters(one: Analysis, run: int) -> dict[str, Any]:
         "stability": one.clustering.stability,
     }
     if n_unassigned := run - len(one.ids):
-        plain |= {"run since, in no cluster yet": n_unassigned, "they join with": name_joining(one)}
+        plain |= {"run_since_in_no_cluster_yet": n_unassigned, "they_join_with": name_joining(one)}
     if information := judge_clusters(one):
-        plain["in words"] = information
+        plain["in_words"] = information
     if one.tells:
-        plain["mutual information with"] = dict(one.tells)
+        plain["mutual_information_with"] = dict(one.tells)
     return plain | {
-        name_cluster(profile.cluster): _named(profile)
+        f"cluster_{profile.cluster}": _named(profile)
         | {
             "scenarios": profile.size,
             "outcomes": profile.outcomes,
@@ -185,8 +219,8 @@ def _named(profile: Profile) -> dict[str, Any]:
         return {}
     return {
         "name": profile.name,
-        "true of": profile.true_of,
-        "true of others": profile.true_elsewhere,
+        "true_of": profile.true_of,
+        "true_of_others": profile.true_elsewhere,
         "example": profile.example,
     }
 
@@ -232,15 +266,15 @@ def _sensitivity(found: Sensitivity) -> dict[str, Any]:
     plain: dict[str, Any] = {
         "parameters": {
             name: {
-                "first order": first,
-                "first order, 90 % interval": list(firsts),
+                "first_order": first,
+                "first_order_interval_90": list(firsts),
                 "total": total,
-                "total, 90 % interval": list(totals),
+                "total_interval_90": list(totals),
             }
             for name, first, firsts, total, totals in rows
         },
-        "predicted variance": found.predicted,
-        "of little influence": list(found.little),
+        "predicted_variance": found.predicted,
+        "of_little_influence": list(found.little),
     }
     if not found.foretold:
         plain["note"] = tell_unforetold()
@@ -250,11 +284,11 @@ def _sensitivity(found: Sensitivity) -> dict[str, Any]:
 def _reduced(summary: Summary, reduced: ReducedSet) -> dict[str, Any]:
     coverage = {name: _labelled(entry, _COVERAGE) for name, entry in reduced.coverage.items()}
     for name, entry in reduced.critical.items():
-        coverage.setdefault(name, {})["critical scenarios"] = _labelled(entry, _CRITICAL)
+        coverage.setdefault(name, {})["critical_scenarios"] = _labelled(entry, _CRITICAL)
     return {
         "kept": len(reduced.kept),
         **({"chosen": chosen} if (chosen := tell_chosen(summary)) else {}),
-        "shapes": {name_cluster(shape.cluster): _shape(shape) for shape in reduced.shapes},
+        "shapes": {f"cluster_{shape.cluster}": _shape(shape) for shape in reduced.shapes},
         "coverage": coverage,
     }
 
@@ -262,8 +296,8 @@ def _reduced(summary: Summary, reduced: ReducedSet) -> dict[str, Any]:
 def _shape(one: ClusterShape) -> dict[str, Any]:
     return {
         "convexity": one.convexity,
-        "convexity in kernel space": one.kernel_convexity,
-        "archetypes by": one.method,
+        "convexity_in_kernel_space": one.kernel_convexity,
+        "archetypes_by": one.method,
         "parts": one.parts,
     }
 

@@ -82,11 +82,7 @@ def draw_clusters(
 
 
 def draw_hulls(
-    values: FloatArray,
-    ids: Sequence[int],
-    parameters: Sequence[Parameter],
-    reduced: ReducedSet,
-    chosen: Sequence[int],
+    values: FloatArray, ids: Sequence[int], parameters: Sequence[Parameter], reduced: ReducedSet, chosen: Sequence[int]
 ) -> Figure:
     """Draw the hull of each cluster in the parameter space (3D if possible) with the reduced set."""
     row_by_id = {scenario: k for k, scenario in enumerate(ids)}
