@@ -265,12 +265,11 @@ def test_42_s1_what_compiles_beside_a_demo_takes_nothing_from_the_folder(clean, 
         started.append(popen(command, **given, cwd=clean.folder))
         return started[-1]
 
-    monkeypatch.setattr(warming, "_LATER", "import cornercase.clustering, cornercase.dtw; print('done')")
     monkeypatch.setattr(platform, "available_cpus", lambda: 2)
     monkeypatch.setattr("subprocess.Popen", starting)
     starts: list[Any] = []
     monkeypatch.setattr("cornercase._common.compiling._WATCH.companions", starts)
-    with warming.two_compile():
+    with warming.two_compile("import cornercase.clustering, cornercase.dtw; print('done')"):
         starts[0]()
         (one,) = started
         one.stdin.close()

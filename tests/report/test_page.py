@@ -171,24 +171,18 @@ def test_a_recording_far_away_with_gaps_is_read_back_to_the_millimetre():
     assert head["names"][1] == "歩行者"
 
 
-def test_a_page_that_would_be_too_large_keeps_the_recordings_that_tell_most(path, tmp_path, monkeypatch):
-    copy = tmp_path / "s.db"
-    copy.write_bytes(path.read_bytes())
-    monkeypatch.setattr(packing, "_WHOLE", 1000)
-    monkeypatch.setattr(packing, "_SAMPLE", 1000)
-    monkeypatch.setattr(packing, "_MOST_CRITICAL", 2)
-    with Study.open(copy, readonly=True) as study:
+def test_a_page_that_would_be_too_large_keeps_the_recordings_that_tell_most(path, tmp_path):
+    with Study.open(path, readonly=True) as study:
+        data = read_report_data(study)
+        packed = packing.pack_most(study, data, max_characters=1000, sample_characters=1000, n_most_critical=2)
         examples = {one.example for one in summarize(study).analyses["distance"].profiles if one.example is not None}
         worst = study.done()[int(study.scores("distance").argmin())].id
         run = len(study.done())
-    page = page_of(copy, tmp_path)
-    contents = contents_of(page)
-    there = {int(one) for one in contents["recordings"]}
+    there = {int(one) for one in packed.index}
     assert examples | {worst} <= there
     assert len(there) < run
-    assert f"{len(there)} of the {run} recordings" in contents["recordings_left_out"]
-    monkeypatch.undo()
-    assert contents_of(page_of(copy, tmp_path))["recordings_left_out"] == ""
+    assert f"{len(there)} of the {run} recordings" in packing.tell_left_out(data, packed)
+    assert contents_of(page_of(path, tmp_path))["recordings_left_out"] == ""
 
 
 def test_each_beginning_of_an_even_order_is_spread():

@@ -76,7 +76,7 @@ def warm_up() -> None:
 
 
 @contextmanager
-def two_compile() -> Iterator[None]:
+def two_compile(program: str = _LATER) -> Iterator[None]:
     """Context in which a second process compiles what runs after the simulations, once this process compiles.
 
     Both share the cache, so that the kernels of the other process are ready when they are needed.
@@ -88,7 +88,7 @@ def two_compile() -> Iterator[None]:
 
     def start() -> None:
         # -P: the current folder may be untrusted.
-        command, nothing = [sys.executable, "-P", "-c", _LATER], subprocess.DEVNULL
+        command, nothing = [sys.executable, "-P", "-c", program], subprocess.DEVNULL
         # Its stdin closes when this process ends for any reason.
         processes.append(subprocess.Popen(command, stdin=subprocess.PIPE, stdout=nothing, stderr=nothing))
 

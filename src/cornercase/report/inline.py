@@ -10,18 +10,16 @@ from typing import Final
 from cornercase.report.page import write_report
 from cornercase.study import Study
 
-# Reports of larger studies would make the notebook tens of megabytes large.
-_MOST: Final = 1000
 _HEIGHT: Final = 700
 
 
-def show_study(path: Path) -> str | None:
+def show_study(path: Path, *, max_scenarios: int = 1000) -> str | None:
     """Return the report of the study at `path` as an HTML iframe, isolated from the notebook.
 
-    None if no scenario or more than 1,000 were run.
+    None without scenarios, and for larger studies, whose reports would make the notebook tens of megabytes large.
     """
     with Study.open(path, readonly=True) as study:
-        if not 0 < len(study.done()) <= _MOST:
+        if not 0 < len(study.done()) <= max_scenarios:
             return None
         with tempfile.TemporaryDirectory() as folder:
             page = write_report(study, Path(folder) / "study.html").read_text(encoding="utf-8")

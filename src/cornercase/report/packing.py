@@ -17,10 +17,6 @@ from cornercase.study import Study
 _IN_BLOCK: Final = 16
 # Number of recordings from which the total size is estimated.
 _TRIED: Final = 64
-# Characters of the recordings in a page if all fit, and if only some do: a page of 20,000 scenarios stays below 30 MB.
-_WHOLE, _SAMPLE = 16_000_000, 8_000_000
-# Most critical scenarios by each metric that are always included.
-_MOST_CRITICAL: Final = 100
 
 
 @dataclass(frozen=True, eq=False)
@@ -47,18 +43,26 @@ def pack_recordings(study: Study, ids: Sequence[int], *, most: int | None = None
     return PackedRecordings(tuple(blocks), index)
 
 
-def pack_most(study: Study, data: ReportData) -> PackedRecordings:
-    """Pack all recordings, or if they are too large for a page, the most important ones.
+def pack_most(
+    study: Study,
+    data: ReportData,
+    *,
+    max_characters: int = 16_000_000,
+    sample_characters: int = 8_000_000,
+    n_most_critical: int = 100,
+) -> PackedRecordings:
+    """Pack all recordings, or if they exceed `max_characters`, about `sample_characters` of the most important ones.
 
-    The reduced set, cluster examples, Pareto front and most critical scenarios come first, then an even sample.
+    The reduced set, cluster examples, Pareto front and most critical scenarios by each metric come first, then an even
+    sample. With the defaults, a page of 20,000 scenarios stays below 30 MB.
     """
     ids = [row.id for row in data.rows]
-    first = list(dict.fromkeys(_telling(data)))
+    first = list(dict.fromkeys(_telling(data, n_most_critical)))
     first_ids = set(first)
     rest = [ids[k] for k in _spread(len(ids)) if ids[k] not in first_ids]
     sample = pack_recordings(study, rest[:_TRIED])
     expected = sum(map(len, sample.blocks)) / max(len(sample.index), 1) * len(ids)
-    return pack_recordings(study, [*first, *rest], most=None if expected <= _WHOLE else _SAMPLE)
+    return pack_recordings(study, [*first, *rest], most=None if expected <= max_characters else sample_characters)
 
 
 def tell_left_out(data: ReportData, packed: PackedRecordings) -> str:
@@ -73,7 +77,7 @@ def tell_left_out(data: ReportData, packed: PackedRecordings) -> str:
     )
 
 
-def _telling(data: ReportData) -> Iterator[int]:
+def _telling(data: ReportData, n_most_critical: int) -> Iterator[int]:
     """Yield the ids that users look at first."""
     summary = data.summary
     if summary.reduced is not None:
@@ -83,7 +87,7 @@ def _telling(data: ReportData) -> Iterator[int]:
     ids = np.array([row.id for row in data.rows])
     for metric in data.metrics:
         oriented = metric.oriented(data.scores[metric.name])
-        yield from ids[np.argsort(oriented, kind="stable")[:_MOST_CRITICAL]].tolist()
+        yield from ids[np.argsort(oriented, kind="stable")[:n_most_critical]].tolist()
 
 
 def _spread(count: int) -> list[int]:
