@@ -6,7 +6,7 @@ Each logical scenario is explored by `level-set` with so many scenarios, once pe
 run with 40 mutants of the ego's driver that choose, and 40 that judge, which are another draw. Of the mutants that
 judge, those count that at least one scenario exposes. Sets of 5, 10 and 20 scenarios are chosen by
 
-- ``expose``: `reduce --expose`, by the mutants that choose;
+- ``expose``: `reduce --kill-mutants`, by the mutants that choose;
 - ``reduce``: `reduce`, as it is without mutants;
 - ``medoids``: k-medoids of the distances by the first metric;
 - ``archetypes``: prototypes and archetypes of the clusters, as the paper: as few for each cluster as give the size, or
@@ -138,7 +138,7 @@ def archetypes(material: Material, size: int) -> list[int]:
 
 
 def exposing(material: Material, choosing: Matrix, size: int) -> list[int]:
-    """As `reduce --expose`."""
+    """As `reduce --kill-mutants`."""
     with_mutants = Material(
         material.points, material.distances, material.labels, material.embedding, material.critical, choosing
     )

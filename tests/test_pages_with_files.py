@@ -91,7 +91,7 @@ def completed(line: str) -> list[str]:
     words = shlex.split(line.replace("/opt/esmini/resources/xosc/cut-in.xosc", str(CUT_IN)))[1:]
     words = [str(NCAP / word) if word.startswith("Variations/") else word for word in words]
     budget = SCENARIOS_OF_AN_ESTIMATE if words[0] == "estimate" else SCENARIOS
-    least = {"--budget": budget, "--mutants": MUTANTS, "--expose": MUTANTS, "--timeout": 60}
+    least = {"--budget": budget, "--mutants": MUTANTS, "--kill-mutants": MUTANTS, "--timeout": 60}
     for i, word in enumerate(words[:-1]):
         if word in least:
             words[i + 1] = str(min(int(words[i + 1]), least[word]))
@@ -100,7 +100,7 @@ def completed(line: str) -> list[str]:
 
 def make_room(words: list[str]) -> None:
     """Let a command write where the house, or an earlier command of the page, has another study."""
-    if words[0] in ("explore", "test", "estimate", "demo") and not {"--replay", "--config"} & set(words):
+    if words[0] in ("explore", "test", "estimate", "demo") and not {"--check-proposals", "--config"} & set(words):
         target = Path(words[words.index("-o") + 1])
         if target.is_dir():
             shutil.rmtree(target)

@@ -105,7 +105,7 @@ def test_42_14_a_recording_that_did_not_come_is_asked_for_again(tab, plain):
     page.evaluate("() => cornercase.store.select(5)")
     wait_for_replay(page, 5)
     # Why it is refused is said, and what is selected is shown once the server is there again.
-    refusal = "Another study has taken its place."
+    refusal = "The study was replaced by another one."
     page.route("**/recordings/*", lambda route: route.fulfill(status=404, body=f"{refusal}\n"))
     page.evaluate("() => cornercase.store.select(6)")
     message.get_by_text(refusal).wait_for()

@@ -28,7 +28,7 @@ FAULTS = {
     "a fault": (ZeroDivisionError("division\nby zero"), ("fault of cornercase itself", "ZeroDivisionError", "please report")),
     "a key": (KeyError("x"), ("KeyError: 'x'", "please report")),
     "a fault that says little": (AssertionError(), ("AssertionError", "please report")),
-    "memory": (MemoryError(), ("needs more memory than there is",)),
+    "memory": (MemoryError(), ("needs more memory than available",)),
     "recursion": (RecursionError(), ("nested too deep", "please report")),
     "a full disk": (OSError(errno.ENOSPC, "No space left on device"), ("No space left on device", "make room")),
     "a named file": (PermissionError(errno.EACCES, "Permission denied", "/a/b.csv"), ("/a/b.csv: ", "Permission denied")),

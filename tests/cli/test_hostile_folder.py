@@ -57,7 +57,7 @@ COMMANDS: dict[str, tuple[object, ...]] = {
     "analyze": ("analyze", "study.db"),
     "analyze on a cluster": ("analyze", "study.db", "--cluster", "local"),
     "reduce": ("reduce", "study.db", "--scenario", X, "--size", "2", "-o", "new"),
-    "reduce by mutants": ("reduce", "study.db", "--scenario", X, "--size", "2", "--expose", "2", "-o", "new"),
+    "reduce by mutants": ("reduce", "study.db", "--scenario", X, "--size", "2", "--kill-mutants", "2", "-o", "new"),
     "report": ("report", "study.db", "--figures", "-o", "new.html"),
     "replay as a film": ("replay", "study.db", "1", "-o", "new.gif"),
     "replay as a page": ("replay", "study.db", "1", "-o", "new.html"),
@@ -265,12 +265,11 @@ def test_42_s1_what_compiles_beside_a_demo_takes_nothing_from_the_folder(clean, 
         started.append(popen(command, **given, cwd=clean.folder))
         return started[-1]
 
-    monkeypatch.setattr(warming, "_LATER", "import cornercase.clustering, cornercase.dtw; print('done')")
     monkeypatch.setattr(platform, "available_cpus", lambda: 2)
     monkeypatch.setattr("subprocess.Popen", starting)
     starts: list[Any] = []
     monkeypatch.setattr("cornercase._common.compiling._WATCH.companions", starts)
-    with warming.two_compile():
+    with warming.two_compile("import cornercase.clustering, cornercase.dtw; print('done')"):
         starts[0]()
         (one,) = started
         one.stdin.close()

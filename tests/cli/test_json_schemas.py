@@ -35,7 +35,7 @@ def folder(tmp_path_factory):
     for command in (
         (*SEARCH, *more, "--driver", "Ego=normal", "-o", study),
         ("analyze", study),
-        ("reduce", study, "--scenario", X, "--size", "4", "--expose", "2", "-o", folder / "reduced"),
+        ("reduce", study, "--scenario", X, "--size", "4", "--kill-mutants", "2", "-o", folder / "reduced"),
     ):
         assert cornercase(*command).returncode == 0
     return folder
@@ -57,7 +57,7 @@ def test_show(folder):
     [
         ("--metric", "distance", "--pareto", "--optimizer", "random", "--asynchronous"),
         ("--critical-if", "collision and not reference:cautious", "--optimizer", "random"),
-        ("--optimizer", "random", "--repeats", "2", "--most-repeats", "5"),
+        ("--optimizer", "random", "--repeats", "2", "--max-repeats", "5"),
         ("--optimizer", "random", "--other", "C"),
     ],
 )

@@ -44,7 +44,7 @@ def test_43_12_the_list_fits_a_terminal_and_names_what_can_be_typed():
     assert lines[0].split() == ["name", "value", "unit", "proposed", "line"]
     assert ["Ego.initial.x", "100", "m", "95:105", "69"] in [line.split() for line in lines]
     assert lines.index("entity Ego") < lines.index("event Other cuts in") < lines.index("storyboard")
-    assert "Values with $ are those of parameters: vary the parameter." in lines
+    assert "Values with $ refer to parameters: vary the parameter." in lines
 
 
 def test_43_12_a_scenario_and_its_ranges_are_written_and_found_good(tmp_path):
@@ -62,8 +62,8 @@ def test_43_12_a_scenario_and_its_ranges_are_written_and_found_good(tmp_path):
 @pytest.mark.parametrize(
     ("options", "words"),
     [
-        (("-o", "x.xosc"), "-o x.xosc: says where to write; say what varies, too, with --vary NAME or --all."),
-        (("--all",), "--vary, --all: say where to write the scenario, with -o OUT.xosc."),
+        (("-o", "x.xosc"), "-o x.xosc: only for a varied scenario; give --vary NAME or --all, too."),
+        (("--all",), "--vary, --all: give the scenario to write, with -o OUT.xosc."),
         (("--vary", "Ego.initial.z", "-o", "x.xosc"), "--vary Ego.initial.z: "),
     ],
 )
@@ -95,7 +95,7 @@ def test_43_12_explore_varies_at_once_and_goes_on(tmp_path):
     with Study.open(tmp_path / "a" / "s.db", readonly=True) as opened:
         assert opened.meta.scenario == "s.varied.xosc"
         assert {one.name: one.unit for one in opened.space.parameters}["Ego_initial_x"] == "m"
-    replayed = explored(tmp_path / "a" / "s.db", "--budget", "20", "--replay")
+    replayed = explored(tmp_path / "a" / "s.db", "--budget", "20", "--check-proposals")
     assert replayed.returncode == 0, replayed.stdout
 
 

@@ -304,7 +304,7 @@ def test_the_command_proposes_again_and_says_whether_it_is_the_same(tmp_path):
     words += ["--space", str(demonstration("x-intersection").logical.path.with_suffix(".space.xosc"))]
     words += ["--metric", "wttc", "--budget", "24", "--duration", "15", "--asynchronous", "-o", str(tmp_path / "s.db")]
     assert CliRunner().invoke(app, words).exit_code == 0
-    ended = CliRunner().invoke(app, [*words, "--replay"])
+    ended = CliRunner().invoke(app, [*words, "--check-proposals"])
     assert ended.exit_code == 0
     assert "the same 24 scenarios were proposed again" in " ".join(ended.output.split())
     shutil.copy(tmp_path / "s.db", tmp_path / "other.db")
@@ -312,14 +312,14 @@ def test_the_command_proposes_again_and_says_whether_it_is_the_same(tmp_path):
         ran = "UPDATE scenarios SET parameters = (SELECT parameters FROM scenarios WHERE id = 3) WHERE id = 5"
         connection.execute(ran)
     reseal(tmp_path / "other.db")
-    ended = CliRunner().invoke(app, [*words[:-1], str(tmp_path / "other.db"), "--replay"])
+    ended = CliRunner().invoke(app, [*words[:-1], str(tmp_path / "other.db"), "--check-proposals"])
     assert ended.exit_code == 1
     assert "scenario 5 of 24 is proposed differently" in " ".join(ended.output.split())
     with sqlite3.connect(tmp_path / "s.db") as connection:
         connection.execute("UPDATE courses SET score = 9 WHERE scenario = 20")
         connection.execute("UPDATE courses SET score = 0 WHERE scenario = 21")
     reseal(tmp_path / "s.db")
-    ended = CliRunner().invoke(app, [*words, "--replay"])
+    ended = CliRunner().invoke(app, [*words, "--check-proposals"])
     assert ended.exit_code == 1
     assert "is proposed differently" in " ".join(ended.output.split())
 

@@ -84,7 +84,7 @@ def test_critical_is_what_collides_and_the_reference_prevents(study):
     assert told["critical"]["is"] == CONDITION
     assert told["critical"]["scenarios"] == len(critical)
     shown = told["references"]["cc-human"]
-    assert shown == {"prevents": len(critical), "does not prevent": collided - len(critical), "says nothing of": 0}
+    assert shown == {"prevents": len(critical), "does_not_prevent": collided - len(critical), "says_nothing_of": 0}
 
 
 @pytest.mark.slow

@@ -189,11 +189,11 @@ def test_a_damaged_beginning_is_told(tmp_path, other):
 def test_on_the_command_line(tmp_path, other):
     arguments = (
         "explore", X, "--space", SPACE, "--ego", "Ego", "--other", "Pedestrian", "--metric", "wttc", "--critical", "0.5",
-        "--budget", "12", "--from", other, "-o", tmp_path / "new.db",
+        "--budget", "12", "--warm-start", other, "-o", tmp_path / "new.db",
     )  # fmt: skip
     refused = cornercase(*arguments, "--optimizer", "sobol")
     assert refused.returncode == 2
-    assert "--from: sobol learns nothing from a study; use level-set or committee." in refused.stderr
+    assert "--warm-start: sobol learns nothing from a study; use level-set or committee." in refused.stderr
     assert cornercase(*arguments, "--optimizer", "level-set").returncode == 0
     with Study.open(tmp_path / "new.db", readonly=True) as study:
         known = study.elsewhere()

@@ -220,7 +220,7 @@ def test_it_is_said_wherever_the_repeats_are(study, tmp_path):
         assert summarize(opened).meta.runs_of_each == "5 to 17"
         opened.export(tmp_path / "csv")
     assert "Each was run 5 to 17 times" in (tmp_path / "r.html").read_text(encoding="utf-8")
-    assert "most-repeats = 17\n" in tell_study_file(path)
+    assert "max-repeats = 17\n" in tell_study_file(path)
     shown = CliRunner().invoke(app, ["show", str(path), "--json"])
     assert json.loads(shown.stdout)["metrics"]["distance"]["runs_of_each_at_most"] == MOST
     head = (tmp_path / "csv" / "scenarios.csv").read_text().splitlines()[0]
@@ -275,7 +275,7 @@ def test_what_makes_no_sense_is_refused_before_there_is_a_study(tmp_path, given,
 def test_the_command_names_its_options():
     scenario = demonstration("t-intersection").logical.path
     words = ["explore", scenario, "--space", scenario.with_suffix(".space.xosc"), "--ego", "Ego", "--other", "C"]
-    words += ["--metric", "wttc", "--most-repeats", "9", "-o", "never.db"]
+    words += ["--metric", "wttc", "--max-repeats", "9", "-o", "never.db"]
     ended = CliRunner().invoke(app, [str(one) for one in words])
     assert isinstance(ended.exception, InputError)
     assert "`most_repeats` 9" in str(ended.exception)

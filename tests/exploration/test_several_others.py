@@ -87,9 +87,9 @@ def test_collisions_with_one_that_is_not_measured_against_are_told(study):
     assert (summary.collisions, summary.beside) == (with_slow, {"Parked": with_parked})
     words = put_in_words(summary)
     assert words["other"] == ["Slow", "Oncoming"]
-    assert words["collisions not measured against"] == {"Parked": with_parked}
+    assert words["collisions_not_measured_against"] == {"Parked": with_parked}
     assert f"Ego touches Parked in {with_parked} of {len(rows)} scenarios" in words["note"]
-    assert sum(words["metrics"]["clearance"]["scenarios against"].values()) == len(rows)
+    assert sum(words["metrics"]["clearance"]["scenarios_against"].values()) == len(rows)
     assert words["note"] in page["about"]
     assert "against Slow and Oncoming; the most critical counts" in page["about"]
     for scenario, places in zip(page["scenarios"]["id"], page["scenarios"]["against"], strict=True):

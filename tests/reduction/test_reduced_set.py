@@ -332,7 +332,7 @@ def test_new_scenarios_join_the_clusters_that_are_kept(explored, tmp_path):
     common = ["--ego", "Ego", "--other", "Pedestrian", "--metric", "wttc", "--optimizer", "sobol", "--critical", "0.5"]
     assert cornercase("explore", X, "--space", SPACE, *common, "--budget", "132", "-o", study).returncode == 0
     for _ in range(2):
-        done = cornercase("analyze", study, "--keep")
+        done = cornercase("analyze", study, "--keep-clusters")
         assert done.returncode == 0, done.stderr
         with Study.open(study, readonly=True) as opened:
             after, info = opened.analysis("wttc", "ids", "labels", "embedding")

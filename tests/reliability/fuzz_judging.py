@@ -22,7 +22,7 @@ def trouble_of(code: object, said: str, told: str, before: set[str], after: set[
     usage = told.startswith("Usage: ")
     found += [
         word
-        for word in ("please report", "Traceback", "MemoryError", "needs more memory than there is")
+        for word in ("please report", "Traceback", "MemoryError", "needs more memory than available")
         if word in told
     ]
     if re.search(r"\w+Warning: ", told):

@@ -306,8 +306,8 @@ def study_targets(study: Path):
     goes_on = (
         *[
             f"{again} --budget 14 -o s.db",
-            f"{again} --budget 12 --replay -o s.db",
-            f"{again.replace('sobol', 'level-set')} --critical 10 --budget 2 --from s.db -o out/begun.db",
+            f"{again} --budget 12 --check-proposals -o s.db",
+            f"{again.replace('sobol', 'level-set')} --critical 10 --budget 2 --warm-start s.db -o out/begun.db",
             "test reduced --against s.db -o out/run.db",
             "replay s.db 3 --beside 4 -o out/run.html",
             "export s.db -o out/tables",

@@ -376,7 +376,7 @@ class Kills:
         states = Counter(row[4] for row in found.get("scenarios", ()))
         if states != {"done": case.budget}:
             self._fault(case, f"its scenarios are {dict(states)}")
-        again = Run(folder, [*case.command(), "--replay"])
+        again = Run(folder, [*case.command(), "--check-proposals"])
         if not again.wait(120.0) or again.code != 0:
             self._fault(case, f"replayed, it says {again.log.read_text(encoding='utf-8')[-300:]}")
         self._look_at_what_is_left(case, again)

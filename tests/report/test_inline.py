@@ -45,15 +45,15 @@ def test_ipython_asks_for_it(whole):
         assert shown_by_ipython(study) == study._repr_html_()
 
 
-def test_what_was_not_run_or_is_too_large_is_shown_as_a_table(whole, tmp_path, monkeypatch):
+def test_what_was_not_run_or_is_too_large_is_shown_as_a_table(whole, tmp_path):
     with cc.Study.open(whole, readonly=True) as study:
         meta, points = study.meta, np.array([row.point for row in study.rows()])
         values = [row.values for row in study.rows()]
-        monkeypatch.setattr(inline, "_MOST", 11)
-        assert "<iframe" not in study._repr_html_()
-        assert "<table" in study._repr_html_()
+    assert "<iframe" in str(inline.show_study(whole, max_scenarios=len(points)))
+    assert inline.show_study(whole, max_scenarios=len(points) - 1) is None
     with Study.create(tmp_path / "new.db", meta) as study:
         assert "<iframe" not in study._repr_html_()
+        assert "<table" in study._repr_html_()
         study.propose(1, points, values)
         assert "<iframe" not in study._repr_html_()
 

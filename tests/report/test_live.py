@@ -107,7 +107,7 @@ def test_nothing_is_given_or_written_of_a_study_that_replaced_the_one_that_is_sh
     assert client.get("/recordings/1", params={"epoch": "another"}).status_code == 404
     answer = client.put("/notes/1", content=b"of the other", params={"epoch": "another"})
     assert answer.status_code == 400
-    assert "Another study" in answer.text
+    assert "replaced by another" in answer.text
 
 
 @pytest.mark.parametrize(

@@ -26,7 +26,7 @@ from cornercase.report import packing, put_in_words, summarize, write_report
 from cornercase.report.answers import page_answers
 from cornercase.report.blocks import pack_block, pack_record
 from cornercase.report.data import read_report_data
-from cornercase.report.repeating import name_command
+from cornercase.report.study_files import name_command
 from cornercase.report.words import format_value, percent
 from cornercase.scenario import Parameter, ParameterSpace
 from cornercase.study import Study, import_recordings
@@ -171,24 +171,18 @@ def test_a_recording_far_away_with_gaps_is_read_back_to_the_millimetre():
     assert head["names"][1] == "歩行者"
 
 
-def test_a_page_that_would_be_too_large_keeps_the_recordings_that_tell_most(path, tmp_path, monkeypatch):
-    copy = tmp_path / "s.db"
-    copy.write_bytes(path.read_bytes())
-    monkeypatch.setattr(packing, "_WHOLE", 1000)
-    monkeypatch.setattr(packing, "_SAMPLE", 1000)
-    monkeypatch.setattr(packing, "_MOST_CRITICAL", 2)
-    with Study.open(copy, readonly=True) as study:
+def test_a_page_that_would_be_too_large_keeps_the_recordings_that_tell_most(path, tmp_path):
+    with Study.open(path, readonly=True) as study:
+        data = read_report_data(study)
+        packed = packing.pack_most(study, data, max_characters=1000, sample_characters=1000, n_most_critical=2)
         examples = {one.example for one in summarize(study).analyses["distance"].profiles if one.example is not None}
         worst = study.done()[int(study.scores("distance").argmin())].id
         run = len(study.done())
-    page = page_of(copy, tmp_path)
-    contents = contents_of(page)
-    there = {int(one) for one in contents["recordings"]}
+    there = {int(one) for one in packed.index}
     assert examples | {worst} <= there
     assert len(there) < run
-    assert f"{len(there)} of the {run} recordings" in contents["recordings_left_out"]
-    monkeypatch.undo()
-    assert contents_of(page_of(copy, tmp_path))["recordings_left_out"] == ""
+    assert f"{len(there)} of the {run} recordings" in packing.tell_left_out(data, packed)
+    assert contents_of(page_of(path, tmp_path))["recordings_left_out"] == ""
 
 
 def test_each_beginning_of_an_even_order_is_spread():
@@ -289,7 +283,7 @@ def test_where_all_failed_the_page_says_why_and_what_is_missing(of, tmp_path):
     else:
         assert "All 3 scenarios that ended could not be run. 1 not run yet." in page
         assert "2 &lt;b&gt;no road&lt;/b&gt; 2, 3 1 too slow 1 What is missing" in text
-    assert "there is no score" in text
+    assert "there are no scores" in text
     assert "--retry-failed" in text
     value = format_value(rows[0].values["a"])
     assert f"scenario a b why 1 {value} " in text

@@ -153,13 +153,13 @@ def test_frames_show_the_entities_where_they_were(study):
 @pytest.mark.parametrize(
     ("given", "message"),
     [
-        ({"path": "run.avi"}, r"ends with none of \.html, \.gif, \.mp4"),
+        ({"path": "run.avi"}, r"must end with one of \.html, \.gif, \.mp4"),
         ({"id": 99}, "has no scenario 99; its scenarios are 1 to 4"),
         ({"beside": 0}, "`beside` 0"),
         ({"path": "run.gif", "fps": 100.0}, "`fps` 100: give at most 60"),
         ({"path": "run.gif", "speed": 0.0}, "`speed` 0"),
-        ({"fps": 25.0}, "`fps` and `speed` are for films"),
-        ({"speed": 2.0}, "`fps` and `speed` are for films"),
+        ({"fps": 25.0}, "`fps` and `speed` only apply to films"),
+        ({"speed": 2.0}, "`fps` and `speed` only apply to films"),
         ({"path": "run.gif", "speed": 1e-5}, "frames, more than 20000"),
         ({"scenario": EXAMPLES / "t_intersection" / "t_intersection.xosc"}, "changed since|restore them"),
     ],

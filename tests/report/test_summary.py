@@ -60,7 +60,7 @@ def test_words_are_plain_values_in_a_fixed_order(path):
     words = put_in_words(summarize(path))
     assert list(words)[:8] == ["scenario", "ego", "other", "optimizer", "seed", "simulator", "parameters", "run"]
     assert words["parameters"] == {"a": "0 to 1", "b": "0 to 1"}
-    assert words["clusters"]["distance"]["cluster 0"]["scenarios"] == words["clusters"]["distance"]["sizes"][0]
+    assert words["clusters"]["distance"]["cluster_0"]["scenarios"] == words["clusters"]["distance"]["sizes"][0]
     assert json.loads(json.dumps(words)) == words
     assert "kept" not in words
 
@@ -72,15 +72,16 @@ def test_scenarios_that_were_run_since_are_told_with_what_mends_it(path, tmp_pat
     grown = summarize(path)
     later = grown.run - before["run"]
     assert later > 0
-    told, command = put_in_words(grown)["clusters"]["distance"], "cornercase analyze STUDY.db --by distance --keep"
-    assert told["run since, in no cluster yet"] == later
-    assert told["they join with"] == command
-    assert set(told) - set(before["clusters"]["distance"]) == {"run since, in no cluster yet", "they join with"}
+    told = put_in_words(grown)["clusters"]["distance"]
+    command = "cornercase analyze STUDY.db --by distance --keep-clusters"
+    assert told["run_since_in_no_cluster_yet"] == later
+    assert told["they_join_with"] == command
+    assert set(told) - set(before["clusters"]["distance"]) == {"run_since_in_no_cluster_yet", "they_join_with"}
     page = write_report(path, tmp_path / "r.html").read_text(encoding="utf-8")
     assert f"{later} of {grown.run} scenarios were run since and are in no cluster yet" in page
     assert command in page
     analyze(path, "distance", keep=True)
-    assert "they join with" not in put_in_words(summarize(path))["clusters"]["distance"]
+    assert "they_join_with" not in put_in_words(summarize(path))["clusters"]["distance"]
     assert "in no cluster yet" not in write_report(path, tmp_path / "r.html").read_text(encoding="utf-8")
 
 

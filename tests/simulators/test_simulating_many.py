@@ -158,7 +158,7 @@ def test_several_scenarios_and_those_that_fail(tmp_path):
     assert rows == [["file", "scenario"], ["near.csv", "near.xosc"], ["x_intersection.csv", "x_intersection.xosc"]]
     again = cornercase("-q", "simulate", *files, "--duration", "1", "-o", tmp_path / "runs")
     assert (again.returncode, "2 recordings in" in again.stdout) == (1, True)
-    assert "2 of which were there before" in again.stdout
+    assert "2 of which existed before" in again.stdout
 
 
 def test_where_nothing_can_be_run_nothing_is_left(tmp_path):

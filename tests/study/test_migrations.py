@@ -109,7 +109,7 @@ def test_an_old_study_is_shown_exported_and_reported(old, tmp_path):
 
 
 def test_an_old_study_is_analysed_again_by_the_command_line(old):
-    done = cornercase("analyze", old, "--by", "distance", "--keep")
+    done = cornercase("analyze", old, "--by", "distance", "--keep-clusters")
     assert done.returncode == 0, done.stderr
     with Study.open(old, readonly=True) as study:
         assert set(study.outcomes()) == set(range(1, 11))

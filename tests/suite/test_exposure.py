@@ -90,7 +90,7 @@ def test_mutants_choose_the_reduced_set_and_others_judge_it(study, exposure, tmp
 
 def test_the_command_line_tells_what_is_exposed(study, tmp_path):
     reduced = cornercase(
-        "reduce", study, "--size", 3, "--expose", 5, "--seed", 4, "--scenario", T, "-o", tmp_path / "r"
+        "reduce", study, "--size", 3, "--kill-mutants", 5, "--seed", 4, "--scenario", T, "-o", tmp_path / "r"
     )
     assert reduced.returncode == 0, reduced.stderr
     assert "of 5 other mutants of normal" in reduced.stdout
@@ -114,7 +114,7 @@ def test_where_there_can_be_no_mutants_one_sentence_says_so(study, tmp_path):
         cc.reduce(study, tmp_path / "none", cover=0.2, exposure=find_exposure(study, 1, scenario=T), scenario=T)
     refused = cornercase("reduce", study, "--require", "ttc > 1", "-o", tmp_path / "none")
     assert (refused.returncode, refused.stdout) == (2, "")
-    assert "give --expose too" in refused.stderr
+    assert "give --kill-mutants too" in refused.stderr
 
 
 def test_an_ego_without_a_driver_has_no_mutants(tmp_path):

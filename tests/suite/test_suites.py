@@ -179,7 +179,7 @@ def test_a_killed_run_goes_on_as_if_undisturbed(reduced, tmp_path, monkeypatch):
         assert CliRunner().invoke(app, [*arguments, name]).exit_code == 0
     assert stored(tmp_path / "killed.db") == stored(tmp_path / "whole.db")
     again = CliRunner().invoke(app, [*arguments, "whole.db"])
-    assert "6 of them were in whole.db before and were not run again" in again.output
+    assert "6 of them were already in whole.db and were not run again" in again.output
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="signals")

@@ -67,7 +67,7 @@ def test_43_a_file_that_lacks_an_entity_is_one_that_could_not_be_run(folder, tmp
 
 
 def test_43_one_file_that_cannot_be_run_leaves_the_other_recordings(folder, tmp_path):
-    for before in ("", ", 2 of which were there before"):
+    for before in ("", ", 2 of which existed before"):
         done = cornercase("simulate", *sorted(folder.glob("*.xosc")), "--duration", "1", "-o", tmp_path / "out")
         assert done.returncode == 1, done.stderr
         assert f"2 recordings in {tmp_path / 'out'}{before}." in done.stdout.replace("\n", "")

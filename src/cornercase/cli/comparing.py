@@ -1,4 +1,4 @@
-"""The command that tells whether a version is better or worse than another, and what changed."""
+"""Command `compare`: say whether a version is better or worse than another, and what changed."""
 
 from __future__ import annotations
 
@@ -9,8 +9,9 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from cornercase._common.texts import json_text
+from cornercase.cli import options as opt
 from cornercase.cli import parsing
-from cornercase.cli.options import Maps, app, err, out
+from cornercase.cli.options import Option, app, err, out
 
 if TYPE_CHECKING:
     from cornercase.suite import Section
@@ -22,30 +23,26 @@ def compare(
     new: Annotated[Path, typer.Argument(metavar="NEW.db", help="Study of the new version, of the same scenario.")],
     *,
     metric: Annotated[
-        list[str] | None, typer.Option("--metric", metavar="NAME", help="Metric to compare by; default: all.")
+        list[str] | None, Option("--metric", metavar="NAME", help="Metric to compare by; default: all.")
     ] = None,
     critical: Annotated[
-        float | None,
-        typer.Option(metavar="X", help="Use this threshold for both studies, which keep their own."),
+        float | None, Option(metavar="X", help="Use this threshold for both studies, which keep their own.")
     ] = None,
     tolerance: Annotated[
         list[str] | None,
-        typer.Option(
+        Option(
             "--tolerance",
             metavar="METRIC=NUMBER",
-            help="Moves of this metric's score up to NUMBER count as the same; repeat it for several. Default: 0.1 s,"
-            " m, m/s, m/s² or s²; 0.01 for metrics without unit.",
+            help="Differences of this metric's score up to NUMBER count as the same; repeat it for several. Default:"
+            " 0.1 s, m, m/s, m/s² or s²; 0.01 for metrics without unit.",
         ),
     ] = None,
-    as_json: Annotated[bool, typer.Option("--json", help="Print JSON, for programs.")] = False,
+    as_json: opt.Json = False,
     output: Annotated[
-        Path | None, typer.Option("--output", "-o", metavar="FILE.html", help="Page to write, with replays.")
+        Path | None, Option("--output", "-o", metavar="FILE.html", help="Page to write, with replays.")
     ] = None,
-    scenario: Annotated[
-        Path | None,
-        typer.Option(metavar="FILE.xosc", help="Scenario that was explored, for the page; default: beside the study."),
-    ] = None,
-    maps: Maps = None,
+    scenario: opt.ExploredScenario = None,
+    maps: opt.Maps = None,
 ) -> None:
     """Say whether a new version of a system is better or worse, by a study of each version, and what changed.
 
@@ -66,27 +63,28 @@ def compare(
     """
     from cornercase import suite
 
-    found = suite.compare(
+    comparison = suite.compare(
         old, new, metrics=metric, critical=critical, tolerances=parsing.numbers(tolerance or (), "--tolerance")
     )
     if output is not None:
         from cornercase.report import write_comparison
 
-        written = write_comparison(found, old, new, output, scenario=scenario)
-        err.print(f"The page is {written.resolve()}")
+        page = write_comparison(comparison, old, new, output, scenario=scenario)
+        err.print(f"The page is {page.resolve()}")
     if as_json:
-        sys.stdout.write(json_text(found.to_json()) + "\n")
+        sys.stdout.write(json_text(comparison.to_json()) + "\n")
     else:
-        for section in suite.tell_comparison(found):
-            _show(section)
-    if found.verdict == "cannot say":
-        err.print(f"cornercase: {old} and {new}: cannot say whether anything is worse, as {found.verdict_reason}.")
+        for section in suite.tell_comparison(comparison):
+            _print_section(section)
+    if comparison.verdict == "cannot say":
+        reason = comparison.verdict_reason
+        err.print(f"cornercase: {old} and {new}: cannot say whether anything is worse, as {reason}.")
         raise typer.Exit(2)
-    if found.worse:
+    if comparison.worse:
         raise typer.Exit(1)
 
 
-def _show(section: Section) -> None:
+def _print_section(section: Section) -> None:
     out.print(section.title)
     for sentence in section.sentences:
         out.print(f"  {sentence}")

@@ -1,4 +1,4 @@
-"""The command that says how probable critical scenarios are."""
+"""Command `estimate`: estimate the probability of critical scenarios."""
 
 from __future__ import annotations
 
@@ -8,24 +8,11 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from cornercase._common.json_keys import with_identifiers
 from cornercase._common.texts import json_text
+from cornercase.cli import options as opt
 from cornercase.cli import parsing
 from cornercase.cli.interrupting import exit_code
-from cornercase.cli.options import (
-    Cluster,
-    Drivers,
-    Maps,
-    MaxFailures,
-    Retries,
-    Seed,
-    StudyFile,
-    Timeout,
-    Workers,
-    app,
-    err,
-    out,
-)
+from cornercase.cli.options import Option, app, err, out
 
 if TYPE_CHECKING:
     from cornercase.evidence import Probability
@@ -34,46 +21,32 @@ if TYPE_CHECKING:
 
 @app.command()
 def estimate(
-    study: StudyFile,
+    study: opt.StudyFile,
     *,
-    output: Annotated[Path, typer.Option("--output", "-o", metavar="ESTIMATE.db", help="Study to write or continue.")],
-    budget: Annotated[
-        int, typer.Option(metavar="N", help="Number of concrete scenarios to run in all.", min=100)
-    ] = 2000,
+    output: Annotated[Path, Option("--output", "-o", metavar="ESTIMATE.db", help="Study to write or continue.")],
+    budget: Annotated[int, Option(metavar="N", help="Number of concrete scenarios to run in all.", min=100)] = 2000,
     critical: Annotated[
-        float | None,
-        typer.Option(metavar="X", help="Score from which a scenario is critical; default: as in the study."),
+        float | None, Option(metavar="X", help="Score from which a scenario is critical; default: as in the study.")
     ] = None,
     encounter: Annotated[
-        float, typer.Option(metavar="M", help="The two meet if their gap is at most this many m.", min=0)
+        float, Option(metavar="M", help="The two meet if their gap is at most this many m.", min=0)
     ] = 10.0,
-    seed: Seed = 0,
-    scenario: Annotated[
-        Path | None,
-        typer.Option(
-            metavar="SCENARIO.xosc",
-            help="Scenario explored; default: as the study names it, beside it or here.",
-        ),
-    ] = None,
-    simulator: Annotated[
-        str | None,
-        typer.Option(
-            "--simulator", metavar="NAME", help="Simulator that runs the scenarios; default: that of the study."
-        ),
-    ] = None,
-    workers: Workers = 1,
-    cluster: Cluster = None,
-    timeout: Timeout = None,
-    retries: Retries = 1,
-    max_failures: MaxFailures = 5,
-    driver: Drivers = None,
-    as_json: Annotated[bool, typer.Option("--json", help="Print JSON, for programs.")] = False,
-    maps: Maps = None,
+    seed: opt.Seed = 0,
+    scenario: opt.NamedScenario = None,
+    simulator: opt.StudySimulator = None,
+    workers: opt.Workers = 1,
+    cluster: opt.Cluster = None,
+    timeout: opt.Timeout = None,
+    retries: opt.Retries = 1,
+    max_failures: opt.MaxFailures = 5,
+    driver: opt.Drivers = None,
+    as_json: opt.Json = False,
+    maps: opt.Maps = None,
 ) -> None:
     """Estimate how probable critical scenarios and collisions are.
 
     It draws new scenarios where critical ones are frequent, runs them, and weights them by the distributions of the
-    space. The same command again goes on where it stopped.
+    space. Run the same command again to resume.
 
     \b
     Example:
@@ -81,7 +54,7 @@ def estimate(
     """
     from cornercase import exploration
 
-    found = exploration.estimate(
+    estimation = exploration.estimate(
         study,
         output,
         budget=budget,
@@ -99,43 +72,44 @@ def estimate(
         progress=True,
     )
     if as_json:
-        sys.stdout.write(json_text(with_identifiers(found.to_json(), {})) + "\n")
+        from cornercase.report.plain import estimate_to_dict
+
+        sys.stdout.write(json_text(estimate_to_dict(estimation.to_json())) + "\n")
     else:
-        _tell(found)
-    if found.interrupted:
-        err.print(f"Interrupted; the same command goes on where it stopped: {found.study} holds what has ended.")
+        _print_estimation(estimation)
+    if estimation.interrupted:
+        err.print(f"Interrupted. {estimation.study} holds what has ended; run the same command again to resume.")
         raise typer.Exit(exit_code())
 
 
-def _tell(found: Estimation) -> None:
-    """Print probabilities as lines."""
-    each = {
-        f"critical ({found.criterion})": found.critical,
-        "collision": found.collision,
-        f"encounter (gap <= {found.within:g} m)": found.encounter,
-        "critical given an encounter": found.critical_given_encounter,
-        "collision given an encounter": found.collision_given_encounter,
+def _print_estimation(estimation: Estimation) -> None:
+    probabilities = {
+        f"critical ({estimation.criterion})": estimation.critical,
+        "collision": estimation.collision,
+        f"encounter (gap <= {estimation.within:g} m)": estimation.encounter,
+        "critical given an encounter": estimation.critical_given_encounter,
+        "collision given an encounter": estimation.collision_given_encounter,
     }
-    for name, one in each.items():
-        out.print(f"{name}: {'not known' if one is None else _words(one)}")
-    learned = f", {found.learned} of them to learn where to draw" if found.learned else ""
-    out.print(f"{found.scenarios} scenarios in {found.study}{learned}")
-    for warning in found.warnings:
+    for event, probability in probabilities.items():
+        out.print(f"{event}: {'not known' if probability is None else _format_probability(probability)}")
+    learned = f", {estimation.learned} of them to learn where to draw" if estimation.learned else ""
+    out.print(f"{estimation.scenarios} scenarios in {estimation.study}{learned}")
+    for warning in estimation.warnings:
         err.print(warning)
 
 
-def _words(one: Probability) -> str:
-    """Say a probability, how sure it is, and what plain Monte Carlo would need for the same."""
-    if one.error is None and one.met:
-        return f"between {one.low:.3g} and {one.high:.3g} ({one.method})"
-    if one.error is None:
-        return f"not met; 0 to {one.high:.3g} (95 %, {one.method})"
-    text = f"{one.value:.3g}, {one.low:.3g} to {one.high:.3g} (95 %), {one.low_90:.3g} to {one.high_90:.3g} (90 %)"
-    if one.error == 0.0:
-        return f"{one.value:.3g} ({one.method})"
-    text += f", standard error {one.error:.1%}; {one.method}, met in {one.met} of {one.scenarios}"
-    text += f", effectively {one.effective:.0f}"
-    needed = one.plain_scenarios
-    if needed is not None and needed > one.scenarios:
+def _format_probability(p: Probability) -> str:
+    """Format a probability, its uncertainty, and what plain Monte Carlo would need for the same."""
+    if p.error is None and p.met:
+        return f"between {p.low:.3g} and {p.high:.3g} ({p.method})"
+    if p.error is None:
+        return f"not met; 0 to {p.high:.3g} (95 %, {p.method})"
+    if p.error == 0.0:
+        return f"{p.value:.3g} ({p.method})"
+    text = f"{p.value:.3g}, {p.low:.3g} to {p.high:.3g} (95 %), {p.low_90:.3g} to {p.high_90:.3g} (90 %)"
+    text += f", standard error {p.error:.1%}; {p.method}, met in {p.met} of {p.scenarios}"
+    text += f", effectively {p.effective:.0f}"
+    needed = p.plain_scenarios
+    if needed is not None and needed > p.scenarios:
         text += f"; plain Monte Carlo would need {needed:.2g}"
     return text

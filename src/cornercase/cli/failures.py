@@ -1,4 +1,4 @@
-"""What ends a command, in a sentence: nobody who types one sees a traceback unless asked for."""
+"""Turn whatever ends a command into one sentence and an exit code; tracebacks only with --debug."""
 
 from __future__ import annotations
 
@@ -29,55 +29,47 @@ _PACKAGE: Final = Path(__file__).parents[1]
 
 
 def exit_code_of(command: Callable[[], Any]) -> int:
-    """Run a command to its end, and say on standard error what else than success ended it.
+    """Run the typer application and return its exit code, printing one sentence to stderr unless it succeeds.
 
-    Parameters
-    ----------
-    command : callable
-        The application of typer, which neither prints what went wrong nor leaves.
-
-    Returns
-    -------
-    int
-        2 where the input, the machine or cornercase itself did not let it be done; 130 for Ctrl-C, 143 for SIGTERM. 1
-        where the study was lost that it wrote to, and, in silence, where nobody reads the output any more.
+    2: input, machine or cornercase itself prevented it; 130 for Ctrl-C, 143 for SIGTERM; 1: the study being written
+    was lost, or (silently) the output pipe was closed.
     """
     try:
         code = command()
-        # What is still held back is written here, where an error of it can be told.
+        # Flush here, where an error can still be reported.
         if sys.stdout is not None:
             sys.stdout.flush()
     except _Usage as error:
-        # click says it in several lines; this is where what it quotes loses its orders to the terminal.
-        said = io.StringIO()
-        error.show(said)
-        err.print("\n".join(shorten(line, LONGEST) for line in said.getvalue().rstrip().splitlines()))
+        # click prints several lines; err.print removes control characters from what they quote.
+        message = io.StringIO()
+        error.show(message)
+        err.print("\n".join(shorten(line, LONGEST) for line in message.getvalue().rstrip().splitlines()))
         return int(error.exit_code)
     except (KeyboardInterrupt, typer.Abort):
-        # Before or after the command itself, which says so.
+        # Interrupted before or after the command itself, which prints its own message.
         tell_of_interrupt()
         return exit_code()
     except BaseException as error:
-        lost = take_lost_interrupt()
+        lost_interrupt = take_lost_interrupt()
         if debugging.get():
             err.print("".join(traceback.format_exception(error)).rstrip())
-        if lost:
+        if lost_interrupt:
             tell_of_interrupt()
             return exit_code()
         if _is_closed_pipe(error) or (isinstance(error, SystemExit) and _is_closed_pipe(error.__context__)):
-            # typer makes the latter of the former.
+            # typer turns a closed pipe into SystemExit.
             _write_to_nobody()
             return 1
         if isinstance(error, SystemExit) and _is_of_typer(error):
             return error.code if isinstance(error.code, int) else 0
         _tell(_sentence(error))
         return 1 if isinstance(error, StudyLostError) else 2
-    # Between its parts typer takes each interrupt for Ctrl-C.
+    # Between commands, typer treats every interrupt as Ctrl-C.
     return exit_code() if code == 128 + signal.SIGINT else code if isinstance(code, int) else 0
 
 
 def _is_of_typer(error: BaseException) -> bool:
-    """Whether typer has raised an exception, as when it has completed a command for a shell."""
+    """Return whether typer raised the exception, as after completing a command for a shell."""
     *_, (frame, _) = traceback.walk_tb(error.__traceback__)
     return str(frame.f_globals.get("__name__")).partition(".")[0] in ("typer", "click")
 
@@ -92,7 +84,7 @@ def _tell(sentence: str) -> None:
 
 
 def _write_to_nobody() -> None:
-    """Let Python write what it still holds for a closed pipe where it makes no error of it."""
+    """Discard what Python still buffers for a closed pipe, so that it raises no error at exit."""
     sys.stdout = open(os.devnull, "w", encoding="utf-8")  # noqa: SIM115 - as long as the process
 
 
@@ -101,30 +93,30 @@ def _sentence(error: BaseException) -> str:
         return str(error)
     frames = [frame for frame, _ in traceback.walk_tb(error.__traceback__)]
     file = _file_in_use(frames)
-    whose = f"{file}: " if file else ""
+    prefix = f"{file}: " if file else ""
     if isinstance(error, MemoryError):
-        return f"{whose}needs more memory than there is; give fewer or smaller files, or a machine with more memory."
+        return f"{prefix}needs more memory than available; use fewer or smaller files, or a machine with more memory."
     if isinstance(error, UnicodeEncodeError):
         try:
             require_whole(error.object)
-        except ValueError as half:
-            return f"{whose}{half}, which no file can hold; rename it."
+        except ValueError as surrogate:
+            return f"{prefix}{surrogate}, which cannot be encoded; rename it."
     if isinstance(error, OSError) and error.strerror:
-        named = error.filename if isinstance(error.filename, str) else "the output, or a temporary file"
-        return f"{named}: cannot be read or written ({error.strerror}); make room, or choose another place."
-    what = "is nested too deep" if isinstance(error, RecursionError) else "met a fault of cornercase itself"
+        target = error.filename if isinstance(error.filename, str) else "the output, or a temporary file"
+        return f"{target}: cannot be read or written ({error.strerror}); make room, or choose another path."
+    fault = "is nested too deep" if isinstance(error, RecursionError) else "met a fault of cornercase itself"
     place = _place(error)
     if not isinstance(error, Exception):
-        # cornercase raises none of these: somebody else's code did, as by sys.exit().
-        return f"the command was ended by {describe_error(error)}, in code that it was given; fix that."
+        # Not raised by cornercase, but by user code, for example with sys.exit().
+        return f"user code ended the command with {describe_error(error)}; fix that code."
     return (
-        f"{whose or 'the command '}{what} ({shorten(in_one_line(error), 200)}{place}); please report it, with what"
-        f" 'cornercase --debug' says{' and that file' if file else ''}."
+        f"{prefix or 'the command '}{fault} ({shorten(in_one_line(error), 200)}{place}); please report it, with the"
+        f" output of 'cornercase --debug'{' and that file' if file else ''}."
     )
 
 
 def _file_in_use(frames: list[FrameType]) -> Path | None:
-    """The file that the innermost function at work had a name for."""
+    """Return the file that the innermost function was working on."""
     for frame in reversed(frames):
         for value in frame.f_locals.values():
             if isinstance(value, Path) and _is_file(value):
@@ -133,7 +125,7 @@ def _file_in_use(frames: list[FrameType]) -> Path | None:
 
 
 def _given_files() -> Iterator[Path]:
-    yield from (path for one in sys.argv[2:] if _is_file(path := Path(one)))
+    yield from (path for argument in sys.argv[2:] if _is_file(path := Path(argument)))
 
 
 def _is_file(path: Path) -> bool:
@@ -144,7 +136,7 @@ def _is_file(path: Path) -> bool:
 
 
 def _place(error: BaseException) -> str:
-    """Where in the package it was: the same words for the same fault."""
+    """Return module and line in the package, so that the same fault has the same words."""
     for frame in reversed(traceback.extract_tb(error.__traceback__)):
         path = Path(frame.filename)
         if path.is_relative_to(_PACKAGE):

@@ -1,4 +1,4 @@
-"""Messages and notices of the API, in the words of the command line."""
+"""Translate messages of the API into terms of the command line."""
 
 from __future__ import annotations
 
@@ -11,23 +11,26 @@ from cornercase._common.texts import shorten
 from cornercase.cli.options import debugging, err
 
 LONGEST: Final = 1400
-"""Characters of a line that is said of an input, whatever is called how in a file."""
+"""Longest line that is printed about an input, however long the names in it are."""
 _PARAMETERS: Final = (
     "against", "archetypes", "archetypes_by", "asynchronous", "audit", "batch", "beside", "budget", "by", "cluster",
     "continuous", "cover", "critical", "critical_if", "duration",
-    "ego", "encounter", "eps", "fps", "gamma", "host", "junit", "keep", "maps", "max_failures",
-    "max_seconds", "memory", "method", "min_samples", "most_repeats", "on_collision", "optimizer", "other", "pareto",
+    "ego", "encounter", "eps", "fps", "gamma", "host", "junit", "keep_clusters", "maps", "max_failures",
+    "max_repeats",
+    "max_seconds", "memory", "method", "min_samples", "on_collision", "optimizer", "other", "pareto",
     "patience", "port", "profile", "repair", "repeats", "require", "require_from_file", "requirements", "retries",
     "retry_failed", "scenario", "seed", "share", "simulator", "size",
-    "space", "stop_when", "summary", "time_step", "timeout", "vary", "window", "within", "workers",
+    "space", "stop_when", "summary", "time_step", "timeout", "vary", "warm_start", "window", "within", "workers",
 )  # fmt: skip
-# Those whose option has another name.
+# Parameters whose option has a different name.
 _RENAMED: Final = {
     "client": "--cluster",
     "drivers": "--driver",
     "folder": "-o",
-    "from_study": "--from",
+    "from_study": "--warm-start",
+    "keep": "--keep-clusters",
     "metrics": "--metric",
+    "most_repeats": "--max-repeats",
     "output": "-o",
     "path": "-o",
     "ranges": "--range",
@@ -45,18 +48,7 @@ _QUOTED: Final = re.compile(r"`(\w+)`")
 
 
 def in_words_of_the_command_line(message: str) -> str:
-    """Name options and commands in a message that names parameters and functions between backticks.
-
-    Parameters
-    ----------
-    message : str
-        Of an `InputError`: ``"`stop_when` missing<1: …"``.
-
-    Returns
-    -------
-    str
-        ``"--stop-when missing<1: …"``.
-    """
+    """Replace parameters and functions in backticks by options and commands: `` `stop_when` `` by ``--stop-when``."""
 
     def translated(match: re.Match[str]) -> str:
         name = match[1]
@@ -70,17 +62,14 @@ def in_words_of_the_command_line(message: str) -> str:
 
 
 def show_notices() -> None:
-    """Print each `NoticeWarning` from now on as a line of its own on standard error.
-
-    Others are printed as before, those of numbers (`RuntimeWarning`) only with ``--debug``.
-    """
+    """Print each `NoticeWarning` as a line on stderr from now on; `RuntimeWarning` only with ``--debug``."""
     show = warnings.showwarning
 
     def shown(message: Any, category: Any, *place: Any, **more: Any) -> None:
         if issubclass(category, NoticeWarning):
-            said = in_words_of_the_command_line(str(message))
-            err.print(shorten(f"{said[:1].upper()}{said[1:]}.", LONGEST))
-        # What NumPy says of numbers without measure is for who mends cornercase.
+            sentence = in_words_of_the_command_line(str(message))
+            err.print(shorten(f"{sentence[:1].upper()}{sentence[1:]}.", LONGEST))
+        # NumPy's warnings about infinite numbers only help developers.
         elif not issubclass(category, RuntimeWarning) or debugging.get():
             show(message, category, *place, **more)
 

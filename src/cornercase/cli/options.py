@@ -1,4 +1,4 @@
-"""The application, and options that several commands have."""
+"""The application, and options shared by several commands."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ app = typer.Typer(
 
 
 class _PlainConsole(Console):
-    """Prints texts as they are, wherever their names come from: neither their markup nor their orders count."""
+    """Console that prints text as it is, without markup and control characters."""
 
     def render_str(self, text: str, **options: Any) -> Text:
         return super().render_str(plain_text(text), **options)
@@ -44,47 +44,57 @@ _PLAIN: Final[Any] = {"soft_wrap": True, "highlight": False, "markup": False, "e
 out = _PlainConsole(**_PLAIN)
 err = _PlainConsole(stderr=True, **_PLAIN)
 debugging: ContextVar[bool] = ContextVar("debugging", default=False)
-"""Whether tracebacks are shown too."""
+"""Whether tracebacks are shown."""
 
+Option = typer.Option
 ScenarioFile = Annotated[Path, typer.Argument(metavar="SCENARIO.xosc", help="OpenSCENARIO file.")]
-SpaceFile = Annotated[Path | None, typer.Option(metavar="FILE.xosc", help="ParameterValueDistribution file.")]
-StudyOutput = Annotated[Path, typer.Option("--output", "-o", metavar="STUDY.db", help="Study to write or continue.")]
+ScenarioFiles = Annotated[list[Path], typer.Argument(metavar="SCENARIO.xosc…", help="OpenSCENARIO files.")]
+ExploredScenario = Annotated[
+    Path | None,
+    Option(metavar="FILE.xosc", help="Scenario that was explored; default: found beside the study or in this folder."),
+]
+NamedScenario = Annotated[
+    Path | None,
+    Option(metavar="FILE.xosc", help="Scenario that was explored; default: as the study names it, beside it or here."),
+]
+SpaceFile = Annotated[Path | None, Option(metavar="FILE.xosc", help="ParameterValueDistribution file.")]
+StudyFile = Annotated[Path, typer.Argument(metavar="STUDY.db", help="Study, as written by explore.")]
+StudyOutput = Annotated[Path, Option("--output", "-o", metavar="STUDY.db", help="Study to write or continue.")]
+PageOutput = Annotated[Path, Option("--output", "-o", metavar="FILE.html", help="Page to write.")]
 Critical = Annotated[
-    float | None,
-    typer.Option(metavar="X", help="Score from which a scenario is critical; default: the metric's own."),
+    float | None, Option(metavar="X", help="Score from which a scenario is critical; default: the metric's own.")
 ]
 CriticalAnew = Annotated[
     float | None,
-    typer.Option(
+    Option(
         "--critical",
         metavar="X",
         help="Use another threshold: score from which a scenario is critical. The study keeps its own.",
     ),
 ]
-StudyFile = Annotated[Path, typer.Argument(metavar="STUDY.db", help="Study, as written by explore.")]
-Ego = Annotated[str, typer.Option(metavar="NAME", help="Entity under test.")]
+Ego = Annotated[str, Option(metavar="NAME", help="Entity under test.")]
 Other = Annotated[
     list[str],
-    typer.Option(
-        metavar="NAME|*",
-        help="Other entity; repeat it for several, '*' for all others. The most critical one counts.",
+    Option(
+        metavar="NAME|*", help="Other entity; repeat it for several, '*' for all others. The most critical one counts."
     ),
 ]
 Metrics = Annotated[
     list[str],
-    typer.Option(
+    Option(
         "--metric",
         metavar="NAME",
         help="Criticality metric. Repeat it for several: all are stored, the first is searched.",
     ),
 ]
-Seed = Annotated[int, typer.Option(metavar="N", help="Same seed, same result.", min=0)]
-TimeStep = Annotated[float, typer.Option(metavar="S", help="Time step in s.")]
-Duration = Annotated[float, typer.Option(metavar="S", help="Longest duration of a scenario in s.")]
-OnCollision = Annotated[str, typer.Option(metavar="stop|continue", help="What a collision does to the run.")]
+Seed = Annotated[int, Option(metavar="N", help="Same seed, same result.", min=0)]
+MutantSeed = Annotated[int, Option(metavar="N", help="Seed of the mutants: same seed, same mutants.", min=0)]
+TimeStep = Annotated[float, Option(metavar="S", help="Time step in s.")]
+Duration = Annotated[float, Option(metavar="S", help="Longest duration of a scenario in s.")]
+OnCollision = Annotated[str, Option(metavar="stop|continue", help="What a collision does to the run.")]
 Drivers = Annotated[
     list[str] | None,
-    typer.Option(
+    Option(
         "--driver",
         metavar="ENTITY=NAME",
         help="Driver of an entity: normal, normal:horizon=4, or a class of your own, package.module:Class:option=3.",
@@ -92,30 +102,34 @@ Drivers = Annotated[
 ]
 Vary = Annotated[
     list[str] | None,
-    typer.Option(
+    Option(
         "--vary",
         metavar="NAME[=LOW:HIGH[:STEP]]",
-        help="Vary a number that stands in the file, by its name in the list of 'cornercase vary FILE.xosc'; without"
-        " a range, in the one that is proposed.",
+        help="Vary a number of the file, by its name in the list of 'cornercase vary FILE.xosc'; without a range, in"
+        " the proposed range.",
     ),
 ]
-Values = Annotated[list[str] | None, typer.Option("--set", metavar="NAME=VALUE", help="Value of a parameter.")]
+Values = Annotated[list[str] | None, Option("--set", metavar="NAME=VALUE", help="Value of a parameter.")]
 By = Annotated[
     list[str] | None,
-    typer.Option(
+    Option(
         "--by",
         metavar="ASPECT|METRIC",
         help="What to compare; default: ego-trajectory, bearing, interaction and all metrics.",
     ),
 ]
-Gamma = Annotated[str, typer.Option(metavar="X|auto", help="Kernel width parameter.")]
-Eps = Annotated[str, typer.Option(metavar="X|auto", help="DBSCAN's neighbourhood in the kernel space.")]
-MinSamples = Annotated[str, typer.Option(metavar="N|auto", help="DBSCAN's least number of neighbours.")]
-SimulatorName = Annotated[str, typer.Option("--simulator", metavar="NAME", help="Simulator that runs the scenarios.")]
-Timeout = Annotated[float | None, typer.Option(metavar="S", help="Give up a scenario after this time in s.")]
+Gamma = Annotated[str, Option(metavar="X|auto", help="Kernel width parameter.")]
+Eps = Annotated[str, Option(metavar="X|auto", help="DBSCAN's neighbourhood in the kernel space.")]
+MinSamples = Annotated[str, Option(metavar="N|auto", help="DBSCAN's least number of neighbours.")]
+SimulatorName = Annotated[str, Option("--simulator", metavar="NAME", help="Simulator that runs the scenarios.")]
+StudySimulator = Annotated[
+    str | None,
+    Option("--simulator", metavar="NAME", help="Simulator that runs the scenarios; default: that of the study."),
+]
+Timeout = Annotated[float | None, Option(metavar="S", help="Give up a scenario after this time in s.")]
 Retries = Annotated[
     int,
-    typer.Option(
+    Option(
         metavar="N",
         help="How often to run a scenario again if the simulator died or hung, or a worker was lost.",
         min=0,
@@ -123,7 +137,7 @@ Retries = Annotated[
 ]
 MaxFailures = Annotated[
     int,
-    typer.Option(
+    Option(
         "--max-failures",
         metavar="N",
         help="End after N scenarios in a row in which the simulator died or hung, or if the first N all fail; 0 for"
@@ -131,21 +145,21 @@ MaxFailures = Annotated[
         min=0,
     ),
 ]
-LocalWorkers = Annotated[
-    int, typer.Option("--workers", metavar="N", help="Number of processes of --cluster local.", min=1)
-]
+Workers = Annotated[int, Option(metavar="N", help="Number of simulators that run in parallel.", min=1)]
+LocalWorkers = Annotated[int, Option("--workers", metavar="N", help="Number of processes of --cluster local.", min=1)]
 Cluster = Annotated[
     str | None,
-    typer.Option(
+    Option(
         metavar="ADDRESS|local",
         help="Run on a Dask cluster: address or file of its scheduler; local starts --workers on this machine.",
     ),
 ]
-Memory = Annotated[str, typer.Option(metavar="SIZE", help="Memory that the command may use, such as 4GB or 500MB.")]
+Memory = Annotated[str, Option(metavar="SIZE", help="Memory that the command may use, such as 4GB or 500MB.")]
+Json = Annotated[bool, Option("--json", help="Print JSON, for programs.")]
 
 
 def _look_for_maps(context: typer.Context, folders: list[Path] | None) -> None:
-    """Look for maps in folders as long as the command runs; in those of the environment variable in any case."""
+    """Search maps in folders, and in those of the environment variable, while the command runs."""
     from cornercase.scenario import MAPS_VARIABLE, looking_in
 
     if folders or os.environ.get(MAPS_VARIABLE):
@@ -154,33 +168,29 @@ def _look_for_maps(context: typer.Context, folders: list[Path] | None) -> None:
 
 Maps = Annotated[
     list[Path] | None,
-    typer.Option(
+    Option(
         "--maps",
         metavar="FOLDER",
-        help="Folder with road files of maps that scenarios name without saying where, as CARLA's Town01; repeat it for"
-        " several. Before those of CORNERCASE_MAPS.",
+        help="Folder with road files of maps that scenarios name without a path, such as CARLA's Town01; repeat it for"
+        " several. Searched before those of CORNERCASE_MAPS.",
         callback=_look_for_maps,
         expose_value=False,
     ),
 ]
-Workers = Annotated[int, typer.Option(metavar="N", help="Number of simulators that run side by side.", min=1)]
 
 
 @app.callback(invoke_without_command=True)
 def _main(
-    version: Annotated[bool, typer.Option("--version", help="Show the version and exit.")] = False,
+    version: Annotated[bool, Option("--version", help="Show the version and exit.")] = False,
     debug: Annotated[
-        bool,
-        typer.Option("--debug", envvar="CORNERCASE_DEBUG", help="Also show tracebacks: cornercase --debug explore …"),
+        bool, Option("--debug", envvar="CORNERCASE_DEBUG", help="Also show tracebacks: cornercase --debug explore …")
     ] = False,
     quiet: Annotated[
-        bool, typer.Option("--quiet", "-q", help="Show no bars and no notices: cornercase -q explore …")
+        bool, Option("--quiet", "-q", help="Show no bars and no notices: cornercase -q explore …")
     ] = False,
     verbose: Annotated[
         bool,
-        typer.Option(
-            "--verbose", "-v", help="Also show minor notices and bars for short steps: cornercase -v explore …"
-        ),
+        Option("--verbose", "-v", help="Also show minor notices and bars for short steps: cornercase -v explore …"),
     ] = False,
 ) -> None:
     debugging.set(debug)
@@ -192,34 +202,34 @@ def _main(
         raise typer.Exit
 
 
-# Reasons of failures that are told, and characters of each.
+# Reasons of failures that are printed, and characters of each.
 _REASONS: Final = 3
 _LONGEST_REASON: Final = 300
 
 
 def tell_ending(result: ExplorationResult) -> None:
-    """Say how an exploration ended."""
+    """Print how an exploration ended, and exit with its code."""
     if result.same is not None:
         out.print(f"{result.study}: {result.reason}.")
         raise typer.Exit(0 if result.same else 1)
-    same = [*result.alike, *(f"Note: {sentence}" for sentence in result.notes)]
-    ended = "1 scenario" if result.ended == 1 else f"{result.ended} scenarios"
+    notes = [*result.alike, *(f"Note: {sentence}" for sentence in result.notes)]
+    count = "1 scenario" if result.ended == 1 else f"{result.ended} scenarios"
     if result.interrupted:
-        out.print(f"Interrupted after {ended}; the same command goes on with {result.study}.")
-        for sentence in same:
-            out.print(sentence)
-        raise typer.Exit(exit_code())
-    failed = f", {result.failed} of which failed" if result.failed else ""
-    out.print(f"{ended} in {result.study}{failed}; ended because {result.reason}.")
-    tell_reasons(result.reasons, "; 'show' tells all")
-    for sentence in same:
+        out.print(f"Interrupted after {count}. Run the same command again to resume {result.study}.")
+    else:
+        failed = f", {result.failed} of which failed" if result.failed else ""
+        out.print(f"{count} in {result.study}{failed}; ended because {result.reason}.")
+        tell_reasons(result.reasons, "; 'show' prints all")
+    for sentence in notes:
         out.print(sentence)
+    if result.interrupted:
+        raise typer.Exit(exit_code())
     if result.failed and not result.done:
         raise typer.Exit(1)
 
 
 def tell_reasons(reasons: Mapping[str, int], more: str = "") -> None:
-    """Say how many scenarios failed for which reason, the most frequent first, and where more is told."""
+    """Print how many scenarios failed for which reason, the most frequent first."""
     for reason, count in list(reasons.items())[:_REASONS]:
         out.print(f"  {count} failed: {shorten(reason, _LONGEST_REASON)}")
     if len(reasons) > _REASONS:

@@ -1,4 +1,4 @@
-"""Values of options as the command line reads them."""
+"""Parse values of command line options."""
 
 from __future__ import annotations
 
@@ -7,20 +7,19 @@ from typing import Any, Final, Literal
 
 from cornercase._common.errors import InputError, suggestion
 
-# Of a count: what has more is counted by nobody.
 _DIGITS: Final = 15
 
 
 def pairs(texts: Sequence[str], option: str) -> dict[str, str]:
-    """Texts like NAME=VALUE, by name."""
+    """Parse NAME=VALUE texts into a dictionary."""
     pairs = {}
     for text in texts:
         name, sign, value = text.partition("=")
         if not sign or not name or not value:
             if option == "--driver":
-                who = "the entity that it drives goes before it" if not sign else "give both"
+                hint = "the entity that it drives goes before it" if not sign else "give both"
                 raise InputError(
-                    f"{option} {text}: write it as ENTITY=NAME, as Ego={value or name or 'normal'}; {who}."
+                    f"{option} {text}: write it as ENTITY=NAME, as Ego={value or name or 'normal'}; {hint}."
                 )
             raise InputError(f"{option} {text}: write it as NAME=VALUE.")
         pairs[name] = value
@@ -28,7 +27,7 @@ def pairs(texts: Sequence[str], option: str) -> dict[str, str]:
 
 
 def numbers(texts: Sequence[str], option: str) -> dict[str, float]:
-    """Texts like METRIC=NUMBER, by metric."""
+    """Parse METRIC=NUMBER texts into a dictionary."""
     numbers = {}
     for text in texts:
         # A metric may have options with an equals sign of their own.
@@ -43,7 +42,7 @@ def numbers(texts: Sequence[str], option: str) -> dict[str, float]:
 
 
 def number_or_auto(text: str, option: str) -> float | Literal["auto"]:
-    """A positive number, or auto."""
+    """Parse a positive number or ``auto``."""
     if text == "auto":
         return "auto"
     try:
@@ -56,14 +55,14 @@ def number_or_auto(text: str, option: str) -> float | Literal["auto"]:
 
 
 def one_of(text: str, known: tuple[str, ...], option: str) -> Any:
-    """A text that is one of those that are known."""
+    """Return `text` if it is one of the known values; else InputError with a suggestion."""
     if text not in known:
         raise InputError(f"{option} {text}: {suggestion(text, known)}")
     return text
 
 
 def count_or_auto(text: str, option: str) -> int | Literal["auto"]:
-    """A positive whole number, or auto."""
+    """Parse a positive integer or ``auto``."""
     if text == "auto":
         return "auto"
     if not text.isdecimal() or len(text) > _DIGITS or int(text) < 1:

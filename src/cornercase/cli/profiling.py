@@ -1,4 +1,4 @@
-"""The option that writes where a command spent its time, function by function."""
+"""The option ``--profile``: write how much time each function took."""
 
 from __future__ import annotations
 
@@ -16,12 +16,11 @@ from cornercase._common.errors import InputError
 from cornercase._common.files import written_whole
 
 _HEAD: Final = "Where cornercase spent its time"
-# Functions in each of the two lists.
 _MOST: Final = 80
 
 
 def _begin(context: typer.Context, file: Path | None) -> Path | None:
-    """Profile the command from here on; the file is written when it has ended, however it ends."""
+    """Start profiling; the file is written when the command ends for any reason."""
     if file is not None:
         if file.is_dir() or (file.exists() and not file.read_bytes().startswith(_HEAD.encode())):
             raise InputError(f"`profile`: {file} exists already and is not a profile; choose another file.")
@@ -38,7 +37,7 @@ def _profiled(file: Path) -> Iterator[None]:
     finally:
         profiler.disable()
         text = io.StringIO()
-        text.write(f"{_HEAD}; s in the main thread, compiled code counts for who calls it.\n\n")
+        text.write(f"{_HEAD}; s in the main thread, compiled code counts for its caller.\n\n")
         stats = pstats.Stats(profiler, stream=text)
         for order, title in (("tottime", "In functions themselves"), ("cumtime", "With all that they call")):
             text.write(f"{title}\n")

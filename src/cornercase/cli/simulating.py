@@ -1,4 +1,4 @@
-"""The command that runs concrete scenarios."""
+"""Command `simulate`: run concrete scenarios."""
 
 from __future__ import annotations
 
@@ -9,24 +9,9 @@ import typer
 
 from cornercase._common.errors import InputError
 from cornercase._common.files import require_other_file
+from cornercase.cli import options as opt
 from cornercase.cli import parsing
-from cornercase.cli.options import (
-    Cluster,
-    Drivers,
-    Duration,
-    Maps,
-    MaxFailures,
-    OnCollision,
-    Retries,
-    SimulatorName,
-    Timeout,
-    TimeStep,
-    Values,
-    Workers,
-    app,
-    out,
-    tell_reasons,
-)
+from cornercase.cli.options import Option, app, out
 
 if TYPE_CHECKING:
     from cornercase.simulators import SimulatedFolder
@@ -34,35 +19,33 @@ if TYPE_CHECKING:
 
 @app.command()
 def simulate(
-    scenarios: Annotated[list[Path], typer.Argument(metavar="SCENARIO.xosc…", help="OpenSCENARIO files.")],
+    scenarios: opt.ScenarioFiles,
     *,
     output: Annotated[
         Path,
-        typer.Option("--output", "-o", metavar="FILE.csv|DIR", help="Recording to write; of several a folder."),
+        Option("--output", "-o", metavar="FILE.csv|DIR", help="Recording to write; a folder for several scenarios."),
     ],
     table: Annotated[
         Path | None,
-        typer.Option(
+        Option(
             "--parameters",
             metavar="FILE.csv",
             help="Run one concrete scenario for each line: a column for each parameter, and 'file' to name recordings.",
         ),
     ] = None,
-    values: Values = None,
-    time_step: TimeStep = 0.05,
-    duration: Duration = 60.0,
-    on_collision: OnCollision = "continue",
-    driver: Drivers = None,
-    simulator: SimulatorName = "builtin",
-    ego: Annotated[
-        str, typer.Option(metavar="NAME", help="Entity under test, for a simulator that needs to know it.")
-    ] = "Ego",
-    workers: Workers = 1,
-    cluster: Cluster = None,
-    timeout: Timeout = None,
-    retries: Retries = 1,
-    max_failures: MaxFailures = 5,
-    maps: Maps = None,
+    values: opt.Values = None,
+    time_step: opt.TimeStep = 0.05,
+    duration: opt.Duration = 60.0,
+    on_collision: opt.OnCollision = "continue",
+    driver: opt.Drivers = None,
+    simulator: opt.SimulatorName = "builtin",
+    ego: Annotated[str, Option(metavar="NAME", help="Entity under test, for a simulator that needs it.")] = "Ego",
+    workers: opt.Workers = 1,
+    cluster: opt.Cluster = None,
+    timeout: opt.Timeout = None,
+    retries: opt.Retries = 1,
+    max_failures: opt.MaxFailures = 5,
+    maps: opt.Maps = None,
 ) -> None:
     """Run concrete scenarios and write their recordings.
 
@@ -79,14 +62,14 @@ def simulate(
     """
     from cornercase import simulators
 
-    given = parsing.pairs(values or (), "--set")
+    parameters = parsing.pairs(values or (), "--set")
     drivers = parsing.pairs(driver or (), "--driver")
     if table is not None or len(scenarios) > 1:
         result = simulators.simulate_many(
             scenarios,
             output,
             table=table,
-            values=given,
+            values=parameters,
             time_step=time_step,
             duration=duration,
             on_collision=on_collision,
@@ -100,7 +83,7 @@ def simulate(
             max_failures=max_failures,
             progress=True,
         )
-        _tell_many(result)
+        _print_folder(result)
         return
     if workers > 1 or cluster is not None:
         option = "--cluster" if cluster is not None else "--workers"
@@ -109,7 +92,7 @@ def simulate(
     require_other_file(output, scenario)
     recording = simulators.simulate(
         scenario,
-        given,
+        parameters,
         time_step=time_step,
         duration=duration,
         on_collision=on_collision,
@@ -124,11 +107,12 @@ def simulate(
         out.print(f"{' and '.join(collision.entities)} collide at {collision.time:g} s")
 
 
-def _tell_many(result: SimulatedFolder) -> None:
-    before = f", {result.ran_before} of which were there before" if result.ran_before else ""
+def _print_folder(result: SimulatedFolder) -> None:
+    """Print how many scenarios were run; exit with 1 if some failed."""
+    before = f", {result.ran_before} of which existed before" if result.ran_before else ""
     out.print(f"{result.done} recording{'s' if result.done > 1 else ''} in {result.folder}{before}.")
     if result.failed:
-        which = f"{result.failed} scenarios" if result.failed > 1 else "1 scenario"
-        out.print(f"{which} failed, {next(iter(result.failures))} first; the same command tries again.")
-        tell_reasons(result.reasons)
+        count = f"{result.failed} scenarios" if result.failed > 1 else "1 scenario"
+        out.print(f"{count} failed, {next(iter(result.failures))} first; the same command tries again.")
+        opt.tell_reasons(result.reasons)
         raise typer.Exit(1)

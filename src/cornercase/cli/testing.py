@@ -1,4 +1,4 @@
-"""The command that runs a suite."""
+"""Command `test`: run a suite of concrete scenarios."""
 
 from __future__ import annotations
 
@@ -10,27 +10,17 @@ import typer
 from rich.table import Column, Table
 
 from cornercase._common.texts import json_text
+from cornercase.cli import options as opt
 from cornercase.cli import parsing
-from cornercase.cli.options import (
-    Cluster,
-    Drivers,
-    Maps,
-    MaxFailures,
-    Retries,
-    Timeout,
-    Workers,
-    app,
-    err,
-    out,
-)
+from cornercase.cli.options import Option, app, err, out
 
 if TYPE_CHECKING:
     from cornercase.reduction import Exposure
     from cornercase.suite import SuiteResult
 
-# So many of the scenarios that expose most are named.
+# Number of named scenarios that kill the most mutants.
 _NAMED: Final = 3
-# Characters of a file name that leave room for what is said of it on 80 columns.
+# Length of file names that leaves room for the reasons on 80 columns.
 _NAME: Final = 30
 
 
@@ -43,10 +33,10 @@ def test_(
         ),
     ],
     *,
-    output: Annotated[Path, typer.Option("--output", "-o", metavar="RUN.db", help="Study to write or continue.")],
+    output: Annotated[Path, Option("--output", "-o", metavar="RUN.db", help="Study to write or continue.")],
     require: Annotated[
         list[str] | None,
-        typer.Option(
+        Option(
             "--require",
             metavar="EXPRESSION",
             help="Requirement on each scenario: 'no collision', 'no collision with NAME', 'no collision at fault',"
@@ -56,83 +46,75 @@ def test_(
     ] = None,
     requirements: Annotated[
         Path | None,
-        typer.Option(
+        Option(
             metavar="FILE.toml|yaml", help="File with more requirements: lists called require, and by file or kind."
         ),
     ] = None,
     require_from_file: Annotated[
         bool,
-        typer.Option(
+        Option(
             "--require-from-file",
-            help="Take the criteria of ScenarioRunner that the scenarios ask for as requirements, where a recording can"
-            " tell.",
+            help="Also require the ScenarioRunner criteria of the scenarios, as far as a recording can decide them.",
         ),
     ] = False,
-    strict: Annotated[bool, typer.Option("--strict", help="Inconclusive scenarios have not passed.")] = False,
+    strict: Annotated[bool, Option("--strict", help="Inconclusive scenarios have not passed.")] = False,
     junit: Annotated[
-        Path | None, typer.Option(metavar="FILE.xml", help="JUnit file to write, for Jenkins, GitLab or GitHub.")
+        Path | None, Option(metavar="FILE.xml", help="JUnit file to write, for Jenkins, GitLab or GitHub.")
     ] = None,
     summary: Annotated[
-        Path | None, typer.Option(metavar="FILE.md", help="Table in Markdown to write, for GitHub's job summary.")
+        Path | None, Option(metavar="FILE.md", help="Table in Markdown to write, for GitHub's job summary.")
     ] = None,
-    as_json: Annotated[bool, typer.Option("--json", help="Print JSON, for programs.")] = False,
+    as_json: opt.Json = False,
     against: Annotated[
         Path | None,
-        typer.Option(
+        Option(
             metavar="STUDY.db",
             help="Study with earlier recordings; default: the one that was reduced, if it lies beside the manifest.",
         ),
     ] = None,
     simulator: Annotated[
-        str | None,
-        typer.Option(metavar="NAME", help="Simulator that runs the scenarios; default: that of the manifest."),
+        str | None, Option(metavar="NAME", help="Simulator that runs the scenarios; default: that of the manifest.")
     ] = None,
-    driver: Drivers = None,
-    workers: Workers = 1,
-    cluster: Cluster = None,
-    timeout: Timeout = None,
-    retries: Retries = 1,
-    max_failures: MaxFailures = 5,
-    ego: Annotated[
-        str | None, typer.Option(metavar="NAME", help="Entity under test; default: as in the manifest.")
-    ] = None,
+    driver: opt.Drivers = None,
+    workers: opt.Workers = 1,
+    cluster: opt.Cluster = None,
+    timeout: opt.Timeout = None,
+    retries: opt.Retries = 1,
+    max_failures: opt.MaxFailures = 5,
+    ego: Annotated[str | None, Option(metavar="NAME", help="Entity under test; default: as in the manifest.")] = None,
     other: Annotated[
-        list[str] | None,
-        typer.Option(metavar="NAME|*", help="Other entity, also several; default: as in the manifest."),
+        list[str] | None, Option(metavar="NAME|*", help="Other entity, also several; default: as in the manifest.")
     ] = None,
     metric: Annotated[
         list[str] | None,
-        typer.Option("--metric", metavar="NAME", help="Criticality metric to store; default: those of the manifest."),
+        Option("--metric", metavar="NAME", help="Criticality metric to store; default: those of the manifest."),
     ] = None,
-    time_step: Annotated[
-        float | None, typer.Option(metavar="S", help="Time step in s; default: as in the manifest.")
-    ] = None,
+    time_step: Annotated[float | None, Option(metavar="S", help="Time step in s; default: as in the manifest.")] = None,
     duration: Annotated[
-        float | None, typer.Option(metavar="S", help="Longest duration in s; default: as in the manifest.")
+        float | None, Option(metavar="S", help="Longest duration in s; default: as in the manifest.")
     ] = None,
     on_collision: Annotated[
-        str | None, typer.Option(metavar="stop|continue", help="What a collision does; default: as in the manifest.")
+        str | None, Option(metavar="stop|continue", help="What a collision does; default: as in the manifest.")
     ] = None,
     mutants: Annotated[
-        int | None,
-        typer.Option(metavar="N", help="Test how many of N mutants of the ego's driver the suite exposes.", min=1),
+        int | None, Option(metavar="N", help="Test how many of N mutants of the ego's driver the suite exposes.", min=1)
     ] = None,
-    seed: Annotated[int, typer.Option(metavar="N", help="Seed of the mutants: same seed, same mutants.", min=0)] = 0,
-    maps: Maps = None,
+    seed: opt.MutantSeed = 0,
+    maps: opt.Maps = None,
 ) -> None:
     """Run a reduced set, or any concrete scenarios, and judge the runs.
 
-    Exit code 0: all passed; 1: some failed or could not be run; 2: nothing could be run. The same command again goes on
-    where it stopped.
+    Exit code 0: all passed; 1: some failed or could not be run; 2: nothing could be run. Run the same command again to
+    resume.
 
     \b
     Example:
       cornercase test reduced --driver Ego=aggressive --require "no collision" \\
           --require "ttc > 0.5" --junit out.xml -o run.db
     """
-    from cornercase import suite as room
+    from cornercase.suite import test
 
-    result = room.test(
+    result = test(
         suite,
         output,
         require=require or (),
@@ -161,7 +143,7 @@ def test_(
     if as_json:
         sys.stdout.write(json_text(result.to_json()) + "\n")
     else:
-        _print(result)
+        _print_result(result)
         for written in (junit, summary):
             if written is not None:
                 err.print(f"Written to {written}")
@@ -169,45 +151,45 @@ def test_(
         raise typer.Exit(1)
 
 
-def _print(result: SuiteResult) -> None:
+def _print_result(result: SuiteResult) -> None:
     compared = result.against is not None
-    last = ["recording"] if compared else []
     table = Table(
-        Column("scenario", overflow="fold", no_wrap=max(len(one.file) for one in result.scenarios) <= _NAME),
+        Column("scenario", overflow="fold", no_wrap=max(len(scenario.file) for scenario in result.scenarios) <= _NAME),
         Column("verdict", no_wrap=True),
         Column("why", overflow="fold"),
-        *last,
+        *(["recording"] if compared else []),
         box=None,
     )
-    for one in result.scenarios:
-        words = ["–" if one.difference is None else one.difference.text] if compared else []
-        state = "not run" if one.state == "error" else one.state
-        table.add_row(one.file, state, one.reason, *words)
+    for scenario in result.scenarios:
+        state = "not run" if scenario.state == "error" else scenario.state
+        difference = "–" if scenario.difference is None else scenario.difference.text
+        table.add_row(scenario.file, state, scenario.reason, *([difference] if compared else []))
     out.print(table)
     out.print(f"{result.text}, in {result.study}.")
     out.print(f"{result.comparison}.")
     if result.ran_before:
         out.print(
-            f"{result.ran_before} of them were in {result.study} before and were not run again; to run a new version of"
-            " what drives, name another study with -o."
+            f"{result.ran_before} of them were already in {result.study} and were not run again; to test a new version,"
+            " name another study with -o."
         )
     if result.exposure is not None:
-        _print_exposure(result, result.exposure)
+        _print_kills(result, result.exposure)
 
 
-def _print_exposure(result: SuiteResult, exposure: Exposure) -> None:
+def _print_kills(result: SuiteResult, exposure: Exposure) -> None:
+    """Print which mutants the suite kills, and by which scenarios."""
     table = Table(Column("mutation", no_wrap=True), "exposed", "of", box=None)
     for kind, (exposed, count) in exposure.by_mutation.items():
         table.add_row(kind, str(exposed), str(count))
     out.print(table)
     out.print(f"{exposure.text}.")
-    files = {one.id: one.file for one in result.scenarios}
+    files = {scenario.id: scenario.file for scenario in result.scenarios}
     counts = dict(zip(exposure.scenarios, exposure.exposed.sum(axis=1).tolist(), strict=True))
-    order = sorted((one for one, count in counts.items() if count), key=lambda one: -counts[one])
+    order = sorted((scenario for scenario, count in counts.items() if count), key=lambda scenario: -counts[scenario])
     if order:
-        most = ", ".join(f"{files[one]} ({counts[one]})" for one in order[:_NAMED])
-        out.print(f"Most are exposed by {most}; {len(order)} of {len(files)} scenarios expose any.")
+        names = ", ".join(f"{files[scenario]} ({counts[scenario]})" for scenario in order[:_NAMED])
+        out.print(f"Most are exposed by {names}; {len(order)} of {len(files)} scenarios expose any.")
     if exposure.unexposed:
-        out.print(f"By none: {' '.join(exposure.unexposed)}.")
+        out.print(f"Exposed by none: {' '.join(exposure.unexposed)}.")
     if exposure.failed.all():
-        out.print(f"{exposure.driver} itself fails in all scenarios, so that no mutant can be exposed.")
+        out.print(f"{exposure.driver} itself fails in all scenarios, so no mutant can be exposed.")

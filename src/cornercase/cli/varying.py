@@ -1,4 +1,4 @@
-"""The command that lists what of a scenario could vary, and makes parameters of it."""
+"""Command `vary`: list the numbers of a scenario that could vary, or make parameters of them."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ def vary_(
     scenario: ScenarioFile,
     *,
     vary: Vary = None,
-    every: Annotated[bool, typer.Option("--all", help="Vary all that a range is proposed for.")] = False,
+    every: Annotated[bool, typer.Option("--all", help="Vary all numbers with a proposed range.")] = False,
     output: Annotated[
         Path | None,
         typer.Option(
@@ -38,8 +38,8 @@ def vary_(
 ) -> None:
     """List the numbers of a scenario that could vary, or make parameters of them.
 
-    The list names each number, with its value, unit, a range that is proposed, and its line. With --vary or --all it
-    writes a scenario in which they vary, and a file of their ranges. explore takes --vary, too.
+    The list shows the name, value, unit, proposed range and line of each number. With --vary or --all it writes a
+    scenario in which they vary, and a file with their ranges. explore has the option --vary, too.
 
     \b
     Example:
@@ -52,11 +52,11 @@ def vary_(
 
     if not vary and not every:
         if output is not None:
-            raise InputError(f"-o {output}: says where to write; say what varies, too, with --vary NAME or --all.")
+            raise InputError(f"-o {output}: only for a varied scenario; give --vary NAME or --all, too.")
         _tell(variables(scenario))
         return
     if output is None:
-        raise InputError("--vary, --all: say where to write the scenario, with -o OUT.xosc.")
+        raise InputError("--vary, --all: give the scenario to write, with -o OUT.xosc.")
     logical = write_varied(scenario, vary or (), output, proposed=every)
     for parameter in logical.space.parameters:
         out.print(f"varied: {parameter}")
@@ -67,32 +67,32 @@ def vary_(
 
 
 def _tell(listed: tuple[Variable, ...]) -> None:
-    """Print what could vary, in groups."""
+    """Print the numbers that could vary, in groups."""
     if not listed:
         out.print("no numbers that could vary")
         return
     rows = [("name", "value", "unit", "proposed", "line")]
-    for group, some in groupby(listed, key=lambda one: one.group):
+    for group, members in groupby(listed, key=lambda variable: variable.group):
         rows.append((shorten(group, _LONGEST_GROUP), "", "", "", ""))
-        for one in some:
-            proposal = "–" if one.fixed or not one.proposal else one.proposal
-            rows.append((f"  {one.name}", _short(one.text), one.unit, proposal, str(one.line)))
+        for variable in members:
+            proposal = "–" if variable.fixed or not variable.proposal else variable.proposal
+            rows.append((f"  {variable.name}", _short(variable.text), variable.unit, proposal, str(variable.line)))
     name, value, unit, proposal_, line = (max(map(len, column)) for column in zip(*rows, strict=True))
-    # Names are typed again, so they are whole: a long one moves its own line only.
-    both = min(name + 1 + value, _WIDTH - unit - proposal_ - line - 3)
+    # Names are printed whole, as they are typed again; a long one only shifts its own line.
+    left_width = min(name + 1 + value, _WIDTH - unit - proposal_ - line - 3)
     for row in rows:
-        first = f"{row[0]} {row[1]:>{max(both - len(row[0]) - 1, 0)}}"
-        text = f"{first} {row[2]:<{unit}} {row[3]:<{proposal_}} {row[4]:>{line}}"
+        left = f"{row[0]} {row[1]:>{max(left_width - len(row[0]) - 1, 0)}}"
+        text = f"{left} {row[2]:<{unit}} {row[3]:<{proposal_}} {row[4]:>{line}}"
         out.print(text.rstrip())
-    if any(one.fixed and one.text.startswith("$") for one in listed):
-        out.print("Values with $ are those of parameters: vary the parameter.")
-    for one in listed:
-        if one.fixed and not one.text.startswith("$"):
-            out.print(f"{one.name}: {one.fixed}.", soft_wrap=False)
+    if any(variable.fixed and variable.text.startswith("$") for variable in listed):
+        out.print("Values with $ refer to parameters: vary the parameter.")
+    for variable in listed:
+        if variable.fixed and not variable.text.startswith("$"):
+            out.print(f"{variable.name}: {variable.fixed}.", soft_wrap=False)
 
 
 def _short(text: str) -> str:
-    """A value in few characters."""
+    """Format a value in few characters."""
     with suppress(ValueError):
         return text if len(text) <= _LONGEST_VALUE else f"{float(text):.6g}"
     return shorten(text, _LONGEST_VALUE)

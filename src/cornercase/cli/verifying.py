@@ -1,4 +1,4 @@
-"""The command that looks whether a study is as it was written, and brings back what is lost."""
+"""Command `verify`: check that a study is undamaged, and repair it."""
 
 from __future__ import annotations
 
@@ -10,34 +10,29 @@ import typer
 
 from cornercase._common.memory import DEFAULT_MEMORY
 from cornercase._common.texts import json_text
+from cornercase.cli import options as opt
 from cornercase.cli import parsing
-from cornercase.cli.options import Drivers, Maps, Memory, StudyFile, Workers, app, out
+from cornercase.cli.options import Option, app, out
 
 
 @app.command()
 def verify(
-    study: StudyFile,
+    study: opt.StudyFile,
     *,
     repair: Annotated[
         bool,
-        typer.Option(
+        Option(
             "--repair",
             help="Restore the study, running lost scenarios again; the damaged file is kept as STUDY.db.damaged.",
         ),
     ] = False,
-    scenario: Annotated[
-        Path | None,
-        typer.Option(metavar="FILE", help="Scenario file; default: as the study names it, beside it or here."),
-    ] = None,
-    simulator: Annotated[
-        str | None,
-        typer.Option(metavar="NAME", help="Simulator that runs scenarios again; default: that of the study."),
-    ] = None,
-    driver: Drivers = None,
-    workers: Workers = 1,
-    memory: Memory = DEFAULT_MEMORY,
-    as_json: Annotated[bool, typer.Option("--json", help="Print JSON, for programs.")] = False,
-    maps: Maps = None,
+    scenario: opt.NamedScenario = None,
+    simulator: opt.StudySimulator = None,
+    driver: opt.Drivers = None,
+    workers: opt.Workers = 1,
+    memory: opt.Memory = DEFAULT_MEMORY,
+    as_json: opt.Json = False,
+    maps: opt.Maps = None,
 ) -> None:
     """Test whether a study is undamaged; exit code 1 if it is not.
 
@@ -46,36 +41,36 @@ def verify(
       cornercase verify study.db
       cornercase verify study.db --repair
     """
-    from cornercase.study import verify as verified
+    from cornercase.study import verify as verify_study
 
-    found = verified(study)
+    result = verify_study(study)
     again: tuple[int, ...] = ()
     lost: tuple[str, ...] = ()
     damaged: Path | None = None
-    if repair and not found.sound:
-        from cornercase.exploration import repair as repaired
+    if repair and not result.sound:
+        from cornercase.exploration import repair as repair_study
 
         drivers = parsing.pairs(driver or [], "--driver")
-        mended = repaired(
+        repaired = repair_study(
             study, scenario=scenario, simulator=simulator, drivers=drivers, workers=workers, memory=memory
         )
-        again, lost, damaged = mended.again, mended.lost, mended.damaged
+        again, lost, damaged = repaired.again, repaired.lost, repaired.damaged
     if as_json:
-        words = {"sound": found.sound, "checked": found.checked, "problems": list(found.problems)}
+        values = {"sound": result.sound, "checked": result.checked, "problems": list(result.problems)}
         if repair:
-            words |= {"damaged": None if damaged is None else str(damaged), "again": list(again), "lost": list(lost)}
-        sys.stdout.write(json_text(words) + "\n")
+            values |= {"damaged": None if damaged is None else str(damaged), "again": list(again), "lost": list(lost)}
+        sys.stdout.write(json_text(values) + "\n")
     else:
-        for one in found.problems:
-            out.print(f"{study}: {one}")
-        if found.sound and found.checked:
-            out.print(f"{study}: everything is as it was written.")
-        elif found.sound:
-            out.print(f"{study}: can be read; it is of an earlier version, whose studies have no checksums.")
+        for problem in result.problems:
+            out.print(f"{study}: {problem}")
+        if result.sound and result.checked:
+            out.print(f"{study}: undamaged; all checksums match.")
+        elif result.sound:
+            out.print(f"{study}: readable; studies of its earlier version have no checksums.")
         if damaged is not None:
             how = "Repaired in part" if lost else "Repaired"
             out.print(f"{how}; {len(again)} scenarios were run again, and the damaged file is {damaged}.")
-            for one in lost:
-                out.print(f"Lost: {one}.")
-    if lost or (not found.sound and not repair):
+            for sentence in lost:
+                out.print(f"Lost: {sentence}.")
+    if lost or (not result.sound and not repair):
         raise typer.Exit(1)

@@ -1,4 +1,4 @@
-"""The command that compiles ahead what other commands would compile when they need it first."""
+"""Command `warm-up`: compile all kernels in advance."""
 
 from __future__ import annotations
 
@@ -23,11 +23,11 @@ if TYPE_CHECKING:
     from cornercase._common.typing import FloatArray
     from cornercase.recordings import Recording
 
-# What is compiled depends neither on how many scenarios there are nor on how long they take.
+# Neither the number nor the duration of scenarios affects what is compiled.
 _SCENARIOS, _SECONDS = 12, 3.0
-# More than are all compared with each other.
+# Too many scenarios for all pairwise distances.
 _MANY: Final = 2100
-# Machine code is made of what these words stand in.
+# Modules that contain one of these texts define kernels.
 _SIGNS: Final = ("compiling import kernel", "compiling.kernel")
 _LATER: Final = "from cornercase.cli.warming import compile_later; compile_later()"
 
@@ -36,8 +36,8 @@ _LATER: Final = "from cornercase.cli.warming import compile_later; compile_later
 def warm_up() -> None:
     """Compile in advance what other commands would compile at first use.
 
-    Compiled code is kept beside the package, or in the folder that NUMBA_CACHE_DIR names. Run it when you build a
-    container image, which then starts at full speed. Exit code 1 if it cannot be kept.
+    Compiled code is stored beside the package, or in the folder NUMBA_CACHE_DIR. Run it when you build a container
+    image, which then starts at full speed. Exit code 1 if it cannot be stored.
 
     \b
     Example:
@@ -46,18 +46,18 @@ def warm_up() -> None:
     from cornercase._common.compiling import count_kernels, heard_compilation, why_not_kept
     from cornercase._common.progress import ProgressBar
 
-    begun, compiled = time.monotonic(), list[str]()
+    start, compiled = time.monotonic(), list[str]()
     _import_kernels()
     bar = ProgressBar(count_kernels()[1], "compiling", "kernels")
 
     def heard(name: str) -> None:
         compiled.append(name)
-        ready, known = count_kernels()
-        bar.update(ready, name, known)
+        ready, total = count_kernels()
+        bar.update(ready, name, total)
 
     try:
         with tempfile.TemporaryDirectory() as folder, heard_compilation(heard), warnings.catch_warnings():
-            # What of the examples has no effect is nobody's concern here.
+            # Notices about the examples do not matter here.
             warnings.simplefilter("ignore")
             for room, run in _small_runs(Path(folder)):
                 bar.update(count_kernels()[0], room)
@@ -65,36 +65,32 @@ def warm_up() -> None:
         bar.update(count_kernels()[1], "", count_kernels()[1])
     finally:
         bar.stop()
-    seconds = f"{time.monotonic() - begun:.0f} s"
+    seconds = f"{time.monotonic() - start:.0f} s"
     if not compiled:
-        out.print(f"Everything is compiled already, as was seen in {seconds}.")
+        out.print(f"Everything is already compiled (checked in {seconds}).")
     elif unkept := why_not_kept():
-        err.print(f"{len(set(compiled))} kernels compiled in {seconds}, and not kept: {unkept}.")
+        err.print(f"{len(set(compiled))} kernels compiled in {seconds}, but not stored: {unkept}.")
         raise typer.Exit(1)
     else:
-        out.print(f"{len(set(compiled))} kernels compiled in {seconds}, and kept.")
+        out.print(f"{len(set(compiled))} kernels compiled and stored in {seconds}.")
 
 
 @contextmanager
-def two_compile() -> Iterator[None]:
-    """Once this process compiles, let another one compile what comes after the simulations.
+def two_compile(program: str = _LATER) -> Iterator[None]:
+    """Context in which a second process compiles what runs after the simulations, once this process compiles.
 
-    Both keep their machine code in the same place, so that what the other one has compiled is there when it is needed.
-
-    Yields
-    ------
-    None
+    Both share the cache, so that the kernels of the other process are ready when they are needed.
     """
     from cornercase._common.compiling import companion
     from cornercase._common.platform import available_cpus
 
-    started: list[subprocess.Popen[bytes]] = []
+    processes: list[subprocess.Popen[bytes]] = []
 
     def start() -> None:
-        # The current folder may be a stranger's.
-        command, nothing = [sys.executable, "-P", "-c", _LATER], subprocess.DEVNULL
-        # Its input ends with this process, however this one ends.
-        started.append(subprocess.Popen(command, stdin=subprocess.PIPE, stdout=nothing, stderr=nothing))
+        # -P: the current folder may be untrusted.
+        command, nothing = [sys.executable, "-P", "-c", program], subprocess.DEVNULL
+        # Its stdin closes when this process ends for any reason.
+        processes.append(subprocess.Popen(command, stdin=subprocess.PIPE, stdout=nothing, stderr=nothing))
 
     if available_cpus() < 2:
         yield
@@ -103,14 +99,14 @@ def two_compile() -> Iterator[None]:
         with companion(start):
             yield
     finally:
-        # What is cut while it is written counts as missing.
-        for process in started:
+        # An incompletely written cache file counts as missing.
+        for process in processes:
             process.terminate()
             process.communicate()
 
 
 def compile_later() -> None:
-    """Compile what the demonstrations need late: drivers, of which compiled frames come to last, and all after them.
+    """Compile what the examples need late: drivers and all after the simulations.
 
     To be called in a process of its own, which ends with its standard input.
     """
@@ -130,27 +126,28 @@ def compile_later() -> None:
 
 
 def _drive() -> None:
-    """Let a built-in driver decide once."""
+    """Call a built-in driver once."""
     import numpy as np
 
     from cornercase import drivers
 
-    along, one = np.arange(0.0, 50.0, 0.5), np.ones(1)
+    distance, ones = np.arange(0.0, 50.0, 0.5), np.ones(1)
+    path = drivers.DrivenPath(distance, distance, *np.zeros((3, len(distance))))
     driver = drivers.named_driver("normal")
     driver.start(1, 1)
     driver.acceleration(
         drivers.Situation(
-            0.0, 0.05, drivers.DrivenPath(along, along, *np.zeros((3, len(along)))), one, one, 0.0 * one, 0.0 * one,
-            one, 0.0 * one, length=4.0, width=2.0, center_x=1.5, target_speed=10.0 * one,
+            0.0, 0.05, path, ones, ones, 0.0 * ones, 0.0 * ones, ones, 0.0 * ones,
+            length=4.0, width=2.0, center_x=1.5, target_speed=10.0 * ones,
             others_x=np.full((1, 1), 30.0), others_y=np.zeros((1, 1)), others_heading=np.zeros((1, 1)),
-            others_speed=np.zeros((1, 1)), others_length=one, others_width=one, others_center_x=0.0 * one,
+            others_speed=np.zeros((1, 1)), others_length=ones, others_width=ones, others_center_x=0.0 * ones,
             others_kind=("pedestrian",), active=np.ones(1, dtype=np.bool_),
         )
     )  # fmt: skip
 
 
 def _import_kernels() -> None:
-    """Import all modules that hold kernels, so that they are counted before the first of them is compiled."""
+    """Import all modules with kernels, so that their number is known before the first one is compiled."""
     package = Path(__file__).parents[1]
     for path in sorted(package.rglob("*.py")):
         if path != Path(__file__) and any(sign in path.read_text("utf-8") for sign in _SIGNS):
@@ -158,78 +155,78 @@ def _import_kernels() -> None:
 
 
 def _small_runs(folder: Path) -> Iterator[tuple[str, Callable[[], Any]]]:
-    """Yield small runs of all that compiles, each with its room: what they compile is found out by running it."""
+    """Yield the room and a small run of everything that compiles: running it shows what it needs."""
     from cornercase import clustering, drivers, exploration, metrics, optimizers, reduction, report, simulators
     from cornercase._common.errors import InputError
 
     for name in ("x-intersection", "t-intersection"):
-        about = replace(exploration.demonstration(name, budget=_SCENARIOS), duration=_SECONDS)
+        config = replace(exploration.demonstration(name, budget=_SCENARIOS), duration=_SECONDS)
         study = folder / name / "study.db"
-        reduced, scenario = study.parent / "reduced", about.logical.scenario
-        yield "simulators", partial(exploration.explore_configuration, about, study)
+        reduced, scenario = study.parent / "reduced", config.logical.scenario
+        yield "simulators", partial(exploration.explore_configuration, config, study)
         yield "clustering", partial(clustering.analyze, study)
         yield "reduction", partial(reduction.reduce, study, reduced, scenario=scenario)
         yield "evidence", partial(report.summarize, study)
-    # So few scenarios of an example need not have any groups that could be judged.
+    # The few scenarios of an example may have no groups.
     yield "clustering", partial(clustering.cluster, _two_groups())
-    # So few scenarios are all compared with each other.
+    # With few scenarios all pairwise distances are computed.
     yield "reduction", _reduce_many
-    # So short runs do not come to a crossing.
+    # Short runs never reach a crossing.
     yield "clustering", partial(clustering.find_outcome, _crossing(), "Ego", "Other")
     simulate = partial(simulators.simulate, scenario, duration=_SECONDS)
-    for one in drivers.DRIVERS.names():
-        yield "drivers", partial(simulate, drivers={"Ego": one})
-    yield "metrics", partial(metrics.measure, simulate(), about.ego, about.other)
-    for one in optimizers.OPTIMIZERS.names():
-        searched = replace(about, optimizer=one, critical=1.0, metrics=about.metrics[:1])
+    for plugin in drivers.DRIVERS.names():
+        yield "drivers", partial(simulate, drivers={"Ego": plugin})
+    yield "metrics", partial(metrics.measure, simulate(), config.ego, config.other)
+    for plugin in optimizers.OPTIMIZERS.names():
+        changed = replace(config, optimizer=plugin, critical=1.0, metrics=config.metrics[:1])
 
-        def explore(searched: exploration.Configuration = searched, study: Path = folder / f"{one}.db") -> None:
+        def explore(searched: exploration.Configuration = changed, study: Path = folder / f"{plugin}.db") -> None:
             try:
                 exploration.explore_configuration(searched, study)
             except InputError:
-                # It comes with an extra that is not there.
+                # Its extra is not installed.
                 return
 
         yield "optimizers", explore
 
 
 def _reduce_many() -> None:
-    """Choose from more scenarios than are all compared with each other, and compare the choice with others."""
+    """Reduce a set that is too large for all pairwise distances."""
     import numpy as np
 
     from cornercase import clustering, reduction
 
     points = np.linspace(0.0, 1.0, _MANY)[:, None]
     distances = clustering.PlacedDistances(points)
-    kept = reduction.choose_scenarios(points, [distances], np.zeros(len(points), dtype=np.int64), size=2)
-    reduction.measure_gaps(distances, [one.index for one in kept] + list(range(0, _MANY, 10)), draws=1)
+    selected = reduction.choose_scenarios(points, [distances], np.zeros(len(points), dtype=np.int64), size=2)
+    reduction.measure_gaps(distances, [scenario.index for scenario in selected] + list(range(0, _MANY, 10)), draws=1)
 
 
 def _two_groups() -> FloatArray:
-    """Distances of two groups, far apart."""
+    """Return distances of two well separated groups."""
     import numpy as np
 
-    along = np.concatenate([np.linspace(0.0, 1.0, 12), np.linspace(9.0, 10.0, 12)])
-    return np.asarray(np.abs(np.subtract.outer(along, along)))
+    positions = np.concatenate([np.linspace(0.0, 1.0, 12), np.linspace(9.0, 10.0, 12)])
+    return np.asarray(np.abs(np.subtract.outer(positions, positions)))
 
 
 def _crossing() -> Recording:
-    """Two cars, of which the one crosses the way of the other."""
+    """Return a recording of two cars whose paths cross."""
     import numpy as np
 
     from cornercase import recordings
 
     time = np.arange(20.0)
-    along, still = time - 10.0, np.zeros((2, len(time)))
+    position, zeros = time - 10.0, np.zeros((2, len(time)))
     return recordings.Recording(
         time=time,
         names=("Ego", "Other"),
         kinds=("car", "car"),
-        x=np.stack([2.0 * along, still[0]]),
-        y=np.stack([still[0], 2.0 * along - 9.0]),
-        heading=np.stack([still[0], still[0] + 0.5 * np.pi]),
-        speed=still + 2.0,
-        acceleration=still,
+        x=np.stack([2.0 * position, zeros[0]]),
+        y=np.stack([zeros[0], 2.0 * position - 9.0]),
+        heading=np.stack([zeros[0], zeros[0] + 0.5 * np.pi]),
+        speed=zeros + 2.0,
+        acceleration=zeros,
         length=np.full(2, 4.0),
         width=np.full(2, 2.0),
         center_x=np.zeros(2),

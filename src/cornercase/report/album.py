@@ -1,4 +1,4 @@
-"""The figures of a study for a paper: PNG and SVG in a folder."""
+"""Export the figures of a study as PNG and SVG files with captions."""
 
 from __future__ import annotations
 
@@ -22,9 +22,9 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 
-# Characters of a line in a figure, and lines of a text: what is longer is no reason for a huge figure.
+# Longest line of a text in a figure (characters) and most lines, so that long texts do not blow up the figure.
 _LINE, _LINES = 60, 10
-# What would differ from one time to the next is left out.
+# Without metadata that would differ between runs.
 _FORMATS: Final[dict[str, dict[str, Any]]] = {
     "png": {"dpi": 110, "metadata": {"Software": None}},
     "svg": {"metadata": {"Date": None, "Creator": None}},
@@ -33,20 +33,7 @@ _CAPTIONS: Final = "captions.txt"
 
 
 def write_figures(data: ReportData, folder: Path) -> None:
-    """Write all figures of a study, and ``captions.txt``, which says what is in each.
-
-    Parameters
-    ----------
-    data : ReportData
-        What is drawn.
-    folder : Path
-        Made where it is missing; figures of the same name are replaced.
-
-    Raises
-    ------
-    InputError
-        It cannot be written.
-    """
+    """Write all figures of a study into `folder`, and ``captions.txt``, which describes each."""
     captions: list[str] = []
     taken: set[str] = set()
     with default_style():
@@ -61,36 +48,26 @@ def write_figures(data: ReportData, folder: Path) -> None:
 
 
 def _another(name: str, taken: set[str]) -> str:
-    """A name that no file has yet; formulas may differ by what no name of a file may hold."""
-    free = next(one for n in count(1) if (one := f"{name}-{n}" if n > 1 else name).lower() not in taken)
+    """Make a file name unique in `taken`: portable names of different formulas may be equal."""
+    candidates = (name if n == 1 else f"{name}-{n}" for n in count(1))
+    free = next(candidate for candidate in candidates if candidate.lower() not in taken)
     taken.add(free.lower())
     return free
 
 
 def draw_files(figure: Figure) -> dict[str, bytes]:
-    """Draw a figure as PNG and as SVG; the same figure gives the same bytes.
-
-    Parameters
-    ----------
-    figure : Figure
-        The figure.
-
-    Returns
-    -------
-    dict of str to bytes
-        Content of the files by their ending.
-    """
+    """Render a figure as PNG and SVG, as bytes by file ending; the same figure gives the same bytes."""
     FigureCanvasAgg(figure)
     for text in figure.findobj(Text):
-        # Names come from files: a dollar sign in them begins no formula.
+        # A dollar sign in a name from a file must not start a formula.
         text.set_parse_math(False)
         text.set_text(wrapped(plain_text(text.get_text()), _LINE, _LINES))
-    found = {}
+    files = {}
     with rc_context({"text.parse_math": False, "svg.hashsalt": "cornercase"}), warnings.catch_warnings():
-        # Signs that the font lacks are drawn as boxes; the page has the names as they are.
+        # Characters missing in the font are drawn as boxes.
         warnings.filterwarnings("ignore", r"Glyph \d+ .* missing")
         for ending, options in _FORMATS.items():
             buffer = io.BytesIO()
             figure.savefig(buffer, format=ending, bbox_inches="tight", pad_inches=0.25, **options)
-            found[ending] = buffer.getvalue()
-    return found
+            files[ending] = buffer.getvalue()
+    return files

@@ -1,4 +1,4 @@
-"""What was found, in sentences that answer what is asked first."""
+"""Questions and answers at the top of the report."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ from cornercase.report.words import (
 from cornercase.study import IMPORTED
 from cornercase.suite import worst_state
 
-# So many points are told below an answer; the details have all.
+# Points listed below an answer; the details have all.
 _MOST_POINTS = 6
 _NEGLIGIBLE = 0.01
 _ROLES: Final[dict[str, tuple[str, str]]] = {
@@ -45,33 +45,15 @@ _ROLES: Final[dict[str, tuple[str, str]]] = {
 
 @dataclass(frozen=True)
 class Answer:
-    """An answer to a question that is asked of every study.
+    """Answer to a question that is asked of every study."""
 
-    Attributes
-    ----------
-    name : str
-        Of the question, for addresses and tests.
-    question : str
-        As a person asks it.
-    text : str
-        Sentences.
-    points : tuple of str
-        What is told below them, one by one; empty where there is nothing more to tell.
-    """
-
-    name: str
+    name: str  # for addresses and tests
     question: str
     text: str
-    points: tuple[str, ...] = ()
+    points: tuple[str, ...] = ()  # listed below the text
 
     def to_json(self) -> dict[str, Any]:
-        """Return plain values.
-
-        Returns
-        -------
-        dict of str to object
-            By the name of the field, without signs that give orders.
-        """
+        """Return the fields as plain text."""
         return {
             "name": self.name,
             "question": self.question,
@@ -81,75 +63,49 @@ class Answer:
 
 
 def page_answers(data: ReportData) -> Iterator[Answer]:
-    """Answer all questions that can be asked of a study.
-
-    Every figure is one of `put_in_words`.
-
-    Parameters
-    ----------
-    data : ReportData
-        What the report shows.
-
-    Yields
-    ------
-    Answer
-        In the order of the page.
-    """
+    """Answer all questions in the order of the page; every number also appears in `put_in_words`."""
     summary = data.summary
-    known = summary.knowledge
+    estimates = summary.knowledge
     if data.verdicts:
         yield _of_verdicts(data)
     if summary.probability is not None:
         yield _of_probability(summary.probability)
-    if known.front is not None:
+    if estimates.front is not None:
         yield _of_front(data)
     else:
         yield _of_share(data)
     yield _of_kinds(data)
     yield _of_parameters(data)
     yield _of_kept(data)
-    if known.front is None and known.critical is not None:
-        yield _of_missed(known.critical)
+    if estimates.front is None and estimates.critical is not None:
+        yield _of_missed(estimates.critical)
     yield _of_failures(data)
 
 
 def tell_about(data: ReportData, *, counts: bool = True) -> str:
-    """Say what the study is about.
-
-    Parameters
-    ----------
-    data : ReportData
-        What the report shows.
-    counts : bool, default True
-        Say how many scenarios it holds; a page that grows counts them itself.
-
-    Returns
-    -------
-    str
-        Sentences.
-    """
+    """Describe the study: roles, search and, unless the page counts itself (`counts`), numbers of scenarios."""
     summary, meta = data.summary, data.summary.meta
-    said = [tell_roles(meta)]
+    sentences = [tell_roles(meta)]
     begin = f"{_scenarios(summary.run)} " if counts else "Scenarios "
     if meta.simulator == IMPORTED:
-        said.append(f"{begin}imported, measured by {', '.join(meta.metrics)}.")
+        sentences.append(f"{begin}imported, measured by {', '.join(meta.metrics)}.")
     elif meta.suite:
-        said.append(f"{begin}run, of a suite, measured by {', '.join(meta.metrics)}.")
+        sentences.append(f"{begin}run, of a suite, measured by {', '.join(meta.metrics)}.")
     else:
         if counts:
-            said.append(f"{begin}run.")
-        said.append(f"Search: {meta.optimizer}, on {'the ' if meta.pareto else ''}{summary.searched}.")
+            sentences.append(f"{begin}run.")
+        sentences.append(f"Search: {meta.optimizer}, on {'the ' if meta.pareto else ''}{summary.searched}.")
         if meta.asynchronous:
-            said.append("Each scenario was proposed as soon as one had ended.")
+            sentences.append("Each scenario was proposed as soon as one had ended.")
         if meta.elsewhere:
-            said.append(f"The search began from {tell_beginning(meta)}.")
-    if beside := tell_beside(summary, counts=counts):
-        said.append(beside)
+            sentences.append(f"The search began from {tell_beginning(meta)}.")
+    if unmeasured := tell_beside(summary, counts=counts):
+        sentences.append(unmeasured)
     if meta.runs_differ:
-        said.append(f"Runs differ: {meta.runs_differ}.")
+        sentences.append(f"Runs differ: {meta.runs_differ}.")
     if counts and summary.pending:
-        said.append(f"{_scenarios(summary.pending)} not run yet.")
-    return plain_text(" ".join(said))
+        sentences.append(f"{_scenarios(summary.pending)} not run yet.")
+    return plain_text(" ".join(sentences))
 
 
 def _scenarios(count: int) -> str:
@@ -157,68 +113,68 @@ def _scenarios(count: int) -> str:
 
 
 def _about(share: float) -> str:
-    words = percent(share)
-    return f"About {words}" if words[0].isdigit() else words.capitalize()
+    text = percent(share)
+    return f"About {text}" if text[0].isdigit() else text.capitalize()
 
 
 def _interval(estimate: Estimate) -> str:
     low, high = percent(estimate.low), percent(estimate.high)
     if low == high and estimate.low < estimate.high:
-        low, high = (f"{100.0 * one:.4g} %" for one in (estimate.low, estimate.high))
+        low, high = (f"{100.0 * bound:.4g} %" for bound in (estimate.low, estimate.high))
     return f"90 % interval {low} to {high}"
 
 
 def _of_share(data: ReportData) -> Answer:
     name, question = "critical", "How much of the space is critical?"
-    summary, known = data.summary, data.summary.knowledge.critical
-    if known is None:
+    summary, critical = data.summary, data.summary.knowledge.critical
+    if critical is None:
         none = "There is no threshold from which a scenario is critical; set one with --critical of cornercase explore."
         return Answer(name, question, none)
-    criterion = tell_criterion(known, summary.searched)
-    of_set = known.known
-    ran_them = "" if summary.meta.simulator == IMPORTED else " that were run"
+    criterion = tell_criterion(critical, summary.searched)
+    estimates = critical.known
+    which_ran = "" if summary.meta.simulator == IMPORTED else " that were run"
     if summary.run == 1:
-        ran = f"The one scenario that was run is {'' if known.scenarios else 'not '}critical ({criterion})."
-    elif known.scenarios:
-        verb = "is" if known.scenarios == 1 else "are"
-        ran = f"{known.scenarios} of the {summary.run} scenarios{ran_them} {verb} critical ({criterion})."
+        counts = f"The one scenario that was run is {'' if critical.scenarios else 'not '}critical ({criterion})."
+    elif critical.scenarios:
+        verb = "is" if critical.scenarios == 1 else "are"
+        counts = f"{critical.scenarios} of the {summary.run} scenarios{which_ran} {verb} critical ({criterion})."
     else:
-        ran = f"None of the {summary.run} scenarios{ran_them} is critical ({criterion})."
-    ran += tell_references(summary.references)
-    if asked := tell_asked(summary):
-        ran += f" {asked}"
-    if of_set is None:
-        return Answer(name, question, f"{ran} {tell_unknown()}")
+        counts = f"None of the {summary.run} scenarios{which_ran} is critical ({criterion})."
+    counts += tell_references(summary.references)
+    if override := tell_asked(summary):
+        counts += f" {override}"
+    if estimates is None:
+        return Answer(name, question, f"{counts} {tell_unknown()}")
     space = "the space, as far as it can be run," if data.failed else "the space"
-    if of_set.share_doubt is not None:
-        about = f"{_about(of_set.share.value)} of {space} is critical. " if known.scenarios else ""
-        return Answer(name, question, f"{about}{ran} There is no interval: {of_set.share_doubt}.")
-    if not known.scenarios:
-        bound = f"At most {percent(of_set.share.high)} of {space} is critical (upper end of a 90 % interval)."
-        if of_set.missed_doubt is None:
+    if estimates.share_doubt is not None:
+        estimate = f"{_about(estimates.share.value)} of {space} is critical. " if critical.scenarios else ""
+        return Answer(name, question, f"{estimate}{counts} There is no interval: {estimates.share_doubt}.")
+    if not critical.scenarios:
+        bound = f"At most {percent(estimates.share.high)} of {space} is critical (upper end of a 90 % interval)."
+        if estimates.missed_doubt is None:
             bound = "These are all scenarios of the space."
-        return Answer(name, question, f"{ran} {bound}")
-    share = f"{_about(of_set.share.value)} of {space} is critical ({_interval(of_set.share)})."
-    return Answer(name, question, f"{share} {ran}")
+        return Answer(name, question, f"{counts} {bound}")
+    share = f"{_about(estimates.share.value)} of {space} is critical ({_interval(estimates.share)})."
+    return Answer(name, question, f"{share} {counts}")
 
 
 def _of_missed(known: CriticalKnowledge) -> Answer:
-    said, found = [], known.known
-    if found is None:
-        said.append("That is unknown: there are too few different scores.")
-    elif not known.scenarios and found.missed_doubt is None:
-        said.append("Nothing: all scenarios of the space were run, and none is critical.")
+    sentences, estimates = [], known.known
+    if estimates is None:
+        sentences.append("That is unknown: there are too few different scores.")
+    elif not known.scenarios and estimates.missed_doubt is None:
+        sentences.append("Nothing: all scenarios of the space were run, and none is critical.")
     elif not known.scenarios:
-        said.append("Nothing critical was found, so whatever is critical was missed.")
-    elif found.missed_doubt is not None:
-        said.append(f"{_about(found.missed.value)} of the critical set.")
-        said.append(f"There is no interval: {found.missed_doubt}.")
+        sentences.append("Nothing critical was found, so whatever is critical was missed.")
+    elif estimates.missed_doubt is not None:
+        sentences.append(f"{_about(estimates.missed.value)} of the critical set.")
+        sentences.append(f"There is no interval: {estimates.missed_doubt}.")
     else:
-        said.append(f"{_about(found.missed.value)} of the critical set ({_interval(found.missed)}).")
-    if found is not None and known.scenarios:
-        said.append(
+        sentences.append(f"{_about(estimates.missed.value)} of the critical set ({_interval(estimates.missed)}).")
+    if estimates is not None and known.scenarios:
+        sentences.append(
             "That relies on a model of the scores. Without a model: a region in which nothing was run could hide"
-            f" {percent(found.hidden)} of the critical set."
+            f" {percent(estimates.hidden)} of the critical set."
         )
     if known.audit is not None:
         audits = f"{known.audit.critical} of {known.audit.scenarios} audits, drawn at random, are critical"
@@ -227,30 +183,19 @@ def _of_missed(known: CriticalKnowledge) -> Answer:
                 f"; from these alone, without a model, {percent(known.audit.missed.value)} is missed"
                 f" ({_interval(known.audit.missed)})"
             )
-        said.append(f"{audits}.")
-    return Answer("missed", "What may be missed?", " ".join(said))
+        sentences.append(f"{audits}.")
+    return Answer("missed", "What may be missed?", " ".join(sentences))
 
 
 def find_default_aspect(data: ReportData) -> str | None:
-    """Find the aspect that is looked at first: the one whose kinds say most of how scenarios end.
-
-    Parameters
-    ----------
-    data : ReportData
-        What the report shows.
-
-    Returns
-    -------
-    str or None
-        None before the study was analysed.
-    """
-    best, found = -1.0, None
-    for by, one in data.summary.analyses.items():
-        # Aspects that say more of what happens come after those that say less, where they say as much of the end.
-        says = round(one.tells.get("outcome", 0.0), 3) if one.clustering.n_clusters > 1 else -1.0
-        if says >= best:
-            best, found = says, by
-    return found
+    """Return the aspect whose clusters say most about how scenarios end; None before the study was analyzed."""
+    highest, aspect = -1.0, None
+    for by, analysis in data.summary.analyses.items():
+        # If tied, the later aspect wins: aspects are ordered by how much they say about what happens.
+        information = round(analysis.tells.get("outcome", 0.0), 3) if analysis.clustering.n_clusters > 1 else -1.0
+        if information >= highest:
+            highest, aspect = information, by
+    return aspect
 
 
 def _of_kinds(data: ReportData) -> Answer:
@@ -258,52 +203,52 @@ def _of_kinds(data: ReportData) -> Answer:
     chosen = find_default_aspect(data)
     if chosen is None:
         return Answer(name, question, "The study has not been analysed yet; cornercase analyze finds the kinds.")
-    divided = [by for by, one in analyses.items() if one.clustering.n_clusters > 1 and by != chosen]
-    alike = [by for by, one in analyses.items() if one.clustering.n_clusters <= 1]
+    divided = [by for by, analysis in analyses.items() if analysis.clustering.n_clusters > 1 and by != chosen]
+    undivided = [by for by, analysis in analyses.items() if analysis.clustering.n_clusters <= 1]
     if analyses[chosen].clustering.n_clusters <= 1:
-        return Answer(name, question, f"There are no separate kinds by {_listed(alike)}.")
-    one = analyses[chosen]
-    noise = int((one.labels < 0).sum())
+        return Answer(name, question, f"There are no separate kinds by {_listed(undivided)}.")
+    analysis = analyses[chosen]
+    noise = int((analysis.labels < 0).sum())
     outside = f", and {noise} scenarios of noise" if noise else ""
-    compared = f" ({what})" if (what := tell_compared(chosen)) else ""
-    said = [f"By {chosen}{compared} there are {one.clustering.n_clusters} kinds{outside}."]
+    compared = f" ({description})" if (description := tell_compared(chosen)) else ""
+    sentences = [f"By {chosen}{compared} there are {analysis.clustering.n_clusters} kinds{outside}."]
     points = [
-        f"{each.label or f'cluster {each.cluster}'} ({each.size} scenarios)."
-        for each in one.profiles
-        if each.cluster >= 0
+        f"{profile.label or f'cluster {profile.cluster}'} ({profile.size} scenarios)."
+        for profile in analysis.profiles
+        if profile.cluster >= 0
     ]
     if len(points) > _MOST_POINTS:
         points = [*points[:_MOST_POINTS], f"{len(points) - _MOST_POINTS} smaller ones are listed below."]
     if divided:
-        said.append(f"There are also kinds by {_listed(divided)}.")
-    if alike:
-        said.append(f"There are no separate kinds by {_listed(alike)}.")
-    return Answer(name, question, " ".join(said), tuple(points))
+        sentences.append(f"There are also kinds by {_listed(divided)}.")
+    if undivided:
+        sentences.append(f"There are no separate kinds by {_listed(undivided)}.")
+    return Answer(name, question, " ".join(sentences), tuple(points))
 
 
 def _of_parameters(data: ReportData) -> Answer:
-    name, question, found = "parameters", "Which parameters matter?", data.summary.knowledge.sensitivity
+    name, question, sensitivity = "parameters", "Which parameters matter?", data.summary.knowledge.sensitivity
     if data.summary.knowledge.front is not None:
         return Answer(
             name, question, "This is known for a single score only; this study searches the Pareto front of several."
         )
-    if found is None:
+    if sensitivity is None:
         return Answer(name, question, "There are too few different scores to say.")
-    if not found.foretold:
+    if not sensitivity.foretold:
         return Answer(name, question, tell_unforetold())
-    order = sorted(range(len(found.names)), key=lambda k: (-found.total[k], k))
+    order = sorted(range(len(sensitivity.names)), key=lambda k: (-sensitivity.total[k], k))
     points = [
-        f"{found.names[k]}: {_share_of(found.total[k], found.total_interval[k])} together with the others,"
-        f" {_share_of(found.first[k], found.first_interval[k])} alone."
+        f"{sensitivity.names[k]}: {_share_of(sensitivity.total[k], sensitivity.total_interval[k])} together with the"
+        f" others, {_share_of(sensitivity.first[k], sensitivity.first_interval[k])} alone."
         for k in order[:_MOST_POINTS]
     ]
-    has = "has" if len(found.little) == 1 else "have"
-    little = f" {_listed(list(found.little))} {has} little influence." if found.little else ""
+    has = "has" if len(sensitivity.little) == 1 else "have"
+    little = f" {_listed(list(sensitivity.little))} {has} little influence." if sensitivity.little else ""
     text = (
-        f"{found.names[order[0]]} matters most: {percent(found.total[order[0]])} of the variance of"
+        f"{sensitivity.names[order[0]]} matters most: {percent(sensitivity.total[order[0]])} of the variance of"
         f" {data.summary.searched} comes from it, alone or together with the others.{little} The shares come from a"
-        f" Gaussian process that explains {percent(found.predicted)} of the variance (cross-validated); intervals are"
-        " of 90 %."
+        f" Gaussian process that explains {percent(sensitivity.predicted)} of the variance (cross-validated); intervals"
+        " are of 90 %."
     )
     return Answer(name, question, text, tuple(points))
 
@@ -318,31 +263,31 @@ def _of_kept(data: ReportData) -> Answer:
     name, question, reduced = "kept", "Which scenarios should be kept?", data.summary.reduced
     if reduced is None:
         return Answer(name, question, "The study has not been reduced yet; cornercase reduce finds the few to keep.")
-    roles = Counter(str(one.role) for one in reduced.kept)
-    counts = _listed([f"{n} {words[n != 1]}" for role, words in _ROLES.items() if (n := roles[role])])
-    said = [f"Keep {len(reduced.kept)} of the {reduced.run} scenarios: {counts or 'none'}."]
+    roles = Counter(str(scenario.role) for scenario in reduced.kept)
+    counts = _listed([f"{n} {forms[n != 1]}" for role, forms in _ROLES.items() if (n := roles[role])])
+    sentences = [f"Keep {len(reduced.kept)} of the {reduced.run} scenarios: {counts or 'none'}."]
     if later := data.summary.run - reduced.run:
-        said.append(f"{_scenarios(later)} run since.")
+        sentences.append(f"{_scenarios(later)} run since.")
     if chosen := tell_chosen(data.summary):
-        said.append(chosen)
-    return Answer(name, question, " ".join([*said, *_left_out(data, reduced)]))
+        sentences.append(chosen)
+    return Answer(name, question, " ".join([*sentences, *_left_out(data, reduced)]))
 
 
 def _left_out(data: ReportData, reduced: ReducedSet) -> Iterator[str]:
-    critical = {name: one.held_out for name, one in reduced.critical.items() if one.held_out is not None}
+    critical = {name: entry.held_out for name, entry in reduced.critical.items() if entry.held_out is not None}
     by = reduced.by if reduced.by in critical else next(iter(critical), None)
     if by is not None:
         count = critical[by].scenarios
-        alike = round(count * critical[by].critical)
-        which = "every one is" if alike == count else f"{percent(critical[by].critical)} are"
-        yield f"Of the held-out critical scenarios, {which} like a kept one by {by} ({alike} of {count})."
+        covered = round(count * critical[by].critical)
+        which = "every one is" if covered == count else f"{percent(critical[by].critical)} are"
+        yield f"Of the held-out critical scenarios, {which} like a kept one by {by} ({covered} of {count})."
     elif reduced.by in reduced.critical and (share := reduced.critical[reduced.by].critical) is not None:
-        # Judged by another threshold than they were chosen by.
+        # Evaluated with another threshold than that of the selection.
         yield f"{_about(share)} of the critical scenarios that were run are like a kept one by {reduced.by}."
-    judged = {name: one.held_out for name, one in reduced.coverage.items() if one.held_out is not None}
-    by = reduced.by if reduced.by in judged else next(iter(judged), None)
+    graded = {name: entry.held_out for name, entry in reduced.coverage.items() if entry.held_out is not None}
+    by = reduced.by if reduced.by in graded else next(iter(graded), None)
     if by is not None and by in data.summary.analyses:
-        held_out, unit = judged[by], data.summary.analyses[by].unit
+        held_out, unit = graded[by], data.summary.analyses[by].unit
         yield (
             "The distance from a held-out scenario to the nearest kept one is"
             f" {with_unit(f'{held_out.mean:.3g}', unit)} on average by {by} (DTW distance);"
@@ -359,18 +304,7 @@ def _of_front(data: ReportData) -> Answer:
 
 
 def ends_of_front(data: ReportData) -> Iterator[str]:
-    """Say which scenario of the Pareto front is the most critical by each metric.
-
-    Parameters
-    ----------
-    data : ReportData
-        What the report shows.
-
-    Yields
-    ------
-    str
-        A sentence for each metric.
-    """
+    """Describe for each metric which scenario of the Pareto front is the most critical."""
     front = data.summary.knowledge.front or {}
     for metric in data.metrics:
         ids = sorted(front, key=lambda scenario: (metric.oriented(front[scenario][metric.name]), scenario))
@@ -390,34 +324,34 @@ def _of_failures(data: ReportData) -> Answer:
         )
     reasons = find_reasons(failed)
     points = [f"{len(ids)}: {why}" for why, ids in list(reasons.items())[:_MOST_POINTS]]
-    more = f" The {_MOST_POINTS} most frequent reasons:" if len(reasons) > _MOST_POINTS else ""
-    return Answer(name, question, f"{len(failed)} of {total} scenarios could not be run.{more}", tuple(points))
+    note = f" The {_MOST_POINTS} most frequent reasons:" if len(reasons) > _MOST_POINTS else ""
+    return Answer(name, question, f"{len(failed)} of {total} scenarios could not be run.{note}", tuple(points))
 
 
 def _of_verdicts(data: ReportData) -> Answer:
     failed = {row.id for row in data.failed}
     states = {scenario: worst_state(verdicts) for scenario, verdicts in data.verdicts.items()}
     counts = Counter("not run" if scenario in failed else state for scenario, state in states.items())
-    said = [f"{counts[one]} {one}" for one in ("passed", "failed", "inconclusive", "not run") if counts[one]]
-    broken = [
-        f"Scenario {scenario}: {one.requirement}: {one.reason}."
+    parts = [f"{counts[state]} {state}" for state in ("passed", "failed", "inconclusive", "not run") if counts[state]]
+    violations = [
+        f"Scenario {scenario}: {verdict.requirement}: {verdict.reason}."
         for scenario, verdicts in data.verdicts.items()
-        for one in verdicts
-        if one.state == "failed"
+        for verdict in verdicts
+        if verdict.state == "failed"
     ]
-    most = f" The first {_MOST_POINTS} requirements that failed:" if len(broken) > _MOST_POINTS else ""
-    text = f"{', '.join(said)} of {len(states)} scenarios.{most}"
-    return Answer("verdicts", "Did it pass?", text, tuple(broken[:_MOST_POINTS]))
+    note = f" The first {_MOST_POINTS} requirements that failed:" if len(violations) > _MOST_POINTS else ""
+    text = f"{', '.join(parts)} of {len(states)} scenarios.{note}"
+    return Answer("verdicts", "Did it pass?", text, tuple(violations[:_MOST_POINTS]))
 
 
 def _of_probability(found: Any) -> Answer:
     criterion = with_signs(found["critical is"])
     points = []
-    for event, words in (("critical", f"a critical scenario ({criterion})"), ("collision", "a collision")):
+    for event, description in (("critical", f"a critical scenario ({criterion})"), ("collision", "a collision")):
         low, high = found[event]["95 % interval"]
-        points.append(f"Of {words}: {found[event]['probability']:.3g} (95 % interval {low:.3g} to {high:.3g}).")
-    said = f"Under the distributions of the space, from {found['scenarios']} scenarios:"
-    return Answer("probability", "How probable is it?", said, (*points, *found["warnings"]))
+        points.append(f"Of {description}: {found[event]['probability']:.3g} (95 % interval {low:.3g} to {high:.3g}).")
+    text = f"Under the distributions of the space, from {found['scenarios']} scenarios:"
+    return Answer("probability", "How probable is it?", text, (*points, *found["warnings"]))
 
 
 def _listed(words: list[str]) -> str:

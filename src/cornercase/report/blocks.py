@@ -1,4 +1,4 @@
-"""Recordings as a page holds them: compressed blocks, of which a browser unpacks those that it shows."""
+"""Binary format of recordings in a page: compressed blocks that the browser unpacks on demand."""
 
 from __future__ import annotations
 
@@ -12,36 +12,21 @@ import numpy as np
 from cornercase._common.typing import FloatArray
 from cornercase.recordings import Recording
 
-# What the last digit of each array stands for, in its unit: finer than a pixel of any drawing.
+# Resolution of each array in its unit: finer than a pixel of any drawing.
 _STEPS: Final = {"time": 1e-4, "x": 1e-3, "y": 1e-3, "heading": 1e-4, "speed": 1e-3, "acceleration": 1e-3}
 _COURSE_STEP: Final = 1e-4
-# Greatest number that is written; what lies beyond is drawn at the end of every axis anyway.
+# Largest number that is written; larger values would be drawn at the end of the axis anyway.
 _MOST: Final = 2**29
 
 
 def pack_record(scenario: int, recording: Recording, courses: Mapping[str, FloatArray]) -> bytes:
-    """Write a recording and its courses for the page.
+    """Encode a recording and its courses as an uncompressed record for the page.
 
-    A record is the length of its head as an unsigned number of 32 bits, the head as JSON, and the rows of its arrays
-    of which ``fields`` of the head names those of each array, how many rows it has, and what one stands for: first for
-    each row a byte for each instant, 1 where there is a value; then for each row second differences of whole numbers of
-    32 bits. All numbers are little-endian.
-
-    Parameters
-    ----------
-    scenario : int
-        Its id.
-    recording : Recording
-        Of A entities at T instants.
-    courses : mapping of str to ndarray of float64, shape (T,)
-        By metric.
-
-    Returns
-    -------
-    bytes
-        The record, not compressed.
+    A record is the length of its head (uint32), the head (JSON), and the rows of the arrays that ``fields`` in the head
+    lists (name, number of rows, step): first one byte per row and instant, 1 where there is a value, then per row the
+    second differences as int32 in units of the step. All numbers are little-endian.
     """
-    # Places may be those of a country's grid, millions of metres from its origin.
+    # Coordinates may be those of a national grid, millions of metres from its origin.
     origin = {name: _first(getattr(recording, name)) for name in ("x", "y")}
     rows: list[FloatArray] = [recording.time]
     fields = [("time", 1, _STEPS["time"])]
@@ -66,33 +51,22 @@ def pack_record(scenario: int, recording: Recording, courses: Mapping[str, Float
     }
     steps = np.concatenate([np.full(count, step) for _, count, step in fields])
     values = np.vstack(rows)
-    there = np.isfinite(values)
-    whole = np.clip(np.rint(np.where(there, values, 0.0) / steps[:, None]), -_MOST, _MOST).astype("<i4")
-    twice = np.diff(np.diff(whole, axis=1, prepend=0), axis=1, prepend=0).astype("<i4")
+    present = np.isfinite(values)
+    whole = np.clip(np.rint(np.where(present, values, 0.0) / steps[:, None]), -_MOST, _MOST).astype("<i4")
+    second_differences = np.diff(np.diff(whole, axis=1, prepend=0), axis=1, prepend=0).astype("<i4")
     text = json.dumps(head, separators=(",", ":")).encode()
-    return b"".join((len(text).to_bytes(4, "little"), text, there.astype(np.uint8).tobytes(), twice.tobytes()))
+    return b"".join(
+        (len(text).to_bytes(4, "little"), text, present.astype(np.uint8).tobytes(), second_differences.tobytes())
+    )
 
 
 def _first(values: FloatArray) -> float:
-    there = values[np.isfinite(values)]
-    return float(np.rint(there[0])) if len(there) else 0.0
+    finite = values[np.isfinite(values)]
+    return float(np.rint(finite[0])) if len(finite) else 0.0
 
 
 def pack_block(records: list[bytes]) -> tuple[bytes, list[int]]:
-    """Compress records together.
-
-    Parameters
-    ----------
-    records : list of bytes, length r
-        As of `pack_record`.
-
-    Returns
-    -------
-    block : bytes
-        In zlib's format.
-    offsets : list of int, length r
-        Where each record begins in what the block unpacks to.
-    """
+    """Compress records together; return the block (zlib) and the offset of each record in the unpacked block."""
     starts = np.cumsum([0, *map(len, records)])[:-1].tolist()
-    # Level 9 takes three times as long, and saves hardly anything.
+    # Level 9 takes three times as long and saves almost nothing.
     return zlib.compress(b"".join(records), 6), starts

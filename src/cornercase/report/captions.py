@@ -1,4 +1,4 @@
-"""What is to be seen in each figure, in words."""
+"""Captions of the figures and of the page's views."""
 
 from __future__ import annotations
 
@@ -25,32 +25,23 @@ from cornercase.report.words import (
 
 
 def page_captions(data: ReportData) -> dict[str, Any]:
-    """Say what is to be seen in each view of the page.
+    """Return the captions of the page's views by name: a text, or texts by metric or aspect.
 
-    Parameters
-    ----------
-    data : ReportData
-        What the report shows.
-
-    Returns
-    -------
-    dict of str to object
-        By the name of the view: a text, or texts by metric ("space", "histogram") or aspect ("kernel"). A view that
-        is not among them says the same of every study.
+    Views that are missing have the same caption in every study.
     """
     summary = data.summary
-    known, analyses = summary.knowledge, summary.analyses
-    found: dict[str, Any] = {
+    estimates, analyses = summary.knowledge, summary.analyses
+    captions: dict[str, Any] = {
         "space": {metric.name: of_scores(data, metric) for metric in data.metrics},
         "histogram": {metric.name: of_distribution(data, metric) for metric in data.metrics},
         "search": of_search(data),
-        "kernel": {name: of_clusters(one) for name, one in analyses.items()},
+        "kernel": {name: of_clusters(analysis) for name, analysis in analyses.items()},
     }
-    if known.front is not None:
-        found["front"] = " ".join(ends_of_front(data))
-    if known.sensitivity is not None:
-        found["matters"] = of_influence(known.sensitivity)
-    return {view: _plain(one) for view, one in found.items()}
+    if estimates.front is not None:
+        captions["front"] = " ".join(ends_of_front(data))
+    if estimates.sensitivity is not None:
+        captions["matters"] = of_influence(estimates.sensitivity)
+    return {view: _plain(caption) for view, caption in captions.items()}
 
 
 def _plain(caption: Any) -> Any:
@@ -60,18 +51,7 @@ def _plain(caption: Any) -> Any:
 
 
 def of_clusters(analysis: Analysis) -> str:
-    """Say how many clusters there are by an aspect.
-
-    Parameters
-    ----------
-    analysis : Analysis
-        The clusters.
-
-    Returns
-    -------
-    str
-        A sentence.
-    """
+    """Describe how many clusters an aspect has."""
     count, noise = analysis.clustering.n_clusters, int((analysis.labels < 0).sum())
     if count < 2:
         return judge_clusters(analysis)
@@ -80,18 +60,7 @@ def of_clusters(analysis: Analysis) -> str:
 
 
 def of_influence(found: Sensitivity) -> str:
-    """Say which parameter matters most.
-
-    Parameters
-    ----------
-    found : Sensitivity
-        The sensitivities.
-
-    Returns
-    -------
-    str
-        Sentences.
-    """
+    """Describe which parameter matters most."""
     if not found.foretold:
         return tell_unforetold()
     little = f" {' and '.join(found.little)} {'has' if len(found.little) == 1 else 'have'} little influence."
@@ -99,143 +68,74 @@ def of_influence(found: Sensitivity) -> str:
 
 
 def of_distribution(data: ReportData, metric: Metric) -> str:
-    """Say how the scores of a metric are distributed.
-
-    Parameters
-    ----------
-    data : ReportData
-        What the report shows.
-    metric : Metric
-        One of the study.
-
-    Returns
-    -------
-    str
-        A sentence.
-    """
+    """Describe the distribution of a metric's scores."""
     scores = data.scores[metric.name]
     low, middle, high = (with_unit(f"{value:.3g}", metric.unit) for value in np.quantile(scores, (0.0, 0.5, 1.0)))
     if low == high:
-        whose = "All scenarios have" if len(scores) > 1 else "The one scenario has"
-        return f"{whose} the {metric.name} score {low}."
-    said = f"{metric.name} scores lie between {low} and {high}; the median is {middle}."
-    known = data.summary.knowledge.critical
-    if known is not None and metric.name == data.summary.searched:
-        said += f" {known.scenarios} of {len(scores)} are critical ({tell_criterion(known, data.summary.searched)})."
-    return said
+        subject = "All scenarios have" if len(scores) > 1 else "The one scenario has"
+        return f"{subject} the {metric.name} score {low}."
+    text = f"{metric.name} scores lie between {low} and {high}; the median is {middle}."
+    critical = data.summary.knowledge.critical
+    if critical is not None and metric.name == data.summary.searched:
+        text += (
+            f" {critical.scenarios} of {len(scores)} are critical ({tell_criterion(critical, data.summary.searched)})."
+        )
+    return text
 
 
 def of_search(data: ReportData) -> str:
-    """Say when the search found the most critical scenario.
-
-    Parameters
-    ----------
-    data : ReportData
-        What the report shows.
-
-    Returns
-    -------
-    str
-        Sentences.
-    """
-    said = []
-    for name, one in data.summary.metrics.items():
-        at = next(row.round for row in data.rows if row.id == one.scenario)
-        best = with_unit(f"{one.most_critical:.3g}", one.unit)
-        said.append(
-            f"The most critical {name} of all, {best}, was first found in round {at} (scenario {one.scenario})."
+    """Describe when the search found the most critical scenario of each metric."""
+    sentences = []
+    for name, summary in data.summary.metrics.items():
+        round_number = next(row.round for row in data.rows if row.id == summary.scenario)
+        score = with_unit(f"{summary.most_critical:.3g}", summary.unit)
+        sentences.append(
+            f"The most critical {name} of all, {score}, was first found in round {round_number}"
+            f" (scenario {summary.scenario})."
         )
-    return " ".join(said)
+    return " ".join(sentences)
 
 
 def of_scores(data: ReportData, metric: Metric) -> str:
-    """Say which scenario is the most critical by a metric.
-
-    Parameters
-    ----------
-    data : ReportData
-        What the report shows.
-    metric : Metric
-        One of the study.
-
-    Returns
-    -------
-    str
-        Sentences.
-    """
-    one = data.summary.metrics[metric.name]
+    """Describe the most critical scenario by a metric."""
+    summary = data.summary.metrics[metric.name]
     at = ", ".join(
-        f"{parameter.name} = {with_unit(format_value(parameter.read(one.at), 4), parameter.unit)}"
+        f"{parameter.name} = {with_unit(format_value(parameter.read(summary.at), 4), parameter.unit)}"
         for parameter in data.parameters
     )
-    many = int((data.scores[metric.name] == one.most_critical).sum())
-    which = f"One of the {many} most critical scenarios" if many > 1 else "The most critical"
-    best = with_unit(f"{one.most_critical:.3g}", metric.unit)
-    said = f"{which} is scenario {one.scenario}, {metric.name} {best} at {at}."
-    if one.alike:
-        said += f" {one.alike}"
-    if one.spread is not None:
-        median, largest = (with_unit(f"{value:.3g}", metric.unit) for value in one.spread)
-        said += (
+    n_most_critical = int((data.scores[metric.name] == summary.most_critical).sum())
+    subject = f"One of the {n_most_critical} most critical scenarios" if n_most_critical > 1 else "The most critical"
+    score = with_unit(f"{summary.most_critical:.3g}", metric.unit)
+    text = f"{subject} is scenario {summary.scenario}, {metric.name} {score} at {at}."
+    if summary.alike:
+        text += f" {summary.alike}"
+    if summary.spread is not None:
+        median, largest = (with_unit(f"{value:.3g}", metric.unit) for value in summary.spread)
+        text += (
             f" Each was run {data.summary.meta.runs_of_each} times; its scores differ by {median} in the median"
             f" scenario, and by {largest} at most."
         )
-    return said
+    return text
 
 
 def of_front(count: int) -> str:
-    """Say what a figure of the Pareto front shows.
-
-    Parameters
-    ----------
-    count : int
-        Number of scenarios on it.
-
-    Returns
-    -------
-    str
-        Sentences.
-    """
+    """Caption of the figure of a Pareto front of `count` scenarios."""
     return f"The scores of each scenario that was run. {tell_front(count)}"
 
 
 def of_sensitivity(found: Sensitivity, searched: str) -> str:
-    """Say what a figure of sensitivities shows.
-
-    Parameters
-    ----------
-    found : Sensitivity
-        The sensitivities.
-    searched : str
-        What is searched.
-
-    Returns
-    -------
-    str
-        Sentences.
-    """
-    said = (
+    """Caption of the figure of sensitivities."""
+    text = (
         f"How much of the variance of {searched} comes from each parameter, by a Gaussian process with a"
         f" cross-validated R² of {max(found.predicted, 0.0):.2f}; the lines are 90 % intervals."
     )
     if not found.foretold:
-        return f"{said} {tell_unforetold()}"
-    return said + (f" Of little influence: {', '.join(found.little)}." if found.little else "")
+        return f"{text} {tell_unforetold()}"
+    return text + (f" Of little influence: {', '.join(found.little)}." if found.little else "")
 
 
 def of_examples(left_out: int) -> str:
-    """Say what a figure of one scenario of each kind shows.
-
-    Parameters
-    ----------
-    left_out : int
-        Number of kinds that are not drawn.
-
-    Returns
-    -------
-    str
-        Sentences.
-    """
+    """Caption of the figure of one scenario per cluster; `left_out` clusters are not drawn."""
     return (
         "One scenario of each kind: the one with the smallest sum of distances to the others of its kind. Seen from"
         " above, with times in s along the trajectories and the boxes where they are closest; and speeds over time."
@@ -244,18 +144,7 @@ def of_examples(left_out: int) -> str:
 
 
 def of_kernel_space(analysis: Analysis) -> str:
-    """Say what a figure of kernel space shows.
-
-    Parameters
-    ----------
-    analysis : Analysis
-        The clusters.
-
-    Returns
-    -------
-    str
-        Sentences.
-    """
+    """Caption of the figure of kernel space."""
     return (
         "Similar scenarios are near each other; those of a cluster have one colour and one symbol."
         f" {tell_how_found(analysis)}"
@@ -263,34 +152,12 @@ def of_kernel_space(analysis: Analysis) -> str:
 
 
 def of_courses(metric: Metric) -> str:
-    """Say what a figure of courses shows.
-
-    Parameters
-    ----------
-    metric : Metric
-        Whose courses they are.
-
-    Returns
-    -------
-    str
-        A sentence.
-    """
+    """Caption of the figure of a metric's courses per cluster."""
     return f"Course of {metric.name} in each cluster: median, and the band that holds 80 % of its scenarios."
 
 
 def of_hulls(reduced: ReducedSet) -> str:
-    """Say what a figure of the kept scenarios in the parameter space shows.
-
-    Parameters
-    ----------
-    reduced : ReducedSet
-        The kept scenarios.
-
-    Returns
-    -------
-    str
-        A sentence.
-    """
+    """Caption of the figure of the reduced set in the parameter space."""
     exposing = " or expose mutants of the driver (diamonds)" if reduced.exposing is not None else ""
     return (
         f"The hull of each cluster by {reduced.by}, or of its nearly convex parts, and the kept scenarios: archetypes"
@@ -299,13 +166,7 @@ def of_hulls(reduced: ReducedSet) -> str:
 
 
 def of_coverage() -> str:
-    """Say what a figure of coverage shows.
-
-    Returns
-    -------
-    str
-        Sentences.
-    """
+    """Caption of the figure of coverage."""
     return (
         "Share of all scenarios, and of the critical ones, that have a kept scenario within this DTW distance. For"
         " comparison: k-medoids, and the range of 90 of 100 random choices of the same size. The kept scenarios and"

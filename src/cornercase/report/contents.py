@@ -1,4 +1,4 @@
-"""What the page of a study knows, as plain values that a browser reads."""
+"""Content of the page as plain values for its JavaScript."""
 
 from __future__ import annotations
 
@@ -23,60 +23,38 @@ FORMAT: Final = 1
 
 
 def page_contents(data: ReportData) -> dict[str, Any]:
-    """Give everything of a study that the page shows, but the recordings.
-
-    Parameters
-    ----------
-    data : ReportData
-        What the report shows.
-
-    Returns
-    -------
-    dict of str to object
-        As JSON, with None for what is not known.
-    """
+    """Return all contents of the page except recordings, as JSON values; None for what is unknown."""
     return knowledge_part(data) | scenario_part(data)
 
 
 def scenario_part(data: ReportData) -> dict[str, Any]:
-    """Give what the page shows of each scenario by itself: what grows with each that is run.
-
-    Parameters
-    ----------
-    data : ReportData
-        What the report shows.
-
-    Returns
-    -------
-    dict of str to object
-        A part of `page_contents`.
-    """
+    """Return the part of `page_contents` that lists single scenarios and grows with each run."""
     meta, rows = data.summary.meta, _rows(data)
-    place = _places(rows)
-    done = [place[row.id] for row in data.rows]
+    indices = _places(rows)
+    done = [indices[row.id] for row in data.rows]
 
     def of_done(values: Sequence[Any], otherwise: Any = None) -> list[Any]:
-        found = [otherwise] * len(rows)
+        column = [otherwise] * len(rows)
         for k, value in zip(done, values, strict=True):
-            found[k] = value
-        return found
+            column[k] = value
+        return column
 
-    kept = set() if data.summary.reduced is None else set(data.summary.reduced.ids)
+    selected = set() if data.summary.reduced is None else set(data.summary.reduced.ids)
     outcomes = data.outcomes
-    named = sorted(set(outcomes.values()))
-    against = [[data.against[one.name].get(row.id) for one in data.metrics] for row in data.rows if data.against]
+    outcome_names = sorted(set(outcomes.values()))
+    against = [[data.against[metric.name].get(row.id) for metric in data.metrics] for row in data.rows if data.against]
     return {
-        "outcomes": named,
+        "outcomes": outcome_names,
         "scenarios": {
             "id": [row.id for row in rows],
             "round": [row.round for row in rows],
             "failed": [int(row.state == "failed") for row in rows],
             "values": plain_values(data.parameters, rows),
-            "scores": {name: of_done([plain_score(one) for one in scores]) for name, scores in data.scores.items()},
+            "scores": {name: of_done([plain_score(score) for score in scores]) for name, scores in data.scores.items()},
             "critical": of_done(data.critical.astype(int).tolist(), 0),
             "collides": of_done([int(not data.touched[row.id].isdisjoint(meta.others)) for row in data.rows], 0),
-            "outcome": [named.index(outcomes[row.id]) if row.id in outcomes else None for row in rows],
-            "kept": [int(row.id in kept) for row in rows],
+            "outcome": [outcome_names.index(outcomes[row.id]) if row.id in outcomes else None for row in rows],
+            "kept": [int(row.id in selected) for row in rows],
             "audit": [int(meta.is_audit(row.id)) for row in rows],
         }
         | tell_against(meta, of_done(against) if against else []),
@@ -86,52 +64,37 @@ def scenario_part(data: ReportData) -> dict[str, Any]:
 
 
 def tell_against(meta: StudyMeta, whom: Sequence[Sequence[str | None] | None]) -> dict[str, Any]:
-    """Give the column that says whom scores are against, where there are several others.
+    """Return the column ``against``: the index in ``other`` whose score counts, per scenario and metric.
 
-    Parameters
-    ----------
-    meta : StudyMeta
-        What the study is about.
-    whom : sequence of (sequence of (str or None) or None)
-        Of each scenario, by metric; None of one that failed.
-
-    Returns
-    -------
-    dict of str to list
-        ``against``, with the number of the other in ``other``; empty where there is one.
+    Empty if there is only one other; `whom` has None for failed scenarios.
     """
     if len(meta.others) == 1:
         return {}
-    place = {name: k for k, name in enumerate(meta.others)}
-    return {"against": [None if one is None else [place.get(name or "") for name in one] for one in whom]}
+    indices = {name: k for k, name in enumerate(meta.others)}
+    return {"against": [None if row is None else [indices.get(name or "") for name in row] for row in whom]}
 
 
 def knowledge_part(data: ReportData) -> dict[str, Any]:
-    """Give what the page shows of all scenarios together.
-
-    Parameters
-    ----------
-    data : ReportData
-        What the report shows.
-
-    Returns
-    -------
-    dict of str to object
-        A part of `page_contents`.
-    """
+    """Return the part of `page_contents` that depends on all scenarios together."""
     meta, rows = data.summary.meta, _rows(data)
-    place = _places(rows)
-    kept = () if data.summary.reduced is None else data.summary.reduced.kept
+    indices = _places(rows)
+    selected = () if data.summary.reduced is None else data.summary.reduced.kept
     return tell_subject(meta, data.study) | {
         "about": tell_about(data),
         "critical": _critical(data),
         "default_aspect": find_default_aspect(data),
         "influential": list(data.influential),
-        "answers": [one.to_json() for one in page_answers(data)],
+        "answers": [answer.to_json() for answer in page_answers(data)],
         "captions": page_captions(data),
         "notes": {str(scenario): text for scenario, text in data.notes.items()},
         "kept": {
-            str(one.id): {"role": one.role, "cluster": one.cluster, "file": one.file, "why": one.why} for one in kept
+            str(scenario.id): {
+                "role": scenario.role,
+                "cluster": scenario.cluster,
+                "file": scenario.file,
+                "why": scenario.why,
+            }
+            for scenario in selected
         },
         "search": search_curve(data),
         "sensitivity": sensitivity_bars(data),
@@ -139,25 +102,12 @@ def knowledge_part(data: ReportData) -> dict[str, Any]:
         "front": None if data.summary.knowledge.front is None else list(data.summary.knowledge.front),
         "hulls": hull_edges(data),
         "reduced_by": None if data.summary.reduced is None else data.summary.reduced.by,
-        "kinds": {name: _kinds(one, place, len(rows)) for name, one in data.summary.analyses.items()},
+        "kinds": {name: _kinds(analysis, indices, len(rows)) for name, analysis in data.summary.analyses.items()},
     }
 
 
 def tell_subject(meta: StudyMeta, study: str) -> dict[str, Any]:
-    """Give what is known of a study before a scenario was run.
-
-    Parameters
-    ----------
-    meta : StudyMeta
-        What the study is about.
-    study : str
-        Name of its file.
-
-    Returns
-    -------
-    dict of str to object
-        A part of `page_contents`.
-    """
+    """Return the part of `page_contents` that is known before a scenario was run; `study` is the file name."""
     return {
         "format": FORMAT,
         "title": meta.title,
@@ -166,12 +116,18 @@ def tell_subject(meta: StudyMeta, study: str) -> dict[str, Any]:
         "other": meta.other if isinstance(meta.other, str) else list(meta.other),
         "searched": Objective.of_study(meta).text,
         "parameters": [
-            {"name": one.name, "unit": one.unit, "low": one.low, "high": one.high, "choices": list(one.choices)}
-            for one in meta.space.parameters
+            {
+                "name": parameter.name,
+                "unit": parameter.unit,
+                "low": parameter.low,
+                "high": parameter.high,
+                "choices": list(parameter.choices),
+            }
+            for parameter in meta.space.parameters
         ],
         "metrics": [
-            {"name": one.name, "unit": one.unit, "lower_is_critical": one.lower_is_critical, "cap": one.cap}
-            for one in map(METRICS.create, meta.metrics)
+            {"name": metric.name, "unit": metric.unit, "lower_is_critical": metric.lower_is_critical, "cap": metric.cap}
+            for metric in map(METRICS.create, meta.metrics)
         ],
     }
 
@@ -185,68 +141,46 @@ def _places(rows: Sequence[Row]) -> dict[int, int]:
 
 
 def _critical(data: ReportData) -> dict[str, Any] | None:
-    known = data.summary.knowledge.critical
-    if known is None:
+    critical = data.summary.knowledge.critical
+    if critical is None:
         return None
-    return {"threshold": known.threshold, "lower_is_critical": known.lower_is_critical, "unit": known.unit}
+    return {"threshold": critical.threshold, "lower_is_critical": critical.lower_is_critical, "unit": critical.unit}
 
 
 def _kinds(analysis: Analysis, place: Mapping[int, int], count: int) -> dict[str, Any]:
     labels: list[int | None] = [None] * count
     embedding = analysis.clustering.embedding
-    places: list[list[float | None]] = [[None] * count for _ in range(min(3, embedding.shape[1]))]
+    columns: list[list[float | None]] = [[None] * count for _ in range(min(3, embedding.shape[1]))]
     for scenario, label, point in zip(analysis.ids.tolist(), analysis.labels.tolist(), embedding, strict=True):
         labels[place[scenario]] = label
-        for column, value in zip(places, point.tolist(), strict=False):
+        for column, value in zip(columns, point.tolist(), strict=False):
             column[place[scenario]] = round(value, 5)
     return {
         "labels": labels,
-        "embedding": places,
-        "names": {str(one.cluster): name_kind(one) for one in analysis.profiles},
-        "examples": {str(one.cluster): one.example for one in analysis.profiles if one.example is not None},
+        "embedding": columns,
+        "names": {str(profile.cluster): name_kind(profile) for profile in analysis.profiles},
+        "examples": {
+            str(profile.cluster): profile.example for profile in analysis.profiles if profile.example is not None
+        },
         "judged": judge_clusters(analysis),
         "compares": tell_compared(analysis.by),
     }
 
 
 def _courses(data: ReportData, name: str, rows: Sequence[Row]) -> dict[str, Any]:
-    known = data.lines[name]
+    lines = data.lines[name]
     spans = []
     for row in rows:
         time = data.times.get(row.id)
         spans.append((0.0, 0.0) if time is None else (float(time[0]), float(time[-1])))
-    return pack_courses([known.get(row.id) for row in rows], spans)
+    return pack_courses([lines.get(row.id) for row in rows], spans)
 
 
 def plain_score(value: float) -> float | None:
-    """Write a score in as few digits as tell it from others.
-
-    Parameters
-    ----------
-    value : float
-        The score.
-
-    Returns
-    -------
-    float or None
-        With six digits; None where there is none.
-    """
+    """Round a score to six digits; None if it is not finite."""
     return float(f"{value:.6g}") if math.isfinite(value) else None
 
 
 def plain_values(parameters: Sequence[Parameter], rows: Sequence[Row]) -> list[list[float]]:
-    """Write the parameters of scenarios as numbers.
-
-    Parameters
-    ----------
-    parameters : sequence of Parameter, length d
-        Of the space.
-    rows : sequence of Row, length n
-        The scenarios.
-
-    Returns
-    -------
-    list of list of float, shape (d, n)
-        Of a choice which one it is, from 0 on.
-    """
-    return [[one.read_number(row.values) for row in rows] for one in parameters]
+    """Return the parameter values of scenarios as numbers, shape (d, n); for a choice its index."""
+    return [[parameter.read_number(row.values) for row in rows] for parameter in parameters]

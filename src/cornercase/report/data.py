@@ -1,4 +1,4 @@
-"""Everything that a report shows of a study."""
+"""All data that a report shows."""
 
 from __future__ import annotations
 
@@ -24,80 +24,36 @@ from cornercase.scenario import Parameter
 from cornercase.study import Row, Study
 from cornercase.suite import Verdict, verdicts_of
 
-# Bytes that the rows, instants and contents of a scenario take until the page is written, as measured.
+# Measured memory of one scenario until the page is written.
 _PER_SCENARIO: Final = 10_000
 
 
 @dataclass(frozen=True, eq=False)
 class ReportData:
-    """Everything that a report shows of a study.
+    """All data that a report of a study shows; `n` scenarios were run."""
 
-    Attributes
-    ----------
-    study : str
-        Name of the study's file.
-    summary : Summary
-    rows, failed : tuple of Row
-        The n scenarios that were run, and those that could not be run.
-    metrics : tuple of Metric
-    scores : mapping of str to ndarray of float64, shape (n,)
-        By metric.
-    other : str
-        Of several others the one that kinds are told of.
-    against : mapping of str to mapping of int to (str or None)
-        By metric and id, whom of several others a score is against; empty where there is one.
-    times : mapping of int to ndarray of float64, shape (T,)
-        Instants of each recording by id, in s.
-    lines : mapping of str to mapping of int to ndarray of float64, shape (COURSE_POINTS,)
-        By metric and id, the capped courses as the page draws them.
-    courses : mapping of str to mapping of int to ndarray of float32, shape (T,)
-        Capped courses by metric and id; empty where no figures are drawn of them.
-    touched : mapping of int to frozenset of str
-        By id, whom the ego collides with.
-    examples : mapping of int to Recording
-        Of the examples of the kinds, by id.
-    values : ndarray of float64, shape (n, d)
-        Parameters; of choices their number.
-    influential : tuple of int
-        Parameters by their influence on the first metric: the two strongest in their own order, then the others.
-    critical : ndarray of bool, shape (n,)
-        Critical scenarios; none where no threshold says what is critical.
-    gaps : mapping of str to Gaps
-        By aspect, what the kept scenarios leave out; empty before the study was reduced.
-    verdicts : mapping of int to sequence of Verdict
-        By id of each scenario that ended, one for each requirement that is for it; empty where nothing is required.
-    outcomes : mapping of int to str
-        How scenarios ended, by id; empty before the study was analysed.
-    notes : mapping of int to str
-        What somebody noted of scenarios, by id.
-    missed : tuple of MissedAfter
-        How much of the critical set was not found after some of the scenarios; empty where nothing is known of it.
-    region : tuple of float, or None
-        Least x and y, and greatest x and y, in m, of a region around all that moves; None where nothing exists.
-    """
-
-    study: str
+    study: str  # name of the study's file
     summary: Summary
-    rows: tuple[Row, ...]
-    failed: tuple[Row, ...]
+    rows: tuple[Row, ...]  # run scenarios
+    failed: tuple[Row, ...]  # failed scenarios
     metrics: tuple[Metric, ...]
-    scores: Mapping[str, FloatArray]
-    other: str
-    against: Mapping[str, Mapping[int, str | None]]
-    times: Mapping[int, FloatArray]
-    lines: Mapping[str, Mapping[int, FloatArray]]
-    courses: Mapping[str, Mapping[int, Float32Array]]
-    touched: Mapping[int, frozenset[str]]
-    examples: Mapping[int, Recording]
-    values: FloatArray
-    influential: tuple[int, ...]
-    critical: BoolArray
-    gaps: Mapping[str, Gaps]
-    verdicts: Mapping[int, Sequence[Verdict]]
-    outcomes: Mapping[int, str]
-    notes: Mapping[int, str]
-    missed: tuple[MissedAfter, ...]
-    region: Region | None
+    scores: Mapping[str, FloatArray]  # by metric, shape (n,)
+    other: str  # the other whose clusters are described
+    against: Mapping[str, Mapping[int, str | None]]  # other a score belongs to, by metric and id; empty with one other
+    times: Mapping[int, FloatArray]  # instants of each recording by id, in s, shape (T,)
+    lines: Mapping[str, Mapping[int, FloatArray]]  # resampled courses by metric and id, shape (COURSE_POINTS,)
+    courses: Mapping[str, Mapping[int, Float32Array]]  # capped courses by metric and id, shape (T,); only for figures
+    touched: Mapping[int, frozenset[str]]  # entities the ego collides with, by id
+    examples: Mapping[int, Recording]  # recordings of the clusters' examples, by id
+    values: FloatArray  # parameters, shape (n, d); indices for choices
+    influential: tuple[int, ...]  # parameters by influence on the first metric; the first two in their own order
+    critical: BoolArray  # shape (n,); all False without a threshold
+    gaps: Mapping[str, Gaps]  # by aspect; empty before the study was reduced
+    verdicts: Mapping[int, Sequence[Verdict]]  # by id, one per requirement; empty without requirements
+    outcomes: Mapping[int, str]  # endings by id; empty before the study was analyzed
+    notes: Mapping[int, str]  # user notes by id
+    missed: tuple[MissedAfter, ...]  # empty if unknown
+    region: Region | None  # x_min, y_min, x_max, y_max around all motion, in m
 
     @property
     def parameters(self) -> Sequence[Parameter]:
@@ -105,89 +61,44 @@ class ReportData:
         return self.summary.meta.space.parameters
 
     def metric_of(self, aspect: str) -> Metric:
-        """Return the metric whose courses are shown for an aspect.
-
-        Parameters
-        ----------
-        aspect : str
-            What scenarios were compared by.
-
-        Returns
-        -------
-        Metric
-            That of the aspect, or the first one where it is none.
-        """
+        """Return the metric of an aspect, or the first metric if the aspect is none."""
         names = [metric.name for metric in self.metrics]
         return self.metrics[names.index(aspect) if aspect in names else 0]
 
     def rows_of(self, ids: Sequence[int]) -> IntArray:
-        """Return the rows of scenarios that were run.
-
-        Parameters
-        ----------
-        ids : sequence of int, length m
-            Ids of the scenarios.
-
-        Returns
-        -------
-        ndarray of int64, shape (m,)
-            Rows, in the order of the ids.
-        """
-        place = {row.id: k for k, row in enumerate(self.rows)}
-        return np.array([place[scenario] for scenario in ids], dtype=np.int64)
+        """Return the row indices of scenarios by id, shape (m,)."""
+        index_by_id = {row.id: k for k, row in enumerate(self.rows)}
+        return np.array([index_by_id[scenario] for scenario in ids], dtype=np.int64)
 
 
 def read_report_data(
-    study: Study,
-    *,
-    figures: bool = False,
-    memory: MemoryLimit | None = None,
-    tell: Callable[[int], None] | None = None,
+    study: Study, *, figures: bool = False, memory: MemoryLimit | None = None, tell: Callable[[int], None] | None = None
 ) -> ReportData:
-    """Read everything that a report shows.
+    """Read all data of a report in one pass over the recordings; InputError if it exceeds the memory limit.
 
-    Parameters
-    ----------
-    study : Study
-        In which a scenario was run.
-    figures : bool, default False
-        Read what the figures draw beyond that: whole courses.
-    memory : MemoryLimit, optional
-        What it may take; by default whatever it takes.
-    tell : callable, optional
-        Called with the number of recordings that have been read.
-
-    Returns
-    -------
-    ReportData
-        Everything at once.
-
-    Raises
-    ------
-    InputError
-        It does not fit into the memory.
+    `figures` also keeps whole courses; `tell` is called with the number of recordings read so far.
     """
     rows = study.done()
     metrics = tuple(METRICS.create(name) for name in study.meta.metrics)
     scores = {metric.name: study.scores(metric.name) for metric in metrics}
-    values = np.array([[one.read_number(row.values) for one in study.space.parameters] for row in rows])
+    values = np.array([[parameter.read_number(row.values) for parameter in study.space.parameters] for row in rows])
     times: dict[int, FloatArray] = {}
-    known: dict[bytes, FloatArray] = {}
-    lines: dict[str, dict[int, FloatArray]] = {one.name: {} for one in metrics}
-    courses: dict[str, dict[int, Float32Array]] = {one.name: {} for one in metrics}
+    shared_times: dict[bytes, FloatArray] = {}
+    lines: dict[str, dict[int, FloatArray]] = {metric.name: {} for metric in metrics}
+    courses: dict[str, dict[int, Float32Array]] = {metric.name: {} for metric in metrics}
     touched: dict[int, frozenset[str]] = {}
     region: Region | None = None
-    # One recording after the other: all of a large study would not fit into memory.
-    for count, (scenario, recording, each) in enumerate(study.recorded()):
+    # One recording at a time: those of a large study would not fit into memory.
+    for count, (scenario, recording, score_courses) in enumerate(study.recorded()):
         if not count and memory is not None:
             _require_room(memory, len(rows), len(metrics), len(recording.time) if figures else 0, tell is not None)
-        # Most scenarios have the same instants.
-        times[scenario] = known.setdefault(recording.time.tobytes(), recording.time)
-        for one in metrics:
-            course = one.capped(each[one.name]).astype(np.float32)
-            lines[one.name][scenario] = draw_course(recording.time, course, one.lower_is_critical)
+        # Most scenarios share the same instants.
+        times[scenario] = shared_times.setdefault(recording.time.tobytes(), recording.time)
+        for metric in metrics:
+            course = metric.capped(score_courses[metric.name]).astype(np.float32)
+            lines[metric.name][scenario] = draw_course(recording.time, course, metric.lower_is_critical)
             if figures:
-                courses[one.name][scenario] = course
+                courses[metric.name][scenario] = course
         touched[scenario] = touched_by_ego(study.meta, recording.collisions)
         region = _joined(region, recorded_region([recording]))
         if tell is not None:
@@ -220,7 +131,7 @@ def read_report_data(
 
 
 def _require_room(memory: MemoryLimit, scenarios: int, metrics: int, instants: int, tells: bool) -> None:
-    """Refuse more scenarios than fit, each with lines of its metrics and so many instants of whole courses."""
+    """Raise if the contents do not fit into the memory limit."""
     need = scenarios * (_PER_SCENARIO + metrics * (8 * COURSE_POINTS + 4 * instants))
     instead = "give more, or leave out `figures`" if instants else "give more"
     memory.require(need, f"the contents of a report of {scenarios:,} scenarios", instead)
@@ -235,16 +146,16 @@ def _joined(one: Region | None, two: Region | None) -> Region | None:
 
 
 def _examples(study: Study, analyses: Mapping[str, Analysis]) -> dict[int, Recording]:
-    ids = {profile.example for one in analyses.values() for profile in one.profiles}
+    ids = {profile.example for analysis in analyses.values() for profile in analysis.profiles}
     other = study.main_other()
     return {
         scenario: study.recording(scenario).with_absent([other])
-        for scenario in sorted(one for one in ids if one is not None)
+        for scenario in sorted(scenario for scenario in ids if scenario is not None)
     }
 
 
 def _influential(values: FloatArray, scores: FloatArray) -> tuple[int, ...]:
-    """Parameters by the share of the score's variance that ten bins of each explain."""
+    """Order parameters by the share of the score's variance that ten quantile bins of each explain."""
     shares = []
     for column in values.T:
         bins = np.searchsorted(np.quantile(column, np.linspace(0, 1, 11)[1:-1]), column)
@@ -256,9 +167,9 @@ def _influential(values: FloatArray, scores: FloatArray) -> tuple[int, ...]:
 
 
 def _gaps(study: Study, analyses: Mapping[str, Analysis], kept: list[int]) -> dict[str, Gaps]:
-    found = {}
-    for name, one in analyses.items():
-        index = one.rows_of(kept)
+    gaps = {}
+    for name, analysis in analyses.items():
+        index = analysis.rows_of(kept)
         if len(index):
-            found[name] = measure_gaps(read_distances(study, name), index)
-    return found
+            gaps[name] = measure_gaps(read_distances(study, name), index)
+    return gaps

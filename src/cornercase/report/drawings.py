@@ -1,4 +1,4 @@
-"""Every figure of a study, one after the other."""
+"""All figures of a study, one after the other."""
 
 from __future__ import annotations
 
@@ -20,39 +20,18 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, eq=False)
 class Drawing:
-    """A figure, and what is to be seen in it.
+    """A figure with its caption."""
 
-    Attributes
-    ----------
-    name : str
-        Of its file, without ending.
-    figure : Figure
-        As it is drawn.
-    caption : str
-        Plain text.
-    """
-
-    name: str
+    name: str  # file name without ending
     figure: Figure
-    caption: str
+    caption: str  # plain text
 
 
 def draw_all(data: ReportData) -> Iterator[Drawing]:
-    """Draw every figure for which the study has something.
-
-    Parameters
-    ----------
-    data : ReportData
-        What is drawn.
-
-    Yields
-    ------
-    Drawing
-        One at a time, so that one only is in memory.
-    """
+    """Draw every figure the study has data for, one at a time to save memory."""
     for metric in data.metrics:
-        drawn = draw_criticality(data.values, data.parameters, data.scores[metric.name], metric)
-        yield Drawing(f"criticality-{metric.name}", drawn, captions.of_scores(data, metric))
+        figure = draw_criticality(data.values, data.parameters, data.scores[metric.name], metric)
+        yield Drawing(f"criticality-{metric.name}", figure, captions.of_scores(data, metric))
     yield from _draw_knowledge(data)
     for analysis in data.summary.analyses.values():
         if analysis.clustering.n_clusters > 1:
@@ -61,24 +40,28 @@ def draw_all(data: ReportData) -> Iterator[Drawing]:
 
 
 def _draw_knowledge(data: ReportData) -> Iterator[Drawing]:
-    known = data.summary.knowledge
-    if known.front is not None:
-        scores, chosen = [data.scores[one.name] for one in data.metrics], data.rows_of(list(known.front))
+    estimates = data.summary.knowledge
+    if estimates.front is not None:
+        scores, chosen = [data.scores[metric.name] for metric in data.metrics], data.rows_of(list(estimates.front))
         yield Drawing("front", draw_front(scores, data.metrics, chosen), captions.of_front(len(chosen)))
-    if known.sensitivity is not None:
-        caption = captions.of_sensitivity(known.sensitivity, data.summary.searched)
-        yield Drawing("sensitivity", draw_sensitivities(known.sensitivity), caption)
+    if estimates.sensitivity is not None:
+        caption = captions.of_sensitivity(estimates.sensitivity, data.summary.searched)
+        yield Drawing("sensitivity", draw_sensitivities(estimates.sensitivity), caption)
 
 
 def _draw_kinds(data: ReportData, analysis: Analysis) -> Iterator[Drawing]:
-    name, labels, found = analysis.by, analysis.labels, analysis.clustering
+    name, labels, clustering = analysis.by, analysis.labels, analysis.clustering
     ids = analysis.ids.tolist()
     rows = data.rows_of(ids)
-    names = {one.cluster: name_kind(one) for one in analysis.profiles if one.name}
-    drawn = [one for one in analysis.profiles if one.name and one.example is not None][:MOST_EXAMPLES]
-    if drawn:
-        recordings = {name_kind(one): data.examples[one.example] for one in drawn if one.example is not None}
-        left_out = sum(bool(one.name) for one in analysis.profiles) - len(drawn)
+    names = {profile.cluster: name_kind(profile) for profile in analysis.profiles if profile.name}
+    examples = [profile for profile in analysis.profiles if profile.name and profile.example is not None][
+        :MOST_EXAMPLES
+    ]
+    if examples:
+        recordings = {
+            name_kind(profile): data.examples[profile.example] for profile in examples if profile.example is not None
+        }
+        left_out = sum(bool(profile.name) for profile in analysis.profiles) - len(examples)
         yield Drawing(
             f"examples-{name}",
             draw_examples(recordings, data.summary.meta.ego, data.other),
@@ -86,7 +69,7 @@ def _draw_kinds(data: ReportData, analysis: Analysis) -> Iterator[Drawing]:
         )
     yield Drawing(
         f"clusters-{name}",
-        draw_clusters(found.embedding, labels, data.values[rows], data.parameters, data.influential[:2], names),
+        draw_clusters(clustering.embedding, labels, data.values[rows], data.parameters, data.influential[:2], names),
         captions.of_kernel_space(analysis),
     )
     metric = data.metric_of(name)
@@ -98,8 +81,8 @@ def _draw_kept(data: ReportData) -> Iterator[Drawing]:
     reduced = data.summary.reduced
     if reduced is None or not reduced.kept:
         return
-    drawn = draw_hulls(data.values, [row.id for row in data.rows], data.parameters, reduced, data.influential)
-    yield Drawing("hulls", drawn, captions.of_hulls(reduced))
+    figure = draw_hulls(data.values, [row.id for row in data.rows], data.parameters, reduced, data.influential)
+    yield Drawing("hulls", figure, captions.of_hulls(reduced))
     analyses = data.summary.analyses
     curves = {
         name: (gaps, data.critical[data.rows_of(analyses[name].ids.tolist())]) for name, gaps in data.gaps.items()

@@ -1,4 +1,4 @@
-"""The page of a study of which no scenario could be run: what failed, and what is missing."""
+"""Report page of a study in which no scenario could be run."""
 
 from __future__ import annotations
 
@@ -7,36 +7,25 @@ from typing import Final
 from markupsafe import Markup
 
 from cornercase._common.texts import plain_text
-from cornercase.report.repeating import tell_again
 from cornercase.report.sections.overview import tell_provenance, tell_reasons
+from cornercase.report.study_files import tell_again
 from cornercase.report.summary import Summary, summarize_with
 from cornercase.report.tables import make_table
 from cornercase.report.templates import fill_template
 from cornercase.report.words import format_value, tell_roles
 from cornercase.study import Row, Study, StudyMeta
 
-# Rows of a table that somebody may still read.
+# Rows that somebody may still read.
 _MOST: Final = 1000
 _MISSING: Final = (
-    "Without a scenario that was run there is no score, and so no critical scenarios, no kinds, no reduced set and no"
-    " replay. All of this is in the report once a scenario was run."
+    "No scenario was run, so there are no scores, critical scenarios, kinds, reduced set or replays. The report shows"
+    " them once a scenario was run."
 )
 _POLICY: Final = "default-src 'none'; style-src 'unsafe-inline'; img-src data:"
 
 
 def fill_failures(study: Study) -> str:
-    """Put the page of a study together of which all scenarios that ended have failed.
-
-    Parameters
-    ----------
-    study : Study
-        Open.
-
-    Returns
-    -------
-    str
-        HTML without scripts.
-    """
+    """Render the page of an open study in which all scenarios that ended have failed; HTML without scripts."""
     summary, failed = summarize_with(study, []), study.failed()
     meta = summary.meta
     return fill_template(
@@ -64,7 +53,9 @@ def _count(summary: Summary) -> str:
 def _list_scenarios(meta: StudyMeta, failed: list[Row]) -> str:
     parameters = meta.space.parameters
     rows = [
-        [str(row.id), *(format_value(one.read(row.values)) for one in parameters), row.error or ""] for row in failed
+        [str(row.id), *(format_value(parameter.read(row.values)) for parameter in parameters), row.error or ""]
+        for row in failed
     ]
-    words = [k for k, one in enumerate(parameters, 1) if one.choices]
-    return make_table(["scenario", *(one.name for one in parameters), "why"], rows, text=(*words, -1))
+    text_columns = [k for k, parameter in enumerate(parameters, 1) if parameter.choices]
+    head = ["scenario", *(parameter.name for parameter in parameters), "why"]
+    return make_table(head, rows, text=(*text_columns, -1))

@@ -1,4 +1,4 @@
-"""The page of a study in a notebook."""
+"""Show the report of a study in a notebook."""
 
 from __future__ import annotations
 
@@ -10,32 +10,16 @@ from typing import Final
 from cornercase.report.page import write_report
 from cornercase.study import Study
 
-# Pages of larger studies would make a notebook of tens of megabytes.
-_MOST: Final = 1000
 _HEIGHT: Final = 700
 
 
-def show_study(path: Path) -> str | None:
-    """Show a study in a notebook, as its page.
+def show_study(path: Path, *, max_scenarios: int = 1000) -> str | None:
+    """Return the report of the study at `path` as an HTML iframe, isolated from the notebook.
 
-    Parameters
-    ----------
-    path : Path
-        Of the study.
-
-    Returns
-    -------
-    str or None
-        HTML with the whole page in a frame, in which it can reach nothing of the notebook. None where no scenario was
-        run, or more than 1,000 were.
-
-    Raises
-    ------
-    InputError
-        The study cannot be read.
+    None without scenarios, and for larger studies, whose reports would make the notebook tens of megabytes large.
     """
     with Study.open(path, readonly=True) as study:
-        if not 0 < len(study.done()) <= _MOST:
+        if not 0 < len(study.done()) <= max_scenarios:
             return None
         with tempfile.TemporaryDirectory() as folder:
             page = write_report(study, Path(folder) / "study.html").read_text(encoding="utf-8")

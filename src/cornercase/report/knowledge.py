@@ -1,4 +1,4 @@
-"""What is known of the Pareto front, of the critical scenarios, and of the influence of each parameter."""
+"""Estimates about the whole space: Pareto front, critical set, sensitivities."""
 
 from __future__ import annotations
 
@@ -13,143 +13,69 @@ from cornercase.evidence import REGION, Estimate, Sensitivity, bounds_of_share, 
 from cornercase.exploration import Objective, critical_set_of, learns_from_features, on_front
 from cornercase.study import Study
 
-# What was missed is found after so many scenarios, and at so many sizes.
+# The missed share is estimated for this range of scenario counts, at this many sizes.
 _FEWEST, _MOST_JUDGED, _MOST_SIZES = 10, 1000, 8
 
 
 @dataclass(frozen=True)
 class CriticalKnowledge:
-    """What is known of the critical scenarios of a study.
+    """Estimates about the critical scenarios of a study."""
 
-    Attributes
-    ----------
-    threshold : float
-        Score from which a scenario is critical, in the unit of what is searched.
-    lower_is_critical : bool
-        Whether a score up to the threshold is critical, or one from it on.
-    unit : str
-        Empty for none.
-    scenarios : int
-        Number of critical scenarios that were run.
-    known : CriticalSetKnowledge or None
-        None where too few scenarios were run to say something of the others.
-    audit : AuditKnowledge or None
-        None without audits.
-    """
-
-    threshold: float
+    threshold: float  # in the unit of the objective
     lower_is_critical: bool
-    unit: str
-    scenarios: int
-    known: CriticalSetKnowledge | None
-    audit: AuditKnowledge | None = None
+    unit: str  # empty for none
+    scenarios: int  # number of critical scenarios that were run
+    known: CriticalSetKnowledge | None  # None if too few scenarios were run
+    audit: AuditKnowledge | None = None  # None without audits
 
 
 @dataclass(frozen=True)
 class CriticalSetKnowledge:
-    """What is known of all critical scenarios of a space, those that were not run too.
+    """Estimates about all critical scenarios of the space, including those that were not run."""
 
-    Attributes
-    ----------
-    share, missed : Estimate
-        Critical share of the space, and share of the critical set that was not found.
-    overlooked, unvisited : float
-        Probability that a critical region of size `region` holds nothing that was run; share of the space around which
-        a region of this size holds nothing that was run.
-    region : float
-        Share of the space.
-    hidden : float
-        Share of the critical set that a region could have which nothing was run in.
-    share_doubt, missed_doubt : str or None, default None
-        Why the intervals of `share` and `missed` cannot be given; None where they can.
-    by_committee : bool, default False
-        Whether a committee predicts which scenarios are critical, rather than a Gaussian process of the scores.
-    """
-
-    share: Estimate
-    missed: Estimate
-    overlooked: float
-    unvisited: float
-    region: float
-    hidden: float
-    share_doubt: str | None = None
-    missed_doubt: str | None = None
-    by_committee: bool = False
+    share: Estimate  # critical share of the space
+    missed: Estimate  # share of the critical set that was not found
+    overlooked: float  # probability that a critical region of size `region` contains no run
+    unvisited: float  # share of the space whose surrounding region of size `region` contains no run
+    region: float  # share of the space
+    hidden: float  # share of the critical set that a region without runs could hold
+    share_doubt: str | None = None  # why `share` has no interval; None if it has
+    missed_doubt: str | None = None  # why `missed` has no interval; None if it has
+    by_committee: bool = False  # predicted by a committee, not by a Gaussian process of the scores
 
 
 @dataclass(frozen=True)
 class AuditKnowledge:
-    """What the audits of a study say: scenarios that were drawn at random, and that the search was not told.
+    """Estimates from the audits: random scenarios whose results the search did not see."""
 
-    Attributes
-    ----------
-    scenarios, critical : int
-        Number of audits that were run, and of those of them that are critical.
-    share : Estimate
-        Critical share of the space.
-    missed : Estimate or None
-        Share of the critical set that was not found; None where too few scenarios were run to say what was.
-    """
-
-    scenarios: int
-    critical: int
-    share: Estimate
-    missed: Estimate | None
+    scenarios: int  # number of audits that were run
+    critical: int  # number of critical audits
+    share: Estimate  # critical share of the space
+    missed: Estimate | None  # share of the critical set that was not found; None if unknown
 
 
 @dataclass(frozen=True)
 class Knowledge:
-    """What the scenarios that were run say of all others.
+    """What the scenarios that were run say about the whole space."""
 
-    Attributes
-    ----------
-    front : mapping of int to mapping of str to float, or None
-        By id, the scores of the scenarios on the Pareto front by metric; None where no front was searched.
-    critical : CriticalKnowledge or None
-        None where a front was searched, or no threshold says what is critical.
-    sensitivity : Sensitivity or None
-        None where a front was searched, or too few scenarios were run.
-    """
-
-    front: Mapping[int, Mapping[str, float]] | None = None
-    critical: CriticalKnowledge | None = None
-    sensitivity: Sensitivity | None = None
+    front: Mapping[int, Mapping[str, float]] | None = None  # scores on the Pareto front by id and metric
+    critical: CriticalKnowledge | None = None  # None if a front was searched or there is no threshold
+    sensitivity: Sensitivity | None = None  # None if a front was searched or too few scenarios were run
 
 
 @dataclass(frozen=True)
 class MissedAfter:
-    """How much of the critical set was not found after some of the scenarios.
-
-    Attributes
-    ----------
-    run : int
-        Number of scenarios that had been run.
-    share : Estimate
-        Share of the critical set that was not found.
-    doubt : str or None
-        Why its interval cannot be given; None where it can.
-    """
+    """Share of the critical set that was not found after `run` scenarios."""
 
     run: int
     share: Estimate
-    doubt: str | None
+    doubt: str | None  # why there is no interval; None if there is
 
 
 def find_missed(study: Study, knowledge: Knowledge) -> Iterator[MissedAfter]:
-    """Find how much of the critical set was missed at the ends of some rounds.
+    """Estimate the missed share of the critical set after some rounds: up to eight, about doubling, and the last.
 
-    Parameters
-    ----------
-    study : Study
-        What was run.
-    knowledge : Knowledge
-        What is known at its end.
-
-    Yields
-    ------
-    MissedAfter
-        At most eight: each of about twice as many scenarios as the one before, and the last of all. Of more than
-        1,000 scenarios, and by a committee, which takes long to fit, only the last is found.
+    With more than 1,000 scenarios, or a committee (slow to fit), only the last one is estimated.
     """
     critical, rows = knowledge.critical, study.done()
     if critical is None or critical.known is None:
@@ -160,29 +86,18 @@ def find_missed(study: Study, knowledge: Knowledge) -> Iterator[MissedAfter]:
     scores, threshold = objective.oriented_of(study), objective.flip(critical.threshold)
     sizes: list[int] = []
     if not learns_from_features(study.meta.optimizer):
-        wanted = [len(rows) / 2.0**k for k in range(_MOST_SIZES - 1, 0, -1)]
-        nearest = {min(ends, key=lambda end: abs(end - size)) for size in wanted if ends}
+        targets = [len(rows) / 2.0**k for k in range(_MOST_SIZES - 1, 0, -1)]
+        nearest = {min(ends, key=lambda end: abs(end - size)) for size in targets if ends}
         sizes = sorted(size for size in nearest if _FEWEST <= size <= _MOST_JUDGED)
     for size in sizes:
         with left_out_if_too_little():
-            found = critical_set_of(study, scores, threshold, last=rows[size - 1].id)
-            yield MissedAfter(size, found.missed, found.missed_doubt)
+            critical_set = critical_set_of(study, scores, threshold, last=rows[size - 1].id)
+            yield MissedAfter(size, critical_set.missed, critical_set.missed_doubt)
     yield MissedAfter(len(rows), critical.known.missed, critical.known.missed_doubt)
 
 
 def find_knowledge(study: Study) -> Knowledge:
-    """Find what the scenarios that were run say of all others.
-
-    Parameters
-    ----------
-    study : Study
-        Nothing is known before a scenario was run.
-
-    Returns
-    -------
-    Knowledge
-        As far as there is enough to say something.
-    """
+    """Estimate front, critical set and sensitivities of a study, as far as there are enough scores."""
     rows, meta = study.done(), study.meta
     if not rows:
         return Knowledge()
@@ -191,7 +106,7 @@ def find_knowledge(study: Study) -> Knowledge:
     if objective.pareto:
         scores = {metric.name: study.scores(metric.name) for metric in objective.metrics}
         front = np.flatnonzero(on_front(oriented)).tolist()
-        return Knowledge({rows[k].id: {name: float(each[k]) for name, each in scores.items()} for k in front})
+        return Knowledge({rows[k].id: {name: float(column[k]) for name, column in scores.items()} for k in front})
     sensitivity = None
     with left_out_if_too_little():
         searched = ~study.audits()
@@ -204,29 +119,33 @@ def _of_critical(study: Study, objective: Objective, oriented: FloatArray) -> Cr
         return None
     threshold = objective.flip(study.critical)
     audits = study.audits()
-    known, missed = None, None
+    estimates, missed = None, None
     with left_out_if_too_little():
-        found = critical_set_of(study, oriented, threshold)
-        known = CriticalSetKnowledge(
-            found.share,
-            found.missed,
-            found.overlooked(),
-            found.unvisited(),
+        critical_set = critical_set_of(study, oriented, threshold)
+        estimates = CriticalSetKnowledge(
+            critical_set.share,
+            critical_set.missed,
+            critical_set.overlooked(),
+            critical_set.unvisited(),
             REGION,
-            found.hidden,
-            found.doubt,
-            found.missed_doubt,
-            found.by_committee,
+            critical_set.hidden,
+            critical_set.doubt,
+            critical_set.missed_doubt,
+            critical_set.by_committee,
         )
-        missed = found.audited_missed
-    hits = int((oriented[audits] <= threshold).sum())
-    drawn = int(audits.sum())
-    audit = AuditKnowledge(drawn, hits, bounds_of_share(hits, drawn), missed) if drawn else None
+        missed = critical_set.audited_missed
+    n_critical_audits = int((oriented[audits] <= threshold).sum())
+    n_audits = int(audits.sum())
+    audit = (
+        AuditKnowledge(n_audits, n_critical_audits, bounds_of_share(n_critical_audits, n_audits), missed)
+        if n_audits
+        else None
+    )
     return CriticalKnowledge(
         threshold=float(study.critical),
         lower_is_critical=objective.lower_is_critical,
         unit=objective.unit,
         scenarios=int((oriented <= threshold).sum()),
-        known=known,
+        known=estimates,
         audit=audit,
     )

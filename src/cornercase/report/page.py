@@ -1,4 +1,4 @@
-"""The page of a study: one HTML file without outside references."""
+"""Report of a study: one HTML file without external references."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import base64
 import importlib.resources
 import time
 import zlib
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
@@ -24,72 +24,37 @@ from cornercase._common.progress import bars_wanted, step
 from cornercase._common.texts import plain_text
 from cornercase.report.contents import page_contents
 from cornercase.report.data import ReportData, read_report_data
-from cornercase.report.details import page_details
 from cornercase.report.failures import fill_failures
 from cornercase.report.packing import PackedRecordings, pack_most, tell_left_out
 from cornercase.report.rerun import tell_rerun
 from cornercase.report.roads import find_roads, is_of_map, pack_roads
-from cornercase.report.sections.overview import tell_provenance
+from cornercase.report.sections.kept import show_kept
+from cornercase.report.sections.kinds import compare_kinds, show_kinds
+from cornercase.report.sections.knowledge import show_knowledge
+from cornercase.report.sections.overview import tell_failures, tell_provenance, tell_scores
+from cornercase.report.sections.part import Part
+from cornercase.report.sections.verdicts import show_verdicts
 from cornercase.report.templates import fill_template
 from cornercase.scenario import Scenario
 from cornercase.study import Study, open_study
 
-REPLAY_SCRIPTS: Final = tuple(
-    f"replay/{name}.js"
-    for name in (
-        "motion",
-        "sight",
-        "clock",
-        "camera",
-        "road",
-        "scene",
-        "course",
-        "neighbour",
-        "pane",
-        "controls",
-        "panel",
-    )
-)
-"""Scripts of the replay, in this order."""
+_REPLAY_NAMES: Final = "motion sight clock camera road scene course neighbour pane controls panel"
+REPLAY_SCRIPTS: Final = tuple(f"replay/{name}.js" for name in _REPLAY_NAMES.split())
+"""Scripts of the replay, in load order."""
 
 _STYLES: Final = ("style.css", "replay.css")
 _SCRIPTS: Final = (
-    "store.js",
-    "recordings.js",
-    "knowledge.js",
-    "live.js",
-    "running.js",
-    "notes.js",
-    "actions.js",
-    "colours.js",
-    "describe.js",
-    "plot.js",
-    "raster.js",
-    "points.js",
-    "legend.js",
-    "ranges.js",
-    "filters.js",
-    "link.js",
-    "theme.js",
-    "answers.js",
-    "views.js",
-    "views/space.js",
-    "views/courses.js",
-    "views/kernel.js",
-    "views/histogram.js",
-    "views/parallel.js",
-    "views/front.js",
-    "views/charts.js",
-    "views/table.js",
-    *REPLAY_SCRIPTS,
-    "main.js",
-)
+    "store.js", "recordings.js", "knowledge.js", "live.js", "running.js", "notes.js", "actions.js", "colours.js",
+    "describe.js", "plot.js", "raster.js", "points.js", "legend.js", "ranges.js", "filters.js", "link.js", "theme.js",
+    "answers.js", "views.js", "views/space.js", "views/courses.js", "views/kernel.js", "views/histogram.js",
+    "views/parallel.js", "views/front.js", "views/charts.js", "views/table.js", *REPLAY_SCRIPTS, "main.js",
+)  # fmt: skip
 _ENDINGS: Final = (".html", ".htm")
 POLICY: Final = (
     "default-src 'none'; script-src 'unsafe-inline'; style-src 'unsafe-inline'; img-src data: blob:;"
     " font-src data:; worker-src blob:; connect-src 'self'"
 )
-"""What the page may load: nothing from anywhere; what is in it is all that it may run."""
+"""Content security policy: nothing is loaded from outside, and only the page's own scripts run."""
 
 
 def write_report(
@@ -102,43 +67,49 @@ def write_report(
     memory: str | float = DEFAULT_MEMORY,
     progress: bool = False,
 ) -> Path:
-    """Write one page without outside references.
+    """Write the report of a study as one HTML page without external references.
 
     Parameters
     ----------
     study : Study or path
-        The page leaves out what the study was not analysed for. A study that is open for writing notes how long
-        drawing took. Where all scenarios failed, the page tells why, and there are no figures.
+        Sections that the study was not analyzed for are left out. The drawing time is stored in a study that is open
+        for writing. If all scenarios failed, the page shows why, without figures.
     path : path
-        Of the page.
+        Of the page; ends with ``.html`` or ``.htm``.
     figures : bool or path, default False
-        Write the figures too, as PNG and SVG, with ``captions.txt``, into this folder; True for one beside the page
-        that is called after it, with ``-figures`` at the end.
+        Also write the figures as PNG and SVG with ``captions.txt`` into this folder; True for a folder beside the page
+        with its name and ``-figures``.
     scenario : path or Scenario, optional
-        File that was explored, whose road is drawn. By default it is looked for beside the study and in the current
-        folder, and known by its fingerprint; where it is not found the page says so, and draws no road.
+        Scenario file that was explored, to draw the road. By default it is searched beside the study and in the current
+        folder, and recognized by its fingerprint; without it no road is drawn, and the page says so.
     critical : float, optional
-        Score from which a scenario is critical, in the unit of what was searched; by default that of the study, which
-        stays as it is.
+        Score from which a scenario is critical, in the unit of the objective; default: that of the study. The study
+        keeps its own.
     memory : str or float, default "4 GB"
-        Memory that the process may take, as ``"500 MB"`` or in bytes.
+        Memory limit of the process, as ``"500 MB"`` or in bytes.
     progress : bool, default False
-        Show a bar for what takes more than two seconds.
+        Show a progress bar for steps that take more than two seconds.
 
     Returns
     -------
     Path
-        Of the page.
+        The page.
 
     Raises
     ------
     InputError
-        No scenario has ended, the page is the study itself, something cannot be written, `scenario`
-        is not what was explored, or the study needs more memory.
+        No scenario has ended, `path` is the study itself, a file cannot be written, `scenario` is not the explored one,
+        or the report exceeds the memory limit.
 
     See Also
     --------
     cornercase.summarize : The same as values, for programs.
+
+    Examples
+    --------
+    >>> import cornercase as cc
+    >>> cc.write_report("study.db", "report.html")  # doctest: +SKIP
+    PosixPath('report.html')
     """
     path = arguments.path("path", path)
     folder = path.with_name(f"{path.stem}-figures") if figures is True else figures
@@ -152,7 +123,7 @@ def write_report(
                 raise InputError(f"{opened.path}: no scenario was run yet, so there is nothing to report.")
             _write(path, fill_failures(opened))
             return path
-        begun = time.monotonic()
+        start = time.monotonic()
         with bars_wanted(progress), step(len(opened.done()), "reading", "recordings") as tell:
             data = read_report_data(opened, figures=folder is not False, memory=limit, tell=tell)
         packed = pack_most(opened, data)
@@ -161,11 +132,11 @@ def write_report(
             warn(missing.removesuffix("."))
         rerun = tell_rerun(opened, scenario)
         if not opened.readonly:
-            # Kept in the study, so that the page of a study that is only read is the same each time.
-            opened.add_elapsed("draw", time.monotonic() - begun)
+            # Stored, so that later reports of the study, opened read-only, are identical.
+            opened.add_elapsed("draw", time.monotonic() - start)
             data = replace(data, summary=replace(data.summary, seconds=opened.elapsed()))
     roads = {"roads": None if sketch is None else pack_roads(sketch), "roads_missing": missing, "rerun": rerun}
-    # The page and its figures tell the same.
+    # Written together, so that page and figures always match.
     with written_together():
         if folder is not False:
             from cornercase.report.album import write_figures
@@ -176,25 +147,9 @@ def write_report(
 
 
 def fill_page(data: ReportData, packed: PackedRecordings, roads: Mapping[str, Any]) -> str:
-    """Put the page of a study together.
-
-    Parameters
-    ----------
-    data : ReportData
-        What the report shows.
-    packed : PackedRecordings
-        The recordings that it holds.
-    roads : mapping of str to object
-        What is drawn of roads, as ``roads``, why nothing is, as ``roads_missing``, and how a scenario is run again,
-        as ``rerun``.
-
-    Returns
-    -------
-    str
-        HTML.
-    """
-    there = {"recordings": packed.index, "recordings_left_out": tell_left_out(data, packed)}
-    contents = page_contents(data) | there | dict(roads)
+    """Render the report; `roads` holds ``roads``, ``roads_missing`` (why there are none) and ``rerun``."""
+    recording_payload = {"recordings": packed.index, "recordings_left_out": tell_left_out(data, packed)}
+    contents = page_contents(data) | recording_payload | dict(roads)
     return _fill(
         live=False,
         left_out=contents["recordings_left_out"],
@@ -208,30 +163,17 @@ def fill_page(data: ReportData, packed: PackedRecordings, roads: Mapping[str, An
     )
 
 
+def page_details(data: ReportData) -> Iterator[Part]:
+    """Render all detail sections in the order of the page."""
+    sections = (show_verdicts, tell_scores, show_knowledge, show_kinds, compare_kinds, show_kept, tell_failures)
+    for section in sections:
+        yield from section(data)
+
+
 def fill_frame(title: str) -> str:
-    """Put a page together that holds no study: it asks for one, and grows with it.
-
-    Parameters
-    ----------
-    title : str
-        Plain text.
-
-    Returns
-    -------
-    str
-        HTML.
-    """
-    return _fill(
-        live=True,
-        left_out="",
-        title=title,
-        about="",
-        contents=None,
-        answers=[],
-        details=[],
-        provenance=Markup(),
-        blocks=(),
-    )
+    """Render a page without a study: it loads its contents from the live server and grows with the study."""
+    empty = {"left_out": "", "about": "", "contents": None, "answers": [], "details": [], "blocks": ()}
+    return _fill(live=True, title=title, provenance=Markup(), **empty)
 
 
 def _fill(**parts: Any) -> str:

@@ -1,4 +1,4 @@
-"""What references showed in the scenarios of a study."""
+"""What reference drivers showed in the scenarios of a study."""
 
 from __future__ import annotations
 
@@ -12,66 +12,40 @@ from cornercase.suite import Requirement
 
 @dataclass(frozen=True)
 class ReferenceCount:
-    """What a reference showed in the scenarios that were run again with it at the wheel of the ego.
-
-    Attributes
-    ----------
-    prevents, collides, says_nothing : int
-        Number of scenarios; it says nothing of those that it is no model of.
-    """
+    """How many scenarios, re-run with a reference driving the ego, had which result."""
 
     prevents: int
     collides: int
-    says_nothing: int
+    says_nothing: int  # scenarios outside the model of the reference
 
     @property
     def run(self) -> int:
-        """Number of scenarios that were run with it."""
+        """Number of scenarios that were re-run with it."""
         return self.prevents + self.collides + self.says_nothing
 
 
 def count_references(study: Study) -> dict[str, ReferenceCount]:
-    """Count what references showed in a study.
-
-    Parameters
-    ----------
-    study : Study
-        Open.
-
-    Returns
-    -------
-    dict of str to ReferenceCount
-        By name, of those that its condition or its requirements speak of.
-    """
+    """Count the results of each reference named in the condition or requirements of an open study, by name."""
     meta = study.meta
     with damage_told(study.path):
         condition = condition_of(meta.metrics)
         names = list(CriticalIf.of(condition).references) if condition else []
-        names += [Requirement.parse(one).reference for one in meta.requirements]
-        found = {}
-        for name in filter(None, dict.fromkeys(names)):
-            collides = [one.collides for one in study.references(name).values()]
-            found[name] = ReferenceCount(collides.count(False), collides.count(True), collides.count(None))
-        return found
+        names += [Requirement.parse(text).reference for text in meta.requirements]
+        counts = {}
+        for reference in filter(None, dict.fromkeys(names)):
+            collisions = [count.collides for count in study.references(reference).values()]
+            counts[reference] = ReferenceCount(collisions.count(False), collisions.count(True), collisions.count(None))
+        return counts
 
 
 def tell_references(references: Mapping[str, ReferenceCount]) -> str:
-    """Say what references showed that were put at the wheel of the ego.
-
-    Parameters
-    ----------
-    references : mapping of str to ReferenceCount
-        By name.
-
-    Returns
-    -------
-    str
-        A sentence for each, with a space before it; empty without any.
-    """
-    said = []
-    for name, one in references.items():
-        shown = [f"prevents {one.prevents}", f"does not prevent {one.collides}"]
-        shown += [f"says nothing of {one.says_nothing}"] if one.says_nothing else []
-        scenarios = "One scenario was" if one.run == 1 else f"{one.run} scenarios were"
-        said.append(f" {scenarios} run again with {name} at the wheel, which {', '.join(shown[:-1])} and {shown[-1]}.")
-    return "".join(said)
+    """Describe what the references showed: one sentence each, preceded by a space; empty without any."""
+    sentences = []
+    for name, count in references.items():
+        results = [f"prevents {count.prevents}", f"does not prevent {count.collides}"]
+        results += [f"says nothing of {count.says_nothing}"] if count.says_nothing else []
+        scenarios = "One scenario was" if count.run == 1 else f"{count.run} scenarios were"
+        sentences.append(
+            f" {scenarios} run again with {name} at the wheel, which {', '.join(results[:-1])} and {results[-1]}."
+        )
+    return "".join(sentences)

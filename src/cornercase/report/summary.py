@@ -1,4 +1,4 @@
-"""What a study holds, as typed values."""
+"""Summary of a study as typed values."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from cornercase.report.references import ReferenceCount, count_references
 from cornercase.scenario import Value
 from cornercase.study import Row, Study, StudyMeta, damage_told, open_study, require
 
-# Reasons of failures that somebody may still read.
+# Reasons that somebody may still read.
 _MOST_REASONS: Final = 20
 
 
@@ -41,15 +41,14 @@ class MetricSummary:
     at : mapping of str to float or str
         Its parameters.
     spread : tuple of float, or None
-        Difference between the scores of the runs of one scenario, in the median scenario and at most; None where each
-        was run once.
+        Score range of repeated runs: of the median scenario, and the largest. None if each scenario was run once.
     alike : str
-        What there is to say where the scores of all scenarios are the same, else empty.
+        Message if all scenarios have the same score, else empty.
     against : str or None
-        Of several others the one that the most critical score is against; None where there is one, or where the score
-        is not of one rather than of another.
+        With several others, the one that the most critical score belongs to; None with one other, or if the score does
+        not depend on the other.
     counts : mapping of str to int
-        Of several others, how many scores are against each; empty where there is one.
+        With several others, the number of scores that belong to each; else empty.
     """
 
     name: str
@@ -72,11 +71,11 @@ class FailureSummary:
     Attributes
     ----------
     scenarios : int
-        Number of them.
+        Number of scenarios.
     first : int
         Id of the first.
     at : mapping of str to float or str
-        Its parameters.
+        Parameters of the first.
     """
 
     scenarios: int
@@ -91,33 +90,33 @@ class Summary:
     Attributes
     ----------
     meta : StudyMeta
-        What the study is about.
+        Configuration of the study.
     searched : str
-        What the search made as critical as it could: a metric, a weighted sum, or the front of several metrics.
+        Objective of the search: a metric, a weighted sum, or the front of several metrics.
     run, failed, pending : int
         Number of scenarios.
     collisions : int
-        Number of scenarios in which the ego collides with whom it is measured against.
+        Number of scenarios in which the ego collides with an entity it is measured against.
     beside : mapping of str to int
-        By entity that the ego is not measured against, the number of scenarios in which both collide.
+        Number of scenarios in which the ego collides with an entity it is not measured against, by entity.
     metrics : mapping of str to MetricSummary
         Empty before a scenario was run.
     analyses : mapping of str to Analysis
         By aspect.
     agreements : mapping of (str, str) to Agreement
-        Of each pair of aspects that the same scenarios were analysed by.
+        For each pair of aspects that the same scenarios were analyzed by.
     seconds : mapping of str to float
         Time spent by stage, in s.
-    knowledge : Knowledge
-        What the scenarios that were run say of all others.
+    knowledge : SpaceEstimates
+        Estimates about the whole space.
     reduced : ReducedSet or None
         None before the study was reduced.
     probability : mapping of str to object, or None
-        What an estimate found, as `cornercase.exploration.Estimation.to_json` gives it; None where the study is none.
+        Result of `estimate`, as `cornercase.exploration.Estimation.to_json` returns it; None for other studies.
     references : mapping of str to ReferenceCount
-        By name, of those that the condition or a requirement of the study speaks of.
+        Results of the reference drivers that the condition or a requirement names, by name.
     failures : mapping of str to FailureSummary
-        By reason, the most frequent ones first.
+        By reason, the most frequent first.
     """
 
     meta: StudyMeta
@@ -138,27 +137,27 @@ class Summary:
     failures: Mapping[str, FailureSummary] = field(default_factory=dict)
 
     def __repr__(self) -> str:
-        found = [f"{self.meta.title}: {self.run} scenarios run, {self.collisions} collisions"]
+        parts = [f"{self.meta.title}: {self.run} scenarios run, {self.collisions} collisions"]
         if self.failed:
-            found.append(f"{self.failed} failed")
+            parts.append(f"{self.failed} failed")
         if self.pending:
-            found.append(f"{self.pending} pending")
-        found += [f"{name} from {one.most_critical:.4g} {one.unit}" for name, one in self.metrics.items()]
-        found += [f"{len(one.sizes)} clusters by {by}" for by, one in self.analyses.items()]
+            parts.append(f"{self.pending} pending")
+        parts += [f"{name} from {metric.most_critical:.4g} {metric.unit}" for name, metric in self.metrics.items()]
+        parts += [f"{len(analysis.sizes)} clusters by {by}" for by, analysis in self.analyses.items()]
         if self.reduced is not None:
-            found.append(f"{len(self.reduced)} kept")
-        return f"Summary({', '.join(found)})"
+            parts.append(f"{len(self.reduced)} kept")
+        return f"Summary({', '.join(parts)})"
 
 
 def summarize(study: Study | Path | str, *, critical: float | None = None) -> Summary:
-    """Say what was run in a study, and what was found.
+    """Summarize what was run in a study, and what was found.
 
     Parameters
     ----------
     study : Study or path
         Open, or the file; it is only read.
     critical : float, optional
-        Score from which a scenario is critical, in the unit of what was searched; by default that of the study.
+        Score from which a scenario is critical, in the unit of the objective; default: that of the study.
 
     Returns
     -------
@@ -168,54 +167,34 @@ def summarize(study: Study | Path | str, *, critical: float | None = None) -> Su
     Raises
     ------
     InputError
-        There is no such study, or it says by no one score what is critical and `critical` is given.
+        There is no such study, or `critical` is given but the study does not define criticality by one score.
 
     See Also
     --------
-    cornercase.write_report : The same with figures, for a person.
+    cornercase.write_report : The same with figures, for people.
+
+    Examples
+    --------
+    >>> import cornercase as cc
+    >>> cc.summarize("study.db").collisions  # doctest: +SKIP
+    12
     """
     with open_study(study, readonly=True, critical=critical) as opened:
-        touched = [touched_by_ego(opened.meta, hits) for hits in opened.collisions().values()]
-        return summarize_with(opened, touched)
+        entities_hit = [touched_by_ego(opened.meta, hits) for hits in opened.collisions().values()]
+        return summarize_with(opened, entities_hit)
 
 
 def touched_by_ego(meta: StudyMeta, collisions: Iterable[Collision]) -> frozenset[str]:
-    """Find everybody whom the ego collides with in a scenario.
-
-    Parameters
-    ----------
-    meta : StudyMeta
-        Says who the ego is.
-    collisions : iterable of Collision
-        Of the scenario.
-
-    Returns
-    -------
-    frozenset of str
-        Their names.
-    """
-    hits = (one.entities for one in collisions if meta.ego in one.entities)
+    """Return the names of all entities that the ego collides with."""
+    hits = (collision.entities for collision in collisions if meta.ego in collision.entities)
     return frozenset(name for pair in hits for name in pair if name != meta.ego)
 
 
 def summarize_with(study: Study, touched: Sequence[frozenset[str]]) -> Summary:
-    """Say what was run in a study whose recordings have been read; as `summarize`.
-
-    Parameters
-    ----------
-    study : Study
-        Open.
-    touched : sequence of frozenset of str
-        Of each scenario that was run whom the ego collides with.
-
-    Returns
-    -------
-    Summary
-        Typed values.
-    """
+    """Like `summarize`, given for each run scenario the entities that the ego collides with."""
     states = [row.state for row in study.rows()]
     others = frozenset(study.meta.others)
-    names, alike = study.meta.metrics, tell_alike(study)
+    names, constant_notes = study.meta.metrics, tell_alike(study)
     reduced = read_reduction(study)
     return Summary(
         meta=study.meta,
@@ -223,9 +202,11 @@ def summarize_with(study: Study, touched: Sequence[frozenset[str]]) -> Summary:
         run=states.count("done"),
         failed=states.count("failed"),
         pending=states.count("pending"),
-        collisions=sum(not one.isdisjoint(others) for one in touched),
-        beside={name: sum(name in one for one in touched) for name in sorted(frozenset().union(*touched) - others)},
-        metrics={name: _of_metric(study, name, alike.get(name, "")) for name in names} if "done" in states else {},
+        collisions=sum(not names.isdisjoint(others) for names in touched),
+        beside={name: sum(name in names for names in touched) for name in sorted(frozenset().union(*touched) - others)},
+        metrics={name: _of_metric(study, name, constant_notes.get(name, "")) for name in names}
+        if "done" in states
+        else {},
         analyses=read_analyses(study),
         agreements=compare_clusterings(study),
         seconds=study.elapsed(),
@@ -239,30 +220,33 @@ def summarize_with(study: Study, touched: Sequence[frozenset[str]]) -> Summary:
 
 def _failures(failed: Sequence[Row]) -> dict[str, FailureSummary]:
     groups = group_reasons(row.error or "" for row in failed)
-    found = {why: (len(members), failed[members[0]]) for why, members in list(groups.items())[:_MOST_REASONS]}
-    return {why: FailureSummary(count, first.id, first.values) for why, (count, first) in found.items()}
+    counts = {why: (len(members), failed[members[0]]) for why, members in list(groups.items())[:_MOST_REASONS]}
+    return {why: FailureSummary(count, first.id, first.values) for why, (count, first) in counts.items()}
 
 
 def _probability(study: Study) -> dict[str, Any] | None:
-    found = study.estimate()
-    if found is not None:
+    estimate = study.estimate()
+    if estimate is not None:
         with damage_told(study.path):
             for event in ("critical", "collision"):
-                low, high = found[event]["95 % interval"]
-                require(all(isinstance(one, float | int) for one in (found[event]["probability"], low, high)), event)
-            require(isinstance(found["critical is"], str) and isinstance(found["scenarios"], int), "its estimate")
-            require(all(isinstance(one, str) for one in found["warnings"]), "the warnings of its estimate")
-    return found
+                low, high = estimate[event]["95 % interval"]
+                require(
+                    all(isinstance(number, float | int) for number in (estimate[event]["probability"], low, high)),
+                    event,
+                )
+            require(isinstance(estimate["critical is"], str) and isinstance(estimate["scenarios"], int), "its estimate")
+            require(all(isinstance(warning, str) for warning in estimate["warnings"]), "the warnings of its estimate")
+    return estimate
 
 
 def _of_metric(study: Study, name: str, alike: str) -> MetricSummary:
     metric, scores = METRICS.create(name), study.scores(name)
     worst = int(metric.oriented(scores).argmin())
     row = study.done()[worst]
-    between = study.spread(name)
+    ranges = study.spread(name)
     against = study.against(name)
-    counts = Counter(one for one in against.values() if one is not None)
-    width = None if between is None else between[:, 1] - between[:, 0]
+    counts = Counter(other for other in against.values() if other is not None)
+    width = None if ranges is None else ranges[:, 1] - ranges[:, 0]
     return MetricSummary(
         name=name,
         unit=metric.unit,
@@ -274,5 +258,5 @@ def _of_metric(study: Study, name: str, alike: str) -> MetricSummary:
         spread=None if width is None else (float(np.median(width)), float(width.max())),
         alike=alike,
         against=against.get(row.id),
-        counts={one: counts[one] for one in study.meta.others} if against else {},
+        counts={name: counts[name] for name in study.meta.others} if against else {},
     )

@@ -22,26 +22,11 @@ _ARCHETYPES: Final = {
 
 
 def make_table(head: Sequence[str], rows: Sequence[Sequence[str]], text: Sequence[int] = (0,)) -> str:
-    """Make a table of plain texts.
-
-    Parameters
-    ----------
-    head : sequence of str, length c
-        Names of the columns.
-    rows : sequence of sequence of str, each of length c
-        Cells, row by row.
-    text : sequence of int, default (0,)
-        Columns that are aligned at the left; -1 is the last.
-
-    Returns
-    -------
-    str
-        HTML.
-    """
+    """Render an HTML table of plain texts; columns in `text` are left-aligned (-1: the last)."""
     left = {k % len(head) for k in text}
 
-    # What turns the direction of writing round would turn all after it.
-    head, rows = [plain_text(one) for one in head], [[plain_text(one) for one in row] for row in rows]
+    # A control character for the writing direction would affect all text after it.
+    head, rows = [plain_text(name) for name in head], [[plain_text(cell) for cell in row] for row in rows]
 
     def line(cells: Sequence[str], tag: str) -> str:
         kind = "th scope=col" if tag == "th" else tag
@@ -50,25 +35,14 @@ def make_table(head: Sequence[str], rows: Sequence[Sequence[str]], text: Sequenc
         )
 
     body = "".join(f"<tr>{line(cells, 'td')}</tr>" for cells in rows)
-    # Who has no mouse scrolls a wide table by keys, for which it has to take the focus, and a name.
+    # A wide table needs focus and a name so that it can be scrolled with the keyboard.
     label = escape(", ".join(head[:3]))
     table = f"<table><tr>{line(head, 'th')}</tr>{body}</table>"
     return f"<div class='wide' tabindex='0' role='region' aria-label='table: {label}'>{table}</div>"
 
 
 def tell_profiles(profiles: Sequence[Profile]) -> str:
-    """Tell how the scenarios of each cluster end, and where they lie.
-
-    Parameters
-    ----------
-    profiles : sequence of Profile
-        Of each cluster.
-
-    Returns
-    -------
-    str
-        HTML.
-    """
+    """Render how the scenarios of each cluster end, and where in the space they lie."""
 
     def share(value: float) -> str:
         return _UNKNOWN if math.isnan(value) else f"{value:.0%}"
@@ -77,14 +51,14 @@ def tell_profiles(profiles: Sequence[Profile]) -> str:
         ["cluster", "how it ends", "where", "of the cluster", "purity"],
         [
             [
-                name_cluster(one.cluster) if k == 0 else "",
-                ", ".join(f"{end} ({count})" for end, count in one.outcomes.items()) if k == 0 else "",
+                name_cluster(profile.cluster) if k == 0 else "",
+                ", ".join(f"{end} ({count})" for end, count in profile.outcomes.items()) if k == 0 else "",
                 rule.text,
                 share(rule.covers),
                 share(rule.purity),
             ]
-            for one in profiles
-            for k, rule in enumerate(one.rules)
+            for profile in profiles
+            for k, rule in enumerate(profile.rules)
         ],
         text=(0, 1, 2),
     )
@@ -96,170 +70,116 @@ def tell_profiles(profiles: Sequence[Profile]) -> str:
 
 
 def tell_names(profiles: Sequence[Profile]) -> str:
-    """Tell what each cluster is called, and of which scenarios that is true.
-
-    Parameters
-    ----------
-    profiles : sequence of Profile
-        Of each cluster.
-
-    Returns
-    -------
-    str
-        HTML.
-    """
+    """Render the name of each cluster and how many scenarios it is true of."""
     return make_table(
         ["cluster", "name", "scenarios", "collide", "true of", "of all others", "example"],
         [
             [
-                name_cluster(one.cluster), one.name, str(one.size), str(one.collisions), f"{one.true_of:.0%}",
-                f"{one.true_elsewhere:.0%}", f"scenario {one.example}",
+                name_cluster(profile.cluster), profile.name, str(profile.size), str(profile.collisions),
+                f"{profile.true_of:.0%}", f"{profile.true_elsewhere:.0%}", f"scenario {profile.example}",
             ]
-            for one in profiles
-            if one.name
+            for profile in profiles
+            if profile.name
         ],
         text=(0, 1, -1),
     )  # fmt: skip
 
 
 def tell_facts(tells: Mapping[str, Mapping[str, float]]) -> str:
-    """Tell how much clusterings say of what happened.
-
-    Parameters
-    ----------
-    tells : mapping of str to mapping of str to float
-        By aspect the adjusted mutual information with each fact.
-
-    Returns
-    -------
-    str
-        HTML.
-    """
-    facts = list(dict.fromkeys(fact for each in tells.values() for fact in each))
+    """Render how much each clustering says about facts: adjusted mutual information by aspect and fact."""
+    facts = list(dict.fromkeys(fact for information in tells.values() for fact in information))
 
     def figure(value: float) -> str:
-        # Nothing is less than nothing.
+        # + 0.0: no "-0.00".
         return f"{round(value, 2) + 0.0:.2f}"
 
-    rows = [[by, *(figure(each[fact]) if fact in each else _UNKNOWN for fact in facts)] for by, each in tells.items()]
+    rows = [
+        [by, *(figure(information[fact]) if fact in information else _UNKNOWN for fact in facts)]
+        for by, information in tells.items()
+    ]
     return make_table(["by", *facts], rows)
 
 
 def tell_choices(found: Clustering) -> str:
-    """Tell the best setting for each number of clusters, which shows how sure the choice is.
-
-    Parameters
-    ----------
-    found : Clustering
-        The clusters, and all settings that were tried.
-
-    Returns
-    -------
-    str
-        Empty where fewer than two numbers can be compared.
-    """
+    """Render the best setting for each number of clusters; empty if there are fewer than two numbers."""
 
     def figure(value: float) -> str:
-        # One cluster is not apart from others.
+        # A single cluster has no separation from others.
         return _UNKNOWN if math.isnan(value) else f"{value:.2f}"
 
-    def stability(one: Candidate) -> str:
-        # Where all are one group, or noise, so are those of every part.
-        divides = one.clusters > 1 or (one.clusters == 1 and one.noise > 0.0)
-        return figure(one.stability) if divides else _UNKNOWN
+    def stability(candidate: Candidate) -> str:
+        # If all scenarios are one group or noise, every subsample is stable.
+        divides = candidate.clusters > 1 or (candidate.clusters == 1 and candidate.noise > 0.0)
+        return figure(candidate.stability) if divides else _UNKNOWN
 
-    def chosen(one: Candidate) -> bool:
-        return (one.gamma, one.eps) == (found.gamma, found.eps)
+    def chosen(candidate: Candidate) -> bool:
+        return (candidate.gamma, candidate.eps) == (found.gamma, found.eps)
 
-    best: dict[int, Candidate] = {}
-    for one in found.candidates:
-        # Without stability a score is not comparable.
-        comparable = math.isfinite(one.score) and not math.isnan(one.stability)
-        if comparable and (chosen(one) or one.clusters not in best or one.score > best[one.clusters].score):
-            best[one.clusters] = one
-    if len(best) < 2:
+    best_by_number: dict[int, Candidate] = {}
+    for candidate in found.candidates:
+        # Scores without stability are not comparable.
+        if not math.isfinite(candidate.score) or math.isnan(candidate.stability):
+            continue
+        best = best_by_number.get(candidate.clusters)
+        if best is None or chosen(candidate) or candidate.score > best.score:
+            best_by_number[candidate.clusters] = candidate
+    if len(best_by_number) < 2:
         return ""
     return make_table(
         ["clusters", "gamma", "eps", "noise", "DBCV", "silhouette", "stability", "score"],
         [
             [
-                f"{number}{' (chosen)' if chosen(one) else ''}", f"{one.gamma:.4g}", f"{one.eps:.4g}",
-                f"{one.noise:.1%}", figure(one.dbcv), figure(one.silhouette), stability(one), figure(one.score),
+                f"{number}{' (chosen)' if chosen(candidate) else ''}", f"{candidate.gamma:.4g}", f"{candidate.eps:.4g}",
+                f"{candidate.noise:.1%}", figure(candidate.dbcv), figure(candidate.silhouette), stability(candidate),
+                figure(candidate.score),
             ]
-            for number, one in sorted(best.items())
+            for number, candidate in sorted(best_by_number.items())
         ],
     )  # fmt: skip
 
 
 def tell_shapes(shapes: Sequence[ClusterShape]) -> str:
-    """Tell how convex each cluster is, and how its archetypes were found.
-
-    Parameters
-    ----------
-    shapes : sequence of ClusterShape
-        Of each cluster.
-
-    Returns
-    -------
-    str
-        HTML.
-    """
+    """Render the convexity of each cluster and the method that found its archetypes."""
     return make_table(
         ["cluster", "convexity of the parameters", "in kernel space", "archetypes"],
         [
             [
-                name_cluster(one.cluster), f"{one.convexity:.2f}", f"{one.kernel_convexity:.2f}",
-                _ARCHETYPES[one.method].format(parts=one.parts),
+                name_cluster(shape.cluster), f"{shape.convexity:.2f}", f"{shape.kernel_convexity:.2f}",
+                _ARCHETYPES[shape.method].format(parts=shape.parts),
             ]
-            for one in shapes
+            for shape in shapes
         ],
         text=(0, -1),
     )  # fmt: skip
 
 
 def tell_coverage(coverage: Mapping[str, Coverage]) -> str:
-    """Tell what the kept scenarios leave out of those that were run.
-
-    Parameters
-    ----------
-    coverage : mapping of str to Coverage
-        By aspect.
-
-    Returns
-    -------
-    str
-        HTML.
-    """
+    """Render the distances from the run scenarios to the reduced set, by aspect."""
     return make_table(
         ["compared by", "largest distance", "of all", "mean distance", "of all"],
         [
-            [name, f"{one.largest:.4g}", f"{one.largest_relative:.1%}", f"{one.mean:.4g}", f"{one.mean_relative:.1%}"]
-            for name, one in coverage.items()
+            [
+                name,
+                f"{entry.largest:.4g}",
+                f"{entry.largest_relative:.1%}",
+                f"{entry.mean:.4g}",
+                f"{entry.mean_relative:.1%}",
+            ]
+            for name, entry in coverage.items()
         ],
     )
 
 
 def tell_held_out(coverage: Mapping[str, Coverage]) -> str:
-    """Tell what sets leave out of scenarios that did not choose them, beside random ones and k-medoids.
-
-    Parameters
-    ----------
-    coverage : mapping of str to Coverage
-        By aspect.
-
-    Returns
-    -------
-    str
-        HTML; empty where that was not measured.
-    """
+    """Render held-out distances of reduced sets, compared with random sets and k-medoids; empty if not measured."""
     rows = [
         [
-            name, str(one.scenarios), f"{one.largest:.4g}", f"{100 * one.better_largest:.0f} of 100",
-            f"{one.medoids_largest:.4g}", f"{one.mean:.4g}", f"{100 * one.better_mean:.0f} of 100",
-            f"{one.medoids_mean:.4g}",
+            name, str(held_out.scenarios), f"{held_out.largest:.4g}", f"{100 * held_out.better_largest:.0f} of 100",
+            f"{held_out.medoids_largest:.4g}", f"{held_out.mean:.4g}", f"{100 * held_out.better_mean:.0f} of 100",
+            f"{held_out.medoids_mean:.4g}",
         ]
-        for name, each in coverage.items()
-        if (one := each.held_out) is not None
+        for name, entry in coverage.items()
+        if (held_out := entry.held_out) is not None
     ]  # fmt: skip
     head = [
         "compared by", "held out", "largest distance", "better than random", "k-medoids", "mean distance",
@@ -269,18 +189,7 @@ def tell_held_out(coverage: Mapping[str, Coverage]) -> str:
 
 
 def tell_critical_coverage(critical: Mapping[str, CriticalCoverage]) -> str:
-    """Tell what the kept scenarios leave out of the critical set.
-
-    Parameters
-    ----------
-    critical : mapping of str to CriticalCoverage
-        By aspect.
-
-    Returns
-    -------
-    str
-        HTML.
-    """
+    """Render how well the reduced set covers the critical scenarios, by aspect."""
 
     def share(value: float | None) -> str:
         return _UNKNOWN if value is None else f"{value:.0%}"
@@ -297,10 +206,10 @@ def tell_critical_coverage(critical: Mapping[str, CriticalCoverage]) -> str:
         ],
         [
             [
-                name, f"{one.within:.3g}", share(one.critical), *held_out(one.held_out),
-                share(one.unlike.value if one.unlike else None),
-                f"{one.unlike.low:.0%} to {one.unlike.high:.0%}" if one.unlike else _UNKNOWN,
+                name, f"{entry.within:.3g}", share(entry.critical), *held_out(entry.held_out),
+                share(entry.unlike.value if entry.unlike else None),
+                f"{entry.unlike.low:.0%} to {entry.unlike.high:.0%}" if entry.unlike else _UNKNOWN,
             ]
-            for name, one in critical.items()
+            for name, entry in critical.items()
         ],
     )  # fmt: skip

@@ -1,4 +1,4 @@
-"""Templates of pages, with all that a page needs put into it."""
+"""Render page templates with their styles and scripts inlined."""
 
 from __future__ import annotations
 
@@ -14,27 +14,14 @@ if TYPE_CHECKING:
 
 
 def fill_template(name: str, styles: Iterable[str], scripts: Iterable[str], **parts: Any) -> str:
-    """Put a page together; what it is given is escaped, but for what is markup already.
-
-    Parameters
-    ----------
-    name : str
-        Of the template.
-    styles, scripts : iterable of str
-        Files beside it, in this order.
-    **parts : object
-        What the template asks for.
-
-    Returns
-    -------
-    str
-        HTML.
-    """
+    """Render template `name` with the given style and script files; escape `parts` unless they are `Markup`."""
     page: str = (
         _environment()
         .get_template(name)
         .render(
-            styles=[Markup(_asset(one)) for one in styles], scripts=[Markup(_asset(one)) for one in scripts], **parts
+            styles=[Markup(_asset(style)) for style in styles],
+            scripts=[Markup(_asset(script)) for script in scripts],
+            **parts,
         )
     )
     return page
@@ -53,6 +40,6 @@ def _environment() -> Environment:
 
 
 def _json(value: Any) -> Markup:
-    # In a script nothing is escaped, so what would end it must not be there.
+    # Nothing is escaped inside a script, so the text must not contain anything that ends it.
     text = json.dumps(value, separators=(",", ":"), ensure_ascii=False, allow_nan=False)
     return Markup(text.replace("<", "\\u003c").replace("\u2028", "\\u2028").replace("\u2029", "\\u2029"))

@@ -1,4 +1,4 @@
-"""Phrases that the report and its figures share."""
+"""Phrases shared by the report and its figures."""
 
 from __future__ import annotations
 
@@ -18,59 +18,26 @@ from cornercase.study import Row, StudyMeta
 
 NOISE_NAME: Final = "noise"
 _MOST_NAMED: Final = 12
-# Percent below which a share is told as less than that.
+# Smaller percentages are written as "below".
 _SMALLEST: Final = 0.01
 _METHODS: Final = {"dbscan": "DBSCAN", "hdbscan": "HDBSCAN"}
 
-# Adjusted mutual information from which clusters say a little, something, and most of what happened.
+# Adjusted mutual information from which clusters say a little, something, and much about what happened.
 _SAYS_NOTHING, _SAYS_SOMETHING, _SAYS_MOST = 0.1, 0.4, 0.8
 
 
 def name_cluster(cluster: int) -> str:
-    """Name a cluster for people.
-
-    Parameters
-    ----------
-    cluster : int
-        -1 is noise.
-
-    Returns
-    -------
-    str
-        ``"cluster 0"`` or ``"noise"``.
-    """
+    """Return ``"cluster 0"``, or ``"noise"`` for -1."""
     return NOISE_NAME if cluster < 0 else f"cluster {cluster}"
 
 
 def name_kind(profile: Profile) -> str:
-    """Name a cluster by what its scenarios have in common.
-
-    Parameters
-    ----------
-    profile : Profile
-        Of the cluster.
-
-    Returns
-    -------
-    str
-        ``"cluster 0: Ego yields to Pedestrian; 3 of 120 collide"``; without a name as `name_cluster`.
-    """
+    """Return the cluster with its name, as ``"cluster 0: Ego yields to Pedestrian; 3 of 120 collide"``."""
     return ": ".join(filter(None, (name_cluster(profile.cluster), profile.label)))
 
 
 def tell_roles(meta: StudyMeta) -> str:
-    """Say who is the ego, and whom it is measured against.
-
-    Parameters
-    ----------
-    meta : StudyMeta
-        What the study is about.
-
-    Returns
-    -------
-    str
-        A sentence.
-    """
+    """Describe which entity is the ego and against which others it is measured."""
     others = meta.others
     if len(others) == 1:
         return f"Under test: {meta.ego}, against {others[0]}."
@@ -78,237 +45,110 @@ def tell_roles(meta: StudyMeta) -> str:
 
 
 def tell_beginning(meta: StudyMeta) -> str:
-    """Say what a search began from.
-
-    Parameters
-    ----------
-    meta : StudyMeta
-        Of a study whose search began from another one.
-
-    Returns
-    -------
-    str
-        A part of a sentence.
-    """
-    known = meta.elsewhere
-    return f"{known.get('scenarios', 'some')} scenarios of {known['study']} (simulator {known['simulator']})"
+    """Describe the study that a search was warm-started from, as part of a sentence."""
+    source = meta.elsewhere
+    return f"{source.get('scenarios', 'some')} scenarios of {source['study']} (simulator {source['simulator']})"
 
 
 def tell_beside(summary: Summary, *, counts: bool = True) -> str:
-    """Say in how many scenarios the ego touches somebody whom it is not measured against.
-
-    Parameters
-    ----------
-    summary : Summary
-        Of the study.
-    counts : bool, default True
-        Say in how many.
-
-    Returns
-    -------
-    str
-        A sentence; empty where there is none.
-    """
+    """Describe collisions of the ego with entities it is not measured against; empty without any."""
     touched = [f"{name} in {count}" if counts else name for name, count in summary.beside.items()]
     if not touched:
         return ""
-    whom = " and ".join(filter(None, (", ".join(touched[:-1]), touched[-1])))
+    others = " and ".join(filter(None, (", ".join(touched[:-1]), touched[-1])))
     of_how_many = f" of {summary.run} scenarios" if counts else ""
     return (
-        f"{summary.meta.ego} touches {whom}{of_how_many}, and is not measured against"
+        f"{summary.meta.ego} touches {others}{of_how_many}, and is not measured against"
         f" {'it' if len(touched) == 1 else 'them'}: repeat --other."
     )
 
 
 def tell_compared(by: str) -> str:
-    """Say what of two scenarios an aspect compares.
-
-    Parameters
-    ----------
-    by : str
-        Name of the aspect.
-
-    Returns
-    -------
-    str
-        ``"the direction in which the ego sees the other"``; empty for an aspect that is not known here.
-    """
+    """Describe what an aspect compares, as ``"the direction in which the ego sees the other"``; empty if unknown."""
     if by not in ASPECTS:
         return f"the course of {by}" if by.partition(":")[0] in METRICS else ""
-    said = first_line(ASPECTS.create(by)).partition(":")[0].rstrip(".")
-    return said[:1].lower() + said[1:]
+    summary = first_line(ASPECTS.create(by)).partition(":")[0].rstrip(".")
+    return summary[:1].lower() + summary[1:]
 
 
 def judge_clusters(analysis: Analysis) -> str:
-    """Say whether clusters are kinds that tell something of what happened.
-
-    Parameters
-    ----------
-    analysis : Analysis
-        The clusters, and how they agree with what happened.
-
-    Returns
-    -------
-    str
-        A sentence; empty where a study of an early version does not know.
-    """
-    by, found = analysis.by, analysis.clustering
-    if found.n_clusters < 2:
-        noise = int((found.labels < 0).sum())
-        outside = f", except {noise} of noise" if noise and found.n_clusters else ""
-        alike = "all scenarios are one group" if found.n_clusters else "all scenarios are noise"
-        return f"No separate kinds: by {by} {alike}{outside}."
-    if not any(one.name for one in analysis.profiles):
+    """Describe how much the clusters say about what happened; empty for studies of early versions."""
+    by, clustering = analysis.by, analysis.clustering
+    if clustering.n_clusters < 2:
+        noise = int((clustering.labels < 0).sum())
+        outside = f", except {noise} of noise" if noise and clustering.n_clusters else ""
+        uniform = "all scenarios are one group" if clustering.n_clusters else "all scenarios are noise"
+        return f"No separate kinds: by {by} {uniform}{outside}."
+    if not any(profile.name for profile in analysis.profiles):
         return ""
     if not analysis.tells:
         return f"All scenarios end in the same way; the kinds by {by} distinguish how they get there."
     levels = (("much", _SAYS_MOST, math.inf), ("something", _SAYS_SOMETHING, _SAYS_MOST))
-    said = []
-    for much, low, high in levels:
+    parts = []
+    for amount, low, high in levels:
         facts = [f"{fact} ({mutual:.2f})" for fact, mutual in analysis.tells.items() if low <= mutual < high]
         if facts:
-            said.append(f"{much} about {', '.join(facts)}")
-    if said:
-        return f"The kinds by {by} say {', and '.join(said)}."
-    best = max(analysis.tells.values())
-    if best < _SAYS_NOTHING:
-        much, best = "nothing", max(best, 0.0)
+            parts.append(f"{amount} about {', '.join(facts)}")
+    if parts:
+        return f"The kinds by {by} say {', and '.join(parts)}."
+    highest = max(analysis.tells.values())
+    if highest < _SAYS_NOTHING:
+        amount, highest = "nothing", max(highest, 0.0)
     else:
-        much = "little"
-    return f"The kinds by {by} say {much} about how scenarios end (mutual information of at most {best:.2f})."
+        amount = "little"
+    return f"The kinds by {by} say {amount} about how scenarios end (mutual information of at most {highest:.2f})."
 
 
 def name_joining(analysis: Analysis) -> str:
-    """Name the command by which scenarios that were run since join the clusters.
-
-    Parameters
-    ----------
-    analysis : Analysis
-        The clusters.
-
-    Returns
-    -------
-    str
-        ``"cornercase analyze STUDY.db --by wttc --keep"``.
-    """
-    return f"cornercase analyze STUDY.db --by {analysis.by} --keep"
+    """Return the command that assigns new scenarios to the clusters."""
+    return f"cornercase analyze STUDY.db --by {analysis.by} --keep-clusters"
 
 
 def name_criterion(known: CriticalKnowledge, searched: str) -> str:
-    """Say when a scenario is critical.
-
-    Parameters
-    ----------
-    known : CriticalKnowledge
-        What is known of the critical scenarios.
-    searched : str
-        What is searched.
-
-    Returns
-    -------
-    str
-        ``"wttc <= 1 s"``; a condition as it was given.
-    """
+    """Return the condition for being critical as it is typed: ``"wttc <= 1 s"``."""
     if condition := condition_of([searched]):
         return condition
     return f"{searched} {'<=' if known.lower_is_critical else '>='} {known.threshold:g} {known.unit}".rstrip()
 
 
 def tell_criterion(known: CriticalKnowledge, searched: str) -> str:
-    """Say in a sentence when a scenario is critical.
-
-    Parameters
-    ----------
-    known : CriticalKnowledge
-        What is known of the critical scenarios.
-    searched : str
-        What is searched.
-
-    Returns
-    -------
-    str
-        ``"wttc ≤ 1 s"``.
-    """
+    """Return the condition for being critical with mathematical signs: ``"wttc ≤ 1 s"``."""
     return with_signs(name_criterion(known, searched))
 
 
 def tell_asked(summary: Summary) -> str:
-    """Say that what is critical was asked of a study afterwards, by another threshold than it was searched with.
-
-    Parameters
-    ----------
-    summary : Summary
-        The summary.
-
-    Returns
-    -------
-    str
-        A sentence; empty where the study's own threshold holds.
-    """
-    known, own = summary.knowledge.critical, summary.meta.critical
-    if known is None or known.threshold == own:
+    """Describe a threshold that differs from the study's own; empty if it is the study's own."""
+    critical, own = summary.knowledge.critical, summary.meta.critical
+    if critical is None or critical.threshold == own:
         return ""
     if own is None:
         return "This threshold was chosen afterwards: the study has none of its own."
-    searched = tell_criterion(replace(known, threshold=own), summary.searched)
-    return f"This threshold was chosen afterwards: the study's own is {searched}."
+    criterion = tell_criterion(replace(critical, threshold=own), summary.searched)
+    return f"This threshold was chosen afterwards: the study's own is {criterion}."
 
 
 def tell_chosen(summary: Summary) -> str:
-    """Say that the kept scenarios were chosen by another threshold than the one that is asked.
-
-    Parameters
-    ----------
-    summary : Summary
-        The summary.
-
-    Returns
-    -------
-    str
-        A sentence; empty where it is the same, or nothing was reduced.
-    """
-    known, reduced = summary.knowledge.critical, summary.reduced
-    if known is None or reduced is None or reduced.threshold == known.threshold:
+    """Describe the threshold used for the reduced set if it differs from the current one; else empty."""
+    critical, reduced = summary.knowledge.critical, summary.reduced
+    if critical is None or reduced is None or reduced.threshold == critical.threshold:
         return ""
-    by = "without any threshold"
+    how = "without any threshold"
     if reduced.threshold is not None:
-        by = f"by {tell_criterion(replace(known, threshold=reduced.threshold), summary.searched)}"
-    return f"They were chosen {by}; 'cornercase reduce' with --critical {known.threshold:g} chooses again."
+        how = f"by {tell_criterion(replace(critical, threshold=reduced.threshold), summary.searched)}"
+    return f"They were chosen {how}; 'cornercase reduce' with --critical {critical.threshold:g} chooses again."
 
 
 def with_signs(criterion: str) -> str:
-    """Write a criterion with the signs that it has in print.
-
-    Parameters
-    ----------
-    criterion : str
-        As it is typed.
-
-    Returns
-    -------
-    str
-        ``"wttc ≤ 1 s"``.
-    """
+    """Replace ``<=`` and ``>=`` by ``≤`` and ``≥``."""
     return criterion.replace("<=", "≤").replace(">=", "≥")
 
 
 def name_range(parameter: Parameter) -> str:
-    """Say between which values a parameter varies.
-
-    Parameters
-    ----------
-    parameter : Parameter
-        The parameter.
-
-    Returns
-    -------
-    str
-        ``"20 to 80 m"``, or the choices.
-    """
+    """Return the range of a parameter, as ``"20 to 80 m"``, or its choices."""
     if parameter.choices:
         return ", ".join(parameter.choices)
     low = high = ""
-    # Coordinates may differ in the last of many digits only.
+    # Large coordinates may differ only in their last digits.
     for digits in (6, 9, 12, 17):
         low, high = f"{parameter.low:.{digits}g}", f"{parameter.high:.{digits}g}"
         if low != high or parameter.low == parameter.high:
@@ -317,106 +157,49 @@ def name_range(parameter: Parameter) -> str:
 
 
 def name_axis(parameter: Parameter) -> str:
-    """Name a parameter, with the unit where it is known.
-
-    Parameters
-    ----------
-    parameter : Parameter
-        The parameter.
-
-    Returns
-    -------
-    str
-        ``"ego_start [m]"``.
-    """
+    """Return the name of a parameter with its unit, as ``"ego_start [m]"``."""
     return f"{parameter.name} [{parameter.unit}]" if parameter.unit else parameter.name
 
 
 def tell_how_found(analysis: Analysis) -> str:
-    """Say by what the clusters of an analysis were found.
-
-    Parameters
-    ----------
-    analysis : Analysis
-        The clusters.
-
-    Returns
-    -------
-    str
-        Sentences.
-    """
-    found = analysis.clustering
+    """Describe the method and settings that found the clusters."""
+    clustering = analysis.clustering
     text = (
-        f"Dynamic Time Warping, RBF kernel PCA (gamma {found.gamma:.4g}, {100 * found.explained:.0f} % of the variance"
-        f" in {found.embedding.shape[1]} components), {_METHODS[found.method]} (eps {found.eps:.4g}, min samples"
-        f" {found.min_samples})."
+        f"Dynamic Time Warping, RBF kernel PCA (gamma {clustering.gamma:.4g}, {100 * clustering.explained:.0f} % of the"
+        f" variance in {clustering.embedding.shape[1]} components), {_METHODS[clustering.method]}"
+        f" (eps {clustering.eps:.4g}, min samples {clustering.min_samples})."
     )
-    if len(found.landmarks):
+    if len(clustering.landmarks):
         text += (
-            f" The kernel space is that of {len(found.landmarks)} landmarks, which loses"
-            f" {found.error:.1%} of the kernel between the other scenarios."
+            f" The kernel space is that of {len(clustering.landmarks)} landmarks, which loses"
+            f" {clustering.error:.1%} of the kernel between the other scenarios."
         )
     if analysis.inexact is not None:
-        every = f", at one of {analysis.every} instants" if analysis.every > 1 else ""
+        stride = f", at one of {analysis.every} instants" if analysis.every > 1 else ""
         text += (
-            f" All scenarios were compared with the landmarks{every}. Other distances follow from that, with an error"
+            f" All scenarios were compared with the landmarks{stride}. Other distances follow from that, with an error"
             f" of {analysis.inexact:.1%} on average."
         )
-    fitted, joined = len(analysis.fitted), len(analysis.ids) - len(analysis.fitted)
-    if joined > 0:
-        text += f" Found among {fitted} scenarios; {joined} have joined since."
+    fitted, assigned = len(analysis.fitted), len(analysis.ids) - len(analysis.fitted)
+    if assigned > 0:
+        text += f" Found among {fitted} scenarios; {assigned} have joined since."
     return text
 
 
 def format_value(value: Value, digits: int = 6) -> str:
-    """Write the value of a parameter.
-
-    Parameters
-    ----------
-    value : float or str
-        The value.
-    digits : int, default 6
-        Most digits of a number.
-
-    Returns
-    -------
-    str
-        A choice as it is called.
-    """
+    """Format the value of a parameter with at most `digits` significant digits; a choice stays as it is."""
     return value if isinstance(value, str) else f"{value:.{digits}g}"
 
 
 def with_unit(number: str, unit: str) -> str:
-    """Write a unit behind a number.
-
-    Parameters
-    ----------
-    number : str
-        As it is written.
-    unit : str
-        Empty or ``"1"`` for none.
-
-    Returns
-    -------
-    str
-        ``"0.2 s"``.
-    """
+    """Append a unit to a number, as ``"0.2 s"``; no unit if it is empty or ``"1"``."""
     return number if unit in ("", "1") else f"{number} {unit}"
 
 
 def percent(share: float) -> str:
-    """Write a share in percent.
+    """Format a share (0 to 1) in percent with two significant digits: ``"0.34 %"``, ``"12 %"``.
 
-    Parameters
-    ----------
-    share : float
-        From 0 to 1.
-
-    Returns
-    -------
-    str
-        Two digits that count, or all before the point: ``"0.34 %"``, ``"12 %"``; nearly all is not written as all,
-        nor hardly anything in powers of ten.
+    Nearly all is not rounded to 100 %, and tiny shares are ``"below 0.01 %"``.
     """
     value = 100.0 * share
     if 0.0 < value < _SMALLEST:
@@ -427,61 +210,28 @@ def percent(share: float) -> str:
 
 
 def list_scenarios(ids: Sequence[int]) -> str:
-    """List the ids of scenarios.
-
-    Parameters
-    ----------
-    ids : sequence of int
-        In any number.
-
-    Returns
-    -------
-    str
-        Twelve of them at most.
-    """
+    """Format at most twelve scenario ids."""
     return ", ".join(map(str, ids[:_MOST_NAMED])) + (" …" if len(ids) > _MOST_NAMED else "")
 
 
 def find_reasons(failed: Sequence[Row]) -> dict[str, list[int]]:
-    """Find for what reasons scenarios could not be run.
-
-    Parameters
-    ----------
-    failed : sequence of Row
-        Scenarios that could not be run.
-
-    Returns
-    -------
-    dict of str to list of int
-        Ids by reason, the most frequent one first.
-    """
+    """Group failed scenarios by reason, the most frequent first; values are ids."""
     groups = group_reasons(row.error or "" for row in failed)
     return {reason: [failed[k].id for k in members] for reason, members in groups.items()}
 
 
 def tell_front(count: int) -> str:
-    """Say what a Pareto front is.
-
-    Parameters
-    ----------
-    count : int
-        Number of scenarios on it.
-
-    Returns
-    -------
-    str
-        A sentence.
-    """
+    """Describe a Pareto front of `count` scenarios."""
     if count == 1:
         return "One scenario is as critical as any other in every metric."
     return f"{count} scenarios: no other is at least as critical in every metric and more critical in one."
 
 
 def tell_unknown() -> str:
-    """Say that nothing is known of scenarios that were not run."""
+    """Explain that too few scores are known to estimate anything."""
     return "There are too few different scores to say anything about all other scenarios."
 
 
 def tell_unforetold() -> str:
-    """Say that nothing is known of the influence of parameters."""
+    """Explain that the model predicts too little to estimate sensitivities."""
     return "The model predicts almost nothing of the scores, so it is unknown which parameter matters."

@@ -1,4 +1,4 @@
-"""Figures of single scenarios: where each entity goes, and how fast."""
+"""Figure of single scenarios: paths from above and speeds over time."""
 
 from __future__ import annotations
 
@@ -19,35 +19,22 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 MOST_EXAMPLES: Final = 6
-"""So many scenarios fit into a figure."""
+"""Scenarios that fit into a figure."""
 
 # Columns of panels by the number of scenarios.
 _COLUMNS: Final = (1, 2, 3, 2, 3, 3)
-# What is drawn from above: so many s before and after both are nearest, and so many m around.
+# View from above: seconds before and after the closest approach, margin in m, and limits of the half width in m.
 _AROUND: Final = 4.0
 _MARGIN: Final = 6.0
 _REACH: Final = (12.0, 25.0)
-# Two times are no closer than that, as a share of what is drawn around.
+# Smallest distance between two time labels, as a share of the half width.
 _LEGIBLE: Final = 0.08
-# Two marks are no closer than that, in s.
+# Interval between marks in s.
 _STEP: Final = 1.0
 
 
 def draw_examples(recordings: Mapping[str, Recording], ego: str, other: str) -> Figure:
-    """Draw scenarios from above, with marks in time, and the speeds below.
-
-    Parameters
-    ----------
-    recordings : mapping of str to Recording
-        By title.
-    ego, other : str
-        Names of the two entities.
-
-    Returns
-    -------
-    Figure
-        Two panels for each scenario.
-    """
+    """Draw scenarios (by title) from above with time marks, and their speeds below: two panels each."""
     columns = _COLUMNS[len(recordings) - 1]
     rows = -(-len(recordings) // columns)
     figure = Figure(figsize=(4.4 * columns, 6.2 * rows), layout="constrained")
@@ -59,20 +46,20 @@ def draw_examples(recordings: Mapping[str, Recording], ego: str, other: str) -> 
         _draw_ways(above, recording, ego, other, nearest)
         _draw_speeds(below, recording, ego, other, nearest)
         above.set_title(wrap(title), fontsize="medium")
-    found: dict[str, Artist] = {str(line.get_label()): line for axis in figure.axes for line in axis.lines}
-    labels = [label for label in found if not label.startswith("_")]
-    handles = [found[label] for label in labels]
+    line_by_label: dict[str, Artist] = {str(line.get_label()): line for axis in figure.axes for line in axis.lines}
+    labels = [label for label in line_by_label if not label.startswith("_")]
+    handles = [line_by_label[label] for label in labels]
     figure.legend(handles, labels, loc="outside lower center", ncols=len(labels), frameon=False)
     return figure
 
 
 def _nearest(recording: Recording, ego: str, other: str) -> int | None:
-    away = Clearance().course(recording, ego, other)
-    return int(np.nanargmin(away)) if np.isfinite(away).any() else None
+    clearance = Clearance().course(recording, ego, other)
+    return int(np.nanargmin(clearance)) if np.isfinite(clearance).any() else None
 
 
 def _look(name: str, ego: str, other: str) -> tuple[str, str, float]:
-    """Colour, line and width of an entity."""
+    """Return colour, line style and width of an entity."""
     if name == ego:
         return COLOURS[0], "-", 2.0
     return (COLOURS[1], "--", 2.0) if name == other else (GREY, ":", 1.4)
@@ -83,27 +70,27 @@ def _draw_ways(axis: Axes, recording: Recording, ego: str, other: str, nearest: 
     middle = time[nearest] if nearest is not None else 0.5 * (time[0] + time[-1])
     around = np.abs(time - middle) <= _AROUND
     marked = _marks(time, around)
-    shown = []
+    visible = []
     for i, name in enumerate(recording.names):
         colour, line, width = _look(name, ego, other)
         center = recording.center(name)
         axis.plot(*center.T, line, color=colour, linewidth=width)
         if name in (ego, other):
-            shown.append(center[around])
+            visible.append(center[around])
             _draw_box(axis, recording, i, nearest if nearest is not None else int(np.flatnonzero(around)[0]), colour)
             axis.plot(*center[marked].T, "o", color=colour, markersize=3.5)
-    places = np.concatenate(shown)
-    places = places[np.isfinite(places).all(axis=1)]
+    points = np.concatenate(visible)
+    points = points[np.isfinite(points).all(axis=1)]
     half = _REACH[1]
-    if len(places):
-        # As wide as high, so that a metre is as long across as along.
-        half = float(np.clip(np.ptp(places, axis=0).max() / 2.0 + _MARGIN, *_REACH))
-        x, y = (places.min(axis=0) + places.max(axis=0)) / 2.0
+    if len(points):
+        # Square, so that both axes have the same scale.
+        half = float(np.clip(np.ptp(points, axis=0).max() / 2.0 + _MARGIN, *_REACH))
+        x, y = (points.min(axis=0) + points.max(axis=0)) / 2.0
         if nearest is not None:
-            both = np.array([recording.center(name)[nearest] for name in (ego, other)])
-            x, y = both.mean(axis=0)
-            # Who never come near each other are both to be seen all the same.
-            half = max(half, float(np.ptp(both, axis=0).max()) / 2.0 + _MARGIN)
+            closest = np.array([recording.center(name)[nearest] for name in (ego, other)])
+            x, y = closest.mean(axis=0)
+            # Show both even if they never come close.
+            half = max(half, float(np.ptp(closest, axis=0).max()) / 2.0 + _MARGIN)
         axis.set_xlim(x - half, x + half)
         axis.set_ylim(y - half, y + half)
     for name in (ego, other):
@@ -116,7 +103,7 @@ def _draw_ways(axis: Axes, recording: Recording, ego: str, other: str, nearest: 
 
 
 def _marks(time: FloatArray, around: BoolArray) -> IntArray:
-    """Instants next to each full second."""
+    """Return the indices of the instants next to full seconds."""
     seconds = np.arange(np.ceil(time[around][0]), time[around][-1] + 1e-9, _STEP)
     marked: IntArray = np.unique(np.abs(time[:, None] - seconds).argmin(axis=0))
     return marked
@@ -131,16 +118,16 @@ def _draw_box(axis: Axes, recording: Recording, i: int, at: int, colour: str) ->
 
 
 def _write_times(axis: Axes, places: FloatArray, times: FloatArray, colour: str, above: bool, least: float) -> None:
-    """Write a time beside each mark that is not as near as `least` m to the last one that has one."""
+    """Label marks with their times, skipping marks closer than `least` m to the last label."""
     last = np.full(2, np.nan)
-    for place, time in zip(places, times, strict=True):
-        if np.isfinite(place).all() and not np.hypot(*(place - last)) < least:
+    for point, time in zip(places, times, strict=True):
+        if np.isfinite(point).all() and not np.hypot(*(point - last)) < least:
             offset = (0, 6) if above else (6, -10)
             axis.annotate(
-                f"{time:.0f}", place, xytext=offset, textcoords="offset points", color=colour, fontsize=7,
+                f"{time:.0f}", point, xytext=offset, textcoords="offset points", color=colour, fontsize=7,
                 clip_on=True, annotation_clip=True,
             )  # fmt: skip
-            last = place
+            last = point
 
 
 def _draw_speeds(axis: Axes, recording: Recording, ego: str, other: str, nearest: int | None) -> None:

@@ -1,4 +1,4 @@
-"""Figures of scenarios in the parameter space, and in kernel space."""
+"""Figures of scenarios in the parameter space and in kernel space."""
 
 from __future__ import annotations
 
@@ -20,33 +20,16 @@ _MARKS: Final = (("archetype", "o", 42), ("prototype", "*", 190), ("gap", "^", 5
 
 
 def draw_criticality(values: FloatArray, parameters: Sequence[Parameter], scores: FloatArray, metric: Metric) -> Figure:
-    """Draw the scores over each pair of parameters, the critical ones dark.
-
-    Parameters
-    ----------
-    values : ndarray of float64, shape (n, d)
-        Parameters; of choices their number.
-    parameters : sequence of Parameter, length d
-        Their names, units and choices.
-    scores : ndarray of float64, shape (n,)
-        In the unit of the metric.
-    metric : Metric
-        Says what is critical.
-
-    Returns
-    -------
-    Figure
-        One panel for each pair.
-    """
-    # Numbers first, as they show more than choices; a parameter with one value shows nothing.
-    varied = [i for i, one in enumerate(parameters) if one.size != 1] or [0]
+    """Draw the scores (n,) over up to six pairs of parameters, values (n, d); critical ones dark."""
+    # Numeric parameters first; parameters with a single value are left out.
+    varied = [i for i, parameter in enumerate(parameters) if parameter.size != 1] or [0]
     varied.sort(key=lambda i: bool(parameters[i].choices))
     pairs = list(combinations(varied, 2))[:6] or [(varied[0], varied[0])]
     columns = min(3, len(pairs))
     rows = -(-len(pairs) // columns)
     figure = Figure(figsize=(4.6 * columns + 1.0, 4.0 * rows), layout="constrained")
     axes = figure.subplots(rows, columns, squeeze=False).ravel()
-    # Drawing the critical ones last keeps them on top.
+    # Critical ones last, so that they are on top.
     order = np.argsort(metric.oriented(scores))[::-1]
     colours = "viridis" if metric.lower_is_critical else "viridis_r"
     points: Any = None
@@ -72,30 +55,9 @@ def draw_clusters(
     chosen: Sequence[int],
     names: Mapping[int, str] | None = None,
 ) -> Figure:
-    """Draw kernel space and parameter space side by side, coloured by cluster.
-
-    Parameters
-    ----------
-    embedding : ndarray of float64, shape (n, k)
-        Coordinates in kernel space, of which the first three are drawn.
-    labels : ndarray of int64, shape (n,)
-        Cluster of each scenario; -1 is noise.
-    values : ndarray of float64, shape (n, d)
-        Parameters; of choices their number.
-    parameters : sequence of Parameter, length d
-        Their names, units and choices.
-    chosen : sequence of int
-        The two parameters to draw; one where there is no more.
-    names : mapping of int to str, optional
-        What clusters are called.
-
-    Returns
-    -------
-    Figure
-        Two panels.
-    """
+    """Draw kernel space, embedding (n, k), and two parameters side by side, coloured by cluster label (-1: noise)."""
     figure = Figure(figsize=(12.5, 5.0))
-    # Wide between the two: the tick labels of three-dimensional axes reach beyond them.
+    # A wide gap, as the tick labels of 3D axes extend beyond the axes.
     grid = figure.add_gridspec(1, 2, wspace=0.28, left=0.02, right=0.84, bottom=0.12, top=0.92)
     space: Any = figure.add_subplot(grid[0], projection="3d")
     plane = figure.add_subplot(grid[1])
@@ -120,37 +82,14 @@ def draw_clusters(
 
 
 def draw_hulls(
-    values: FloatArray,
-    ids: Sequence[int],
-    parameters: Sequence[Parameter],
-    reduced: ReducedSet,
-    chosen: Sequence[int],
+    values: FloatArray, ids: Sequence[int], parameters: Sequence[Parameter], reduced: ReducedSet, chosen: Sequence[int]
 ) -> Figure:
-    """Draw the hull of each cluster in the parameter space, with the kept scenarios.
-
-    Parameters
-    ----------
-    values : ndarray of float64, shape (n, d)
-        Parameters; of choices their number.
-    ids : sequence of int, length n
-        Ids of the scenarios.
-    parameters : sequence of Parameter, length d
-        Their names, units and choices.
-    reduced : ReducedSet
-        The reduced set.
-    chosen : sequence of int
-        Up to three parameters to draw.
-
-    Returns
-    -------
-    Figure
-        In three dimensions where there are three parameters.
-    """
-    row = {scenario: k for k, scenario in enumerate(ids)}
-    solid = len(chosen) >= 3
-    chosen = list(chosen[: 3 if solid else 2])
+    """Draw the hull of each cluster in the parameter space (3D if possible) with the reduced set."""
+    row_by_id = {scenario: k for k, scenario in enumerate(ids)}
+    is_3d = len(chosen) >= 3
+    chosen = list(chosen[: 3 if is_3d else 2])
     figure = Figure(figsize=(8.6, 6.4), layout="constrained")
-    axis: Any = figure.add_subplot(projection="3d") if solid else figure.add_subplot()
+    axis: Any = figure.add_subplot(projection="3d") if is_3d else figure.add_subplot()
 
     def place(k: Any) -> FloatArray:
         points = values[k][..., chosen]
@@ -160,17 +99,21 @@ def draw_hulls(
         colour, _, _ = look_of(label)
         edges = {tuple(sorted(pair)) for facet in facets for pair in combinations(facet, 2)}
         for a, b in sorted(edges):
-            axis.plot(*place([row[a], row[b]]).T, color=colour, linewidth=0.7, alpha=0.55)
-    for label in sorted({one.cluster for one in reduced.kept}):
+            axis.plot(*place([row_by_id[a], row_by_id[b]]).T, color=colour, linewidth=0.7, alpha=0.55)
+    for label in sorted({scenario.cluster for scenario in reduced.kept}):
         colour, _, name = look_of(label)
         for role, marker, size in _MARKS:
-            members = [row[one.id] for one in reduced.kept if (one.cluster, one.role) == (label, role)]
+            members = [
+                row_by_id[scenario.id]
+                for scenario in reduced.kept
+                if (scenario.cluster, scenario.role) == (label, role)
+            ]
             if members:
                 axis.scatter(
                     *place(members).T, c=colour, marker=marker, s=size, edgecolors="black", linewidths=0.6,
                     label=f"{role}, {name}",
                 )  # fmt: skip
-    for one, k in zip((axis.xaxis, axis.yaxis, *([axis.zaxis] if solid else [])), chosen, strict=False):
-        set_axis(one, parameters[k])
+    for panel_axis, k in zip((axis.xaxis, axis.yaxis, *([axis.zaxis] if is_3d else [])), chosen, strict=False):
+        set_axis(panel_axis, parameters[k])
     axis.legend(loc="center left", bbox_to_anchor=(1.05, 0.5), frameon=False)
     return figure

@@ -1,4 +1,4 @@
-"""Figures of courses, scores and distances."""
+"""Figures of courses, coverage, sensitivities and Pareto fronts."""
 
 from __future__ import annotations
 
@@ -22,43 +22,24 @@ def draw_courses(
     metric: Metric,
     names: Mapping[int, str] | None = None,
 ) -> Figure:
-    """Draw the course of a metric over time for each cluster: median, and the band from 10th to 90th percentile.
-
-    Parameters
-    ----------
-    time : sequence of ndarray of float64, each (T_i,)
-        In s.
-    values : sequence of ndarray of float32, each (T_i,)
-        Capped courses.
-    labels : ndarray of int64, shape (n,)
-        Cluster of each scenario; -1 is noise.
-    metric : Metric
-        Says what is critical.
-    names : mapping of int to str, optional
-        What clusters are called.
-
-    Returns
-    -------
-    Figure
-        One line and one band for each cluster.
-    """
+    """Draw a metric's course over time per cluster: median, and the band from the 10th to the 90th percentile."""
     figure = Figure(figsize=(11.0, 3.8), layout="constrained")
     axis = figure.add_subplot()
     longest = max(time, key=len)
     table = np.full((len(values), len(longest)), np.nan)
     for row, course in zip(table, values, strict=True):
         row[: len(course)] = course
-    for label in [one for one in np.unique(labels).tolist() if one >= 0]:
+    for label in [cluster for cluster in np.unique(labels).tolist() if cluster >= 0]:
         colour, _, name = look_of(label, names)
         rows = table[labels == label]
-        there = np.isfinite(rows).sum(axis=0) >= max(1, len(rows) // 2)
-        low, middle, high = np.nanpercentile(rows[:, there], (10, 50, 90), axis=0)
-        axis.fill_between(longest[there], low, high, color=colour, alpha=0.18, linewidth=0)
+        is_covered = np.isfinite(rows).sum(axis=0) >= max(1, len(rows) // 2)
+        low, median, high = np.nanpercentile(rows[:, is_covered], (10, 50, 90), axis=0)
+        axis.fill_between(longest[is_covered], low, high, color=colour, alpha=0.18, linewidth=0)
         style = ("-", "--", "-.", ":")[label % 4]
-        axis.plot(longest[there], middle, style, color=colour, label=name, linewidth=1.8)
+        axis.plot(longest[is_covered], median, style, color=colour, label=name, linewidth=1.8)
     axis.set_xlabel("time [s]")
     axis.set_ylabel(f"{metric.name} [{metric.unit}]")
-    # Where all scenarios are noise, there is no cluster to name.
+    # No legend if all scenarios are noise.
     if axis.get_legend_handles_labels()[0]:
         axis.legend(loc="center left", bbox_to_anchor=(1.01, 0.5), frameon=False)
     axis.grid(alpha=0.3)
@@ -66,40 +47,30 @@ def draw_courses(
 
 
 def draw_coverage(curves: Mapping[str, tuple[Gaps, BoolArray]], units: Sequence[str]) -> Figure:
-    """Draw the share of the scenarios that have a kept one within a distance, over the distance.
+    """Draw the share of scenarios within a distance of the reduced set, one panel per aspect.
 
-    Parameters
-    ----------
-    curves : mapping of str to (Gaps, ndarray of bool, shape (n,))
-        By aspect, what the kept scenarios leave out, and a mask of the critical scenarios.
-    units : sequence of str
-        Of each aspect's distance.
-
-    Returns
-    -------
-    Figure
-        One panel for each aspect.
+    `curves` holds per aspect the gaps and the mask of critical scenarios; `units` the units of the distances.
     """
     columns = min(3, len(curves))
     rows = -(-len(curves) // columns)
     figure = Figure(figsize=(4.4 * columns + 1.8, 3.4 * rows), layout="constrained")
     axes = figure.subplots(rows, columns, squeeze=False).ravel()
-    for axis, (name, (found, critical)), unit in zip(axes, curves.items(), units, strict=False):
+    for axis, (name, (coverage, critical)), unit in zip(axes, curves.items(), units, strict=False):
         farthest = max(
-            float(found.kept.max()), float(found.medoids.max()), float(np.quantile(found.random, 0.99)), 1e-9
+            float(coverage.kept.max()), float(coverage.medoids.max()), float(np.quantile(coverage.random, 0.99)), 1e-9
         )
         reach = np.linspace(0.0, 1.05 * farthest, 300)
 
         def share(gaps: FloatArray, reach: FloatArray = reach) -> FloatArray:
             return np.asarray(np.searchsorted(np.sort(gaps), reach, side="right") / max(len(gaps), 1))
 
-        band = np.quantile([share(one) for one in found.random], (0.05, 0.95), axis=0)
+        band = np.quantile([share(distances) for distances in coverage.random], (0.05, 0.95), axis=0)
         axis.fill_between(reach, *(100.0 * band), color=GREY, alpha=0.35, linewidth=0, label="random choices")
-        axis.plot(reach, 100.0 * share(found.medoids), ":", color=COLOURS[6], linewidth=1.6, label="k-medoids")
-        axis.plot(reach, 100.0 * share(found.kept), color=COLOURS[0], linewidth=2.0, label="kept")
+        axis.plot(reach, 100.0 * share(coverage.medoids), ":", color=COLOURS[6], linewidth=1.6, label="k-medoids")
+        axis.plot(reach, 100.0 * share(coverage.kept), color=COLOURS[0], linewidth=2.0, label="kept")
         if critical.any():
             axis.plot(
-                reach, 100.0 * share(found.kept[critical]), "--", color=COLOURS[1], linewidth=2.0,
+                reach, 100.0 * share(coverage.kept[critical]), "--", color=COLOURS[1], linewidth=2.0,
                 label="kept, of the critical ones",
             )  # fmt: skip
         axis.set_title(name)
@@ -115,27 +86,17 @@ def draw_coverage(curves: Mapping[str, tuple[Gaps, BoolArray]], units: Sequence[
 
 
 def draw_sensitivities(found: Sensitivity) -> Figure:
-    """Draw the share of the score's variance that each parameter explains, alone and with the others.
-
-    Parameters
-    ----------
-    found : Sensitivity
-
-    Returns
-    -------
-    Figure
-        Two bars for each parameter, with lines for their intervals.
-    """
+    """Draw the share of the score's variance per parameter, alone and in total, with intervals."""
     figure = Figure(figsize=(8.0, 1.2 + 0.5 * len(found.names)), layout="constrained")
     axis = figure.add_subplot()
-    place = np.arange(len(found.names))
-    axis.barh(place - 0.2, found.total, 0.38, color=COLOURS[0], label="with all others (total)")
+    positions = np.arange(len(found.names))
+    axis.barh(positions - 0.2, found.total, 0.38, color=COLOURS[0], label="with all others (total)")
     axis.barh(
-        place + 0.2, found.first, 0.38, color=COLOURS[4], hatch="//", edgecolor="white", label="alone (first order)"
+        positions + 0.2, found.first, 0.38, color=COLOURS[4], hatch="//", edgecolor="white", label="alone (first order)"
     )
-    for at, intervals in ((place - 0.2, found.total_interval), (place + 0.2, found.first_interval)):
-        axis.hlines(at, *np.transpose(intervals), color="black", linewidth=1.2)
-    axis.set_yticks(place, [shorten(name) for name in found.names])
+    for height, intervals in ((positions - 0.2, found.total_interval), (positions + 0.2, found.first_interval)):
+        axis.hlines(height, *np.transpose(intervals), color="black", linewidth=1.2)
+    axis.set_yticks(positions, [shorten(name) for name in found.names])
     axis.invert_yaxis()
     axis.set_xlim(0.0, 1.0)
     axis.set_xlabel("share of the variance of the score [1]")
@@ -144,22 +105,7 @@ def draw_sensitivities(found: Sensitivity) -> Figure:
 
 
 def draw_front(scores: Sequence[FloatArray], metrics: Sequence[Metric], chosen: IntArray) -> Figure:
-    """Draw the scores of each pair of metrics, with the Pareto front.
-
-    Parameters
-    ----------
-    scores : sequence of ndarray of float64, each (n,)
-        By metric, in its unit.
-    metrics : sequence of Metric, length k
-        Those of the scores.
-    chosen : ndarray of int64, shape (m,)
-        Rows of the scenarios on the front.
-
-    Returns
-    -------
-    Figure
-        One panel for each pair.
-    """
+    """Draw the scores of up to six pairs of metrics with the Pareto front, whose rows are `chosen`."""
     pairs = list(combinations(range(len(metrics)), 2))[:6]
     figure = Figure(figsize=(5.0 * min(3, len(pairs)) + 1.6, 4.2 * -(-len(pairs) // 3)), layout="constrained")
     for axis, (i, j) in zip(figure.subplots(-(-len(pairs) // 3), min(3, len(pairs)), squeeze=False).ravel(), pairs,

@@ -1,4 +1,4 @@
-"""Who may ask the server of a live page: those who know its token, by its own address."""
+"""Authentication of requests to the live server: token and address."""
 
 from __future__ import annotations
 
@@ -25,16 +25,9 @@ _HEADERS: Final = (
 
 
 class Guard:
-    """Lets requests through that know the token, and come by an address of this machine.
+    """ASGI middleware that only passes requests with the token and an address of this machine as host.
 
-    Parameters
-    ----------
-    app : callable
-        What answers them, as ASGI.
-    token : str
-        That each request has to name.
-    policy : str
-        Content security policy of each answer.
+    `policy` is the content security policy sent with every response.
     """
 
     def __init__(self, app: _App, token: str, policy: str) -> None:
@@ -43,13 +36,7 @@ class Guard:
         self._headers = [*_HEADERS, (b"content-security-policy", policy.encode())]
 
     async def __call__(self, scope: _Scope, receive: _Receive, send: _Send) -> None:
-        """Answer a request.
-
-        Parameters
-        ----------
-        scope, receive, send
-            As ASGI has them.
-        """
+        """Handle an ASGI request."""
         if scope["type"] != "http":
             await self._app(scope, receive, send)
             return
@@ -74,20 +61,20 @@ class Guard:
             query = parse_qs(scope["query_string"].decode("latin-1"), max_num_fields=_MOST_FIELDS)
         except ValueError:
             query = {}
-        given = query.get("token", [""])[-1].encode("utf-8", "replace")
-        if secrets.compare_digest(given, self._token):
+        token = query.get("token", [""])[-1].encode("utf-8", "replace")
+        if secrets.compare_digest(token, self._token):
             return None
-        return "The address lacks the token; open the one that `cornercase watch` printed."
+        return "The address lacks the token; open the address that `cornercase watch` printed."
 
 
 def _refused(headers: dict[bytes, str]) -> str | None:
     host = headers.get(b"host", "")
-    # A page of somewhere else can make its own name stand for this machine, but never an address.
+    # DNS rebinding: another site can point its name to this machine, but cannot use an IP address.
     if not _is_here(host):
-        return "Open the page by the address that `cornercase watch` printed, not by a name of the machine."
+        return "Open the address that `cornercase watch` printed, not a host name of the machine."
     origin = headers.get(b"origin")
     if origin is not None and origin != f"http://{host}":
-        return "Another page has no business here."
+        return "Requests from other pages are not allowed."
     return None
 
 

@@ -1,4 +1,4 @@
-"""What the page shows of one scenario, read as soon as it has ended."""
+"""Digest of one scenario for the live page, read as soon as it has ended."""
 
 from __future__ import annotations
 
@@ -18,67 +18,36 @@ from cornercase.study import Row, Study, StudyMeta
 
 @dataclass(frozen=True, eq=False)
 class Digest:
-    """What the page shows of one scenario by itself.
-
-    Attributes
-    ----------
-    row : Row
-    scores : mapping of str to float
-        By metric; empty where it failed.
-    critical, collides : bool
-        Whether it is critical, and whether the ego collides with whom it is measured against.
-    span : tuple of float
-        When its recording begins and ends, in s.
-    courses : mapping of str to ndarray of float64, shape (P,)
-        Capped courses by metric, at evenly spread times.
-    against : mapping of str to (str or None)
-        By metric, whom of several others the score is against; empty where there is one.
-    """
+    """What the live page shows of one scenario."""
 
     row: Row
-    scores: dict[str, float]
+    scores: dict[str, float]  # by metric; empty if the scenario failed
     critical: bool
-    collides: bool
-    span: tuple[float, float]
-    courses: dict[str, FloatArray]
+    collides: bool  # with an entity the ego is measured against
+    span: tuple[float, float]  # begin and end of the recording in s
+    courses: dict[str, FloatArray]  # resampled courses by metric, shape (COURSE_POINTS,)
     against: dict[str, str | None] = field(default_factory=dict)
 
 
 class Digester:
-    """Reads digests from a study.
-
-    Parameters
-    ----------
-    study : Study
-        Open.
-    """
+    """Reads digests from an open study."""
 
     def __init__(self, study: Study) -> None:
         self._study = study
         self._objective = Objective.of_study(study.meta)
 
     def read(self, row: Row) -> Digest:
-        """Read the digest of a scenario.
-
-        Parameters
-        ----------
-        row : Row
-            Of a scenario that has ended.
-
-        Returns
-        -------
-        Digest
-        """
+        """Read the digest of a scenario that has ended."""
         if row.state == "failed":
             return Digest(row, {}, False, False, (0.0, 0.0), {})
         study, meta = self._study, self._study.meta
         recording, scores = study.recording(row.id), study.scores_of(row.id)
         time = recording.time
         courses = {
-            one.name: draw_course(
-                time, one.capped(study.course(row.id, one.name)).astype(np.float32), one.lower_is_critical
+            metric.name: draw_course(
+                time, metric.capped(study.course(row.id, metric.name)).astype(np.float32), metric.lower_is_critical
             )
-            for one in self._objective.metrics
+            for metric in self._objective.metrics
         }
         return Digest(
             row,
@@ -91,29 +60,16 @@ class Digester:
         )
 
     def _is_critical(self, scores: dict[str, float]) -> bool:
-        every = np.array([[scores[one.name] for one in self._objective.metrics]])
-        return bool(self._objective.critical(every, self._study.meta.critical)[0])
+        scores_row = np.array([[scores[metric.name] for metric in self._objective.metrics]])
+        return bool(self._objective.critical(scores_row, self._study.meta.critical)[0])
 
 
 def tell_scenarios(meta: StudyMeta, digests: Sequence[Digest]) -> dict[str, Any]:
-    """Put digests into the columns of the page, without what only an analysis knows.
-
-    Parameters
-    ----------
-    meta : StudyMeta
-        What the study is about.
-    digests : sequence of Digest
-        In the order of the page's rows.
-
-    Returns
-    -------
-    dict of str to object
-        ``scenarios`` and ``errors`` as in `cornercase.report.contents.page_contents`.
-    """
-    rows = [one.row for one in digests]
+    """Return digests as the columns ``scenarios`` and ``errors`` of the page, without results of an analysis."""
+    rows = [digest.row for digest in digests]
 
     def scores(name: str) -> list[float | None]:
-        return [plain_score(one.scores[name]) if name in one.scores else None for one in digests]
+        return [plain_score(digest.scores[name]) if name in digest.scores else None for digest in digests]
 
     return {
         "scenarios": {
@@ -122,35 +78,22 @@ def tell_scenarios(meta: StudyMeta, digests: Sequence[Digest]) -> dict[str, Any]
             "failed": [int(row.state == "failed") for row in rows],
             "values": plain_values(meta.space.parameters, rows),
             "scores": {name: scores(name) for name in meta.metrics},
-            "critical": [int(one.critical) for one in digests],
-            "collides": [int(one.collides) if one.scores else None for one in digests],
+            "critical": [int(digest.critical) for digest in digests],
+            "collides": [int(digest.collides) if digest.scores else None for digest in digests],
             "outcome": [None] * len(rows),
             "kept": [0] * len(rows),
             "audit": [int(meta.is_audit(row.id)) for row in rows],
         }
         | tell_against(
-            meta, [[one.against.get(name) for name in meta.metrics] if one.scores else None for one in digests]
+            meta, [[digest.against.get(name) for name in meta.metrics] if digest.scores else None for digest in digests]
         ),
         "errors": {str(row.id): row.error or "" for row in rows if row.state == "failed"},
     }
 
 
 def tell_courses(meta: StudyMeta, digests: Sequence[Digest]) -> dict[str, Any]:
-    """Put the courses of digests into the page's form.
-
-    Parameters
-    ----------
-    meta : StudyMeta
-        What the study is about.
-    digests : sequence of Digest
-        In the order of the page's rows.
-
-    Returns
-    -------
-    dict of str to object
-        By metric, as ``courses`` in `cornercase.report.contents.page_contents`.
-    """
+    """Return the courses of digests, by metric, in the form of the page."""
     return {
-        name: pack_courses([one.courses.get(name) for one in digests], [one.span for one in digests])
+        name: pack_courses([digest.courses.get(name) for digest in digests], [digest.span for digest in digests])
         for name in meta.metrics
     }

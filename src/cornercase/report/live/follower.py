@@ -1,4 +1,4 @@
-"""Following a study that others write: each scenario that has ended is read once."""
+"""Follow a study that another process writes; each scenario that has ended is read once."""
 
 from __future__ import annotations
 
@@ -14,36 +14,24 @@ from cornercase._common.errors import InputError
 from cornercase.report.live.digests import Digest, Digester
 from cornercase.study import Study, StudyMeta
 
-# s between two looks at the study.
+# Seconds between two polls of the study.
 _PAUSE: Final = 0.25
-# s more before a study is looked at again that could not be read.
+# Additional seconds before an unreadable study is polled again.
 _AFTER_TROUBLE: Final = 1.0
-# Scenarios that are read before what was read is shown.
+# Scenarios that are read before they are shown.
 _AT_ONCE: Final = 100
 
 
 @dataclass(frozen=True)
 class State:
-    """How far the study is.
-
-    Attributes
-    ----------
-    name : {"waiting", "live"}
-        It is waited for a study, or one is followed.
-    why : str
-        What is waited for, in a sentence.
-    run, failed, pending : int
-        Number of scenarios.
-    last : float or None
-        When the last scenario came in, in s since 1970; None before one came while the study was followed.
-    """
+    """Progress of the study."""
 
     name: Literal["waiting", "live"] = "waiting"
-    why: str = ""
+    why: str = ""  # what is waited for, as a sentence
     run: int = 0
     failed: int = 0
     pending: int = 0
-    last: float | None = None
+    last: float | None = None  # time of the last new scenario, in s since 1970; None before one arrived
 
     @property
     def ended(self) -> int:
@@ -52,22 +40,9 @@ class State:
 
 
 class Follower:
-    """Follows a study, in a thread of its own.
+    """Follows a study in a background thread, even if it appears later, is replaced, or its writer restarts.
 
-    The study may come, grow, be replaced, or go; whoever writes it may be killed and started again.
-
-    Parameters
-    ----------
-    path : Path
-        Where the study is, or will be.
-
-    Attributes
-    ----------
-    state : State
-    changes : int
-        Grows with each thing that is written to the study.
-    notes : dict of int to str
-        By id.
+    Attributes: `state`; `changes`, a counter of changes to the study; `notes` by scenario id.
     """
 
     def __init__(self, path: Path) -> None:
@@ -85,54 +60,29 @@ class Follower:
         self._reset()
 
     def start(self) -> None:
-        """Begin to follow."""
+        """Start following."""
         self._thread.start()
 
     def stop(self) -> None:
-        """Follow no longer."""
+        """Stop following."""
         self._end.set()
         if self._thread.is_alive():
             self._thread.join(timeout=5.0)
 
     @property
     def epoch(self) -> str:
-        """Which study is followed: another text after it was replaced, or begun anew."""
+        """Identifier of the followed study; changes when the study is replaced or starts again."""
         return f"{self._server}-{self._generation}"
 
     def known(self) -> tuple[str, StudyMeta | None, list[Digest], State]:
-        """Give what was read so far.
-
-        Returns
-        -------
-        epoch : str
-        meta : StudyMeta or None
-            None while there is no study.
-        digests : list of Digest
-            In the order in which they were read.
-        state : State
-            That counts them.
-        """
+        """Return epoch, meta (None without a study), digests in read order, and the state that counts them."""
         with self._lock:
             return self.epoch, self._meta, list(self._digests), self.state
 
     def since(self, epoch: str, count: int, most: int = _AT_ONCE) -> tuple[Sequence[Digest], State | None] | None:
-        """Give what was read after the first scenarios.
+        """Return up to `most` digests after the first `count`, with the state if these are all.
 
-        Parameters
-        ----------
-        epoch : str
-            Which study they are of.
-        count : int
-            How many are known already.
-        most : int, default 100
-            How many are given at most.
-
-        Returns
-        -------
-        digests : sequence of Digest
-        state : State or None
-            That counts them and those that are known already; None where more were read. None is returned where the
-            study is another one by now.
+        None if `epoch` is over.
         """
         with self._lock:
             if epoch != self.epoch:
@@ -158,7 +108,7 @@ class Follower:
             try:
                 study = self._look(study)
             except (InputError, OSError) as error:
-                # It may be half copied, or of another version; it may be whole the next time.
+                # It may be half copied, and complete the next time.
                 self._lose(study, str(error))
                 study = None
                 self._end.wait(_AFTER_TROUBLE)
@@ -175,7 +125,7 @@ class Follower:
             self.state = State(why=why)
 
     def _look(self, study: Study | None) -> Study | None:
-        """Read what is new in the study, and give it; None where it has to be opened again."""
+        """Read what is new in the study and return it; None if it must be opened again."""
         stamp = _stamp(self.path)
         if stamp is None:
             self._lose(study, f"{self.path.name} is not there yet.")
@@ -190,10 +140,10 @@ class Follower:
             self._stamp, self._seen = stamp, -1
             with self._lock:
                 self._meta = study.meta
-        seen = study.changes()
-        if seen is not None and seen == self._seen:
+        version = study.changes()
+        if version is not None and version == self._seen:
             return study
-        self._seen = seen
+        self._seen = version
         if not self._read(study):
             study.close()
             return None
@@ -201,18 +151,18 @@ class Follower:
         return study
 
     def _read(self, study: Study) -> bool:
-        """Read what is new; False where the study has become another one."""
+        """Read new scenarios; return False if the study has become a different one."""
         with study.snapshot():
-            same = study.stored_meta() == study.meta
+            is_same_meta = study.stored_meta() == study.meta
             rows = study.rows_from(min(self._pending, default=self._next))
             is_cleared = self._next > 1 and not study.rows_from(self._next - 1)
             notes = study.notes()
-            # Scenarios that failed may be run again.
+            # Failed scenarios may be run again.
             failed = {row.id: row.error for row in study.failed()} if self._failed else {}
         if is_cleared or not self._failed.items() <= failed.items():
             self._reset()
             return False
-        if not same:
+        if not is_same_meta:
             return False
         ended = [row for row in rows if row.state != "pending" and (row.id >= self._next or row.id in self._pending)]
         pending = {row.id for row in rows if row.state == "pending"}
@@ -223,16 +173,16 @@ class Follower:
         for k in range(0, len(ended), _AT_ONCE):
             if self._end.is_set():
                 return True
-            read = [digester.read(row) for row in ended[k : k + _AT_ONCE]]
-            self._count(read, len(pending), None if is_first else time.time())
+            digests = [digester.read(row) for row in ended[k : k + _AT_ONCE]]
+            self._count(digests, len(pending), None if is_first else time.time())
         self._next = max(self._next, max((row.id for row in rows), default=0) + 1)
         self._pending = pending
         self._count((), len(pending), self.state.last)
         return True
 
     def _count(self, read: Sequence[Digest], pending: int, last: float | None) -> None:
-        """Take up what was read, and count it in the same moment."""
-        self._failed |= {one.row.id: one.row.error for one in read if one.row.state == "failed"}
+        """Add digests and update the state under one lock."""
+        self._failed |= {digest.row.id: digest.row.error for digest in read if digest.row.state == "failed"}
         failed = len(self._failed)
         with self._lock:
             self._digests += read
@@ -240,14 +190,14 @@ class Follower:
 
 
 def _are_alike(one: StudyMeta, other: StudyMeta) -> bool:
-    # A search that goes on may have another budget.
+    # A resumed search may have a different budget.
     return replace(one, budget=0) == replace(other, budget=0)
 
 
 def _stamp(path: Path) -> tuple[tuple[int, int], int, int] | None:
-    """Tell a file from another of the same name, and whether it was written; None where there is none."""
+    """Return device and inode, modification time and size of a file; None if it does not exist."""
     try:
-        found = path.stat()
+        status = path.stat()
     except OSError:
         return None
-    return (found.st_dev, found.st_ino), found.st_mtime_ns, found.st_size
+    return (status.st_dev, status.st_ino), status.st_mtime_ns, status.st_size

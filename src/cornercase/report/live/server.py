@@ -1,4 +1,4 @@
-"""What the server of a live page answers."""
+"""HTTP server of the live page."""
 
 from __future__ import annotations
 
@@ -25,12 +25,10 @@ from cornercase.report.page import POLICY, fill_frame
 from cornercase.report.rerun import why_kept, write_one
 from cornercase.study import LONGEST_NOTE, Study, explored_scenario, write_note
 
-# s between two looks at whether there is something to tell, and between signs that the server is there.
+# Seconds between two polls for events, and between heartbeats.
 _PAUSE: Final = 0.1
 _HEARTBEAT: Final = 10.0
-# Digits of an id.
 _DIGITS: Final = 18
-# Bytes of a note in UTF-8.
 _LONGEST_BODY: Final = 4 * LONGEST_NOTE + 64
 _POLICY: Final = f"{POLICY}; frame-ancestors 'none'; base-uri 'none'; form-action 'none'"
 
@@ -55,20 +53,20 @@ class _Answers:
     async def _stream(self, cursor: Cursor) -> AsyncIterator[str]:
         write = self._teller.write_events(cursor)
         yield "retry: 1000\n\n"
-        last = time.monotonic()
+        last_sent = time.monotonic()
         while not self._is_ending():
             news = await run_in_threadpool(lambda: "".join(write()))
-            if not news and time.monotonic() - last > _HEARTBEAT:
+            if not news and time.monotonic() - last_sent > _HEARTBEAT:
                 news = ": still here\n\n"
             if news:
-                last = time.monotonic()
+                last_sent = time.monotonic()
                 yield news
             await asyncio.sleep(_PAUSE)
 
     def _require_same(self, request: Request) -> None:
-        asked = request.query_params.get("epoch")
-        if asked is not None and asked != self._teller.follower.epoch:
-            raise InputError("Another study has taken its place.")
+        epoch = request.query_params.get("epoch")
+        if epoch is not None and epoch != self._teller.follower.epoch:
+            raise InputError("The study was replaced by another one.")
 
     def recording(self, request: Request) -> Response:
         self._require_same(request)
@@ -113,25 +111,9 @@ class _Answers:
 
 
 def make_app(path: Path, teller: Teller, token: str, scenario: Path | None, is_ending: Callable[[], bool]) -> Any:
-    """Make what answers the requests of a live page.
+    """Return the ASGI application that serves the live page of the study at `path`.
 
-    Parameters
-    ----------
-    path : Path
-        Of the study.
-    teller : Teller
-        Knows what is to be last.
-    token : str
-        That each request has to name.
-    scenario : Path or None
-        Scenario that was explored; None where it is looked for.
-    is_ending : callable
-        Says whether the server ends.
-
-    Returns
-    -------
-    callable
-        An application as ASGI has them.
+    Every request must contain `token`; `is_ending` returns whether the server shuts down.
     """
     answers = _Answers(path, teller, scenario, is_ending)
     app = Starlette(
@@ -155,9 +137,9 @@ async def _tell_error(request: Request, error: Exception) -> Response:
 
 def _id(request: Request) -> int:
     text = request.path_params["id"]
-    # Numbers of any length take Python any time.
+    # Limited in length, as parsing very long numbers is slow.
     if not (text.isascii() and text.isdecimal() and len(text) <= _DIGITS):
-        raise InputError("Scenarios are named by their numbers.")
+        raise InputError("A scenario id is a number.")
     return int(text)
 
 

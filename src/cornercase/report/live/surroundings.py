@@ -1,4 +1,4 @@
-"""The road around the scenarios of a study that grows, and how one of them is run again."""
+"""Road and re-run information of the live page."""
 
 from __future__ import annotations
 
@@ -12,18 +12,12 @@ from cornercase.report.roads import find_roads, is_of_map, pack_roads
 from cornercase.roads import Region
 from cornercase.study import Study
 
-# m that the road is drawn further than it has to be, so that it is not drawn anew for each scenario.
+# Additional margin in m, so that the road is not redrawn for each scenario.
 _MORE: Final = 60.0
 
 
 class Surroundings:
-    """Draws the road when it has to: at first, and when scenarios leave what was drawn.
-
-    Parameters
-    ----------
-    scenario : Path or None
-        Scenario that was explored; None where it is looked for.
-    """
+    """Caches the road drawing and redraws it only if scenarios leave the drawn region."""
 
     def __init__(self, scenario: Path | None) -> None:
         self._scenario = scenario
@@ -33,20 +27,7 @@ class Surroundings:
         self._said: set[str] = set()
 
     def of(self, study: Study, data: ReportData) -> dict[str, Any]:
-        """Give the road and how a scenario is run again.
-
-        Parameters
-        ----------
-        study : Study
-            Open.
-        data : ReportData
-            What is known of it.
-
-        Returns
-        -------
-        dict of str to object
-            ``roads``, ``roads_missing`` and ``rerun`` of the page's contents.
-        """
+        """Return ``roads``, ``roads_missing`` and ``rerun`` of the page's contents."""
         new, old = data.region, self._region
         is_known = study.meta.fingerprint == self._fingerprint and bool(self._roads.get("roads"))
         if not is_known or not _holds(old, new):

@@ -1,4 +1,4 @@
-"""What a live page is told: its contents at a moment, and what happens from then on."""
+"""Contents and events of the live page."""
 
 from __future__ import annotations
 
@@ -16,77 +16,47 @@ from cornercase.report.live.knowing import Finder, Knowledge
 from cornercase.report.words import tell_roles
 from cornercase.study import StudyMeta
 
-# What is not told with the rest of what is known: it comes with all contents, or by itself.
+# Sent with all contents or as separate events, not with the analysis.
 _APART: Final = ("kinds", "outcomes", "kept", "notes", "roads", "rerun")
 
 
 @dataclass(frozen=True)
 class Cursor:
-    """How far a page knows the study.
+    """How much of the study a page has received."""
 
-    Attributes
-    ----------
-    epoch : str
-        Which study, as `Follower.epoch`.
-    count : int
-        How many scenarios, in the order in which they were read.
-    knowledge, layout : int
-        Numbers of what it knows of all of them.
-    """
-
-    epoch: str = ""
-    count: int = 0
-    knowledge: int = 0
-    layout: int = 0
+    epoch: str = ""  # study, as `StudyFollower.epoch`
+    count: int = 0  # number of scenarios, in read order
+    knowledge: int = 0  # revision of the analysis
+    layout: int = 0  # layout revision of the analysis
 
     def __str__(self) -> str:
         return f"{self.epoch}.{self.count}.{self.knowledge}.{self.layout}"
 
     @classmethod
     def of(cls, text: str) -> Cursor:
-        """Read what `str` gave.
-
-        Parameters
-        ----------
-        text : str
-
-        Returns
-        -------
-        Cursor
-            One that knows nothing where it is another text.
-        """
+        """Parse the output of `str`; an empty cursor for any other text."""
         parts = text[:100].split(".")
-        if len(parts) != 4 or not all(one.isascii() and one.isdecimal() for one in parts[1:]):
+        if len(parts) != 4 or not all(number.isascii() and number.isdecimal() for number in parts[1:]):
             return cls()
-        return cls(parts[0], *(int(one) for one in parts[1:]))
+        return cls(parts[0], *(int(number) for number in parts[1:]))
 
 
 class Teller:
-    """Tells pages what is known.
-
-    Parameters
-    ----------
-    follower : Follower
-    finder : Finder
-    """
+    """Creates the contents and events of live pages from the follower and the analysis worker."""
 
     def __init__(self, follower: Follower, finder: Finder) -> None:
         self.follower = follower
         self._finder = finder
 
     def contents(self) -> dict[str, Any]:
-        """Give everything that the page shows by now, but the recordings.
+        """Return all contents of the page except recordings, with the progress in ``live``.
 
-        Returns
-        -------
-        dict of str to object
-            As `cornercase.report.contents.page_contents`, with ``live``: how far this is. Only that while no scenario
-            has ended.
+        Only ``live`` while no scenario has ended.
         """
-        # In this order, so that nothing is known of scenarios that are not there.
-        known = self._finder.known
+        # In this order, so that the analysis never covers scenarios that are not in the contents.
+        analysis = self._finder.known
         epoch, meta, digests, state = self.follower.known()
-        knowledge = known.of(epoch)
+        knowledge = analysis.of(epoch)
         live = {"cursor": str(Cursor(epoch, len(digests), knowledge.number, knowledge.layout))} | asdict(state)
         if meta is None or not digests:
             return {"live": live}
@@ -98,48 +68,28 @@ class Teller:
         return contents | {"recordings": {}, "live": live}
 
     def state(self) -> dict[str, Any]:
-        """Tell how far the study is.
-
-        Returns
-        -------
-        dict of str to object
-            The fields of `cornercase.report.live.follower.State`.
-        """
+        """Return the fields of the follower's state."""
         return asdict(self.follower.state)
 
     def news(self, cursor: Cursor, shown: Mapping[str, Any] | None = None) -> tuple[Cursor, str, Any] | None:
-        """Tell the next thing that a page does not know.
+        """Return the next event for a page: new cursor, event name, data; None if there is nothing new.
 
-        Parameters
-        ----------
-        cursor : Cursor
-            How far it knows the study.
-        shown : mapping of str to object, optional
-            The last state that it was told.
-
-        Returns
-        -------
-        cursor : Cursor
-            How far it knows the study then.
-        event : {"contents", "scenarios", "knowledge", "state"}
-            Of the first, everything has to be asked for again. The last counts what the page was told by then.
-        data : object
-            Plain values; scenarios come with ``state``, which counts them, or is None where more follow at once.
-            None is returned where there is nothing new.
+        ``contents``: reload everything; ``scenarios``: new digests, with ``state`` if complete; ``knowledge``: new
+        analysis; ``state``: progress that differs from `shown`, the last one sent.
         """
-        known = self._finder.known
+        analysis = self._finder.known
         epoch, meta, digests, _ = self.follower.known()
-        knowledge = known.of(epoch)
-        since = self.follower.since(cursor.epoch, cursor.count)
-        if since is None or cursor.layout != knowledge.layout:
+        knowledge = analysis.of(epoch)
+        update = self.follower.since(cursor.epoch, cursor.count)
+        if update is None or cursor.layout != knowledge.layout:
             return Cursor(epoch, len(digests), knowledge.number, knowledge.layout), "contents", None
-        some, state = since
-        if some and meta is not None:
-            courses = {name: [_rounded(one.courses.get(name)) for one in some] for name in meta.metrics}
-            spans = [one.span for one in some]
-            counted = None if state is None else asdict(state)
-            columns = tell_scenarios(meta, some) | {"courses": courses, "spans": spans, "state": counted}
-            return Cursor(epoch, cursor.count + len(some), cursor.knowledge, cursor.layout), "scenarios", columns
+        new_digests, state = update
+        if new_digests and meta is not None:
+            courses = {name: [_rounded(digest.courses.get(name)) for digest in new_digests] for name in meta.metrics}
+            spans = [digest.span for digest in new_digests]
+            progress = None if state is None else asdict(state)
+            columns = tell_scenarios(meta, new_digests) | {"courses": courses, "spans": spans, "state": progress}
+            return Cursor(epoch, cursor.count + len(new_digests), cursor.knowledge, cursor.layout), "scenarios", columns
         if cursor.knowledge != knowledge.number:
             parts = {name: value for name, value in knowledge.parts.items() if name not in _APART}
             return Cursor(epoch, cursor.count, knowledge.number, knowledge.layout), "knowledge", parts
@@ -148,25 +98,14 @@ class Teller:
         return None
 
     def write_events(self, cursor: Cursor) -> Callable[[], Iterator[str]]:
-        """Give a function that writes what has happened since its last call, as server-sent events.
-
-        Parameters
-        ----------
-        cursor : Cursor
-            How far the page knows the study.
-
-        Returns
-        -------
-        callable
-            Gives the events as text.
-        """
+        """Return a function that yields the server-sent events since its last call."""
         shown_state: dict[str, Any] | None = None
         shown_notes: dict[int, str] | None = None
 
         def write() -> Iterator[str]:
             nonlocal cursor, shown_state, shown_notes
-            while (found := self.news(cursor, shown_state)) is not None:
-                cursor, event, data = found
+            while (news := self.news(cursor, shown_state)) is not None:
+                cursor, event, data = news
                 if event == "state":
                     shown_state = data
                 yield _event(event, data, str(cursor))
@@ -183,47 +122,36 @@ def _event(name: str, data: Any, number: str | None = None) -> str:
 
 
 def _rounded(course: Any) -> list[float] | None:
-    return None if course is None else [float(f"{one:.6g}") for one in course]
+    return None if course is None else [float(f"{value:.6g}") for value in course]
 
 
 def _plain(meta: StudyMeta, path: Path) -> dict[str, Any]:
-    """Give what the page needs before anything is known of all scenarios together."""
+    """Return the contents that are known before any analysis."""
     objective = Objective.of_study(meta)
     critical = None
     if meta.critical is not None and not meta.pareto:
         lower = objective.lower_is_critical
         critical = {"threshold": meta.critical, "lower_is_critical": lower, "unit": objective.unit}
+    influential = list(range(len(meta.space.parameters)))
     return tell_subject(meta, path.name) | {
-        "about": tell_roles(meta),
-        "critical": critical,
-        "default_aspect": None,
-        "influential": list(range(len(meta.space.parameters))),
-        "outcomes": [],
-        "answers": [],
-        "captions": {},
-        "recordings_left_out": "",
-        "roads": None,
-        "roads_missing": "",
-        "rerun": None,
-        "details": [],
-        "provenance": "",
-        "kept": {},
-        "kinds": {},
-    }
+        "about": tell_roles(meta), "critical": critical, "default_aspect": None, "influential": influential,
+        "outcomes": [], "answers": [], "captions": {}, "recordings_left_out": "", "roads": None, "roads_missing": "",
+        "rerun": None, "details": [], "provenance": "", "kept": {}, "kinds": {},
+    }  # fmt: skip
 
 
 def _add_knowledge(contents: dict[str, Any], knowledge: Knowledge) -> None:
-    """Fill the columns of which only an analysis and a reduction know something."""
-    columns, named = contents["scenarios"], contents["outcomes"]
+    """Fill the columns that depend on an analysis or a reduction."""
+    columns, outcomes = contents["scenarios"], contents["outcomes"]
     ids = columns["id"]
-    place = {outcome: k for k, outcome in enumerate(named)}
-    columns["outcome"] = [place.get(knowledge.outcomes.get(one, "")) for one in ids]
-    columns["kept"] = [int(str(one) in contents["kept"]) for one in ids]
+    indices = {outcome: k for k, outcome in enumerate(outcomes)}
+    columns["outcome"] = [indices.get(knowledge.outcomes.get(scenario, "")) for scenario in ids]
+    columns["kept"] = [int(str(scenario) in contents["kept"]) for scenario in ids]
     contents["kinds"] = {
-        name: one
+        name: clusters
         | {
-            "labels": [one["labels"].get(scenario) for scenario in ids],
-            "embedding": [[column.get(scenario) for scenario in ids] for column in one["embedding"]],
+            "labels": [clusters["labels"].get(scenario) for scenario in ids],
+            "embedding": [[column.get(scenario) for scenario in ids] for column in clusters["embedding"]],
         }
-        for name, one in contents["kinds"].items()
+        for name, clusters in contents["kinds"].items()
     }

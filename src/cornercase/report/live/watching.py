@@ -1,4 +1,4 @@
-"""Serving the page of a study while it grows."""
+"""Serve the live page of a study."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from cornercase.report.live.telling import Teller
 from cornercase.study import open_study
 
 _GREATEST_PORT: Final = 65535
-# s that connections are given to end.
+# Seconds that open connections get to finish.
 _GRACE: Final = 2
 _BACKLOG: Final = 100
 
@@ -35,34 +35,40 @@ def watch(
     browser: bool = False,
     tell: Callable[[str], object] = print,
 ) -> None:
-    """Serve the page of a study, and let it grow with it, until it is interrupted.
+    """Serve the report of a study as a live page that grows with it, until interrupted.
 
-    The study is only read, but for notes that are written on the page. It may be made, replaced or go on later.
+    The study is only read, except for notes written on the page. It may be created, replaced or resumed later.
 
     Parameters
     ----------
     study : path
-        The file; it is waited for where there is none yet.
+        File of the study; it need not exist yet.
     port : int, default 0
-        Where the page is served; 0 for one that is free.
+        Port of the page; 0 for a free one.
     host : str, default "127.0.0.1"
-        Address of the interface; any other than the default lets other machines ask, who need the token of the address.
+        Address of the network interface. Any other than the default lets other machines connect; they need the token in
+        the address.
     scenario : path, optional
-        Scenario that was explored, to write concrete ones; by default it is looked for beside the study and in the
+        Scenario that was explored, to write concrete ones; by default it is searched beside the study and in the
         current folder.
     browser : bool, default False
         Open the page in the browser.
     tell : callable, default print
-        Told the address of the page.
+        Called with a sentence that contains the address of the page.
 
     Raises
     ------
     InputError
-        The extra ``live`` is not installed, nothing can be served there, or the file is no study.
+        The extra ``live`` is not installed, the address cannot be served, or the file is not a study.
 
     See Also
     --------
     cornercase.write_report : The same page as a file.
+
+    Examples
+    --------
+    >>> import cornercase as cc
+    >>> cc.watch("study.db", browser=True)  # doctest: +SKIP
     """
     path = arguments.path("study", study)
     if path.exists() and not path.is_file():
@@ -70,7 +76,7 @@ def watch(
     if not path.parent.is_dir():
         raise InputError(f"{path}: there is no folder {path.parent}; make it, or correct the path.")
     if path.exists() and path.stat().st_size:
-        # What is no study will not become one; an empty file may.
+        # An empty file may still become a study; any other file that is not a study may not.
         with open_study(path, readonly=True):
             pass
     file = None if scenario is None else arguments.path("scenario", scenario)
@@ -87,11 +93,13 @@ def watch(
         ) from error
     token = secrets.token_urlsafe(24)
     follower = Follower(path)
-    finder = Finder(follower, file)
+    analysis_worker = Finder(follower, file)
     with _bound(host, number) as listening:
         servers: list[uvicorn.Server] = []
-        app = make_app(path, Teller(follower, finder), token, file, lambda: bool(servers) and servers[0].should_exit)
-        # The log of requests would hold the token.
+        app = make_app(
+            path, Teller(follower, analysis_worker), token, file, lambda: bool(servers) and servers[0].should_exit
+        )
+        # No access log, as it would contain the token.
         config = uvicorn.Config(
             app, log_level="error", access_log=False, timeout_graceful_shutdown=_GRACE, lifespan="off",
             server_header=False, limit_concurrency=100,
@@ -100,18 +108,18 @@ def watch(
         address = _address(listening, token)
         tell(f"The page of {path} is {address}")
         follower.start()
-        finder.start()
+        analysis_worker.start()
         if browser:
-            # The socket listens already, so that the browser waits for the answer.
+            # The socket is already listening, so the browser waits for the response.
             webbrowser.open(address)
         try:
             servers[0].run(sockets=[listening])
         except KeyboardInterrupt:
-            # Ctrl-C is how it ends.
+            # Ctrl-C is the normal way to end it.
             if last_request() != signal.SIGINT:
                 raise
         finally:
-            finder.stop()
+            analysis_worker.stop()
             follower.stop()
 
 
@@ -132,5 +140,5 @@ def _bound(host: str, port: int) -> socket.socket:
 
 def _address(listening: socket.socket, token: str) -> str:
     host, port = listening.getsockname()[:2]
-    shown = {"0.0.0.0": "127.0.0.1", "::": "[::1]"}.get(host, f"[{host}]" if ":" in host else host)
-    return f"http://{shown}:{port}/?token={token}"
+    display_host = {"0.0.0.0": "127.0.0.1", "::": "[::1]"}.get(host, f"[{host}]" if ":" in host else host)
+    return f"http://{display_host}:{port}/?token={token}"

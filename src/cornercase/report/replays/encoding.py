@@ -1,10 +1,10 @@
-"""Films as files."""
+"""Write replay films as GIF and MP4 files."""
 
 from __future__ import annotations
 
 import subprocess
 import tempfile
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
@@ -18,98 +18,48 @@ if TYPE_CHECKING:
     from cornercase.report.replays.film import Frame
 
 _COLOURS: Final = 255
-# How long a film stands still at its end before it begins again, in s.
+# Seconds that the last frame stays.
 _REST: Final = 1.5
-
-Encoder = Callable[[Iterator["Frame"], Path, float], None]
-"""Writes frames to a path, so many for each second."""
 
 
 def gif_rate(fps: float) -> float:
-    """Find the nearest rate of frames that a GIF can have: a frame lasts whole hundredths of a second.
-
-    Parameters
-    ----------
-    fps : float
-        Frames for each second.
-
-    Returns
-    -------
-    float
-        50 at most.
-    """
+    """Return the nearest frame rate a GIF supports (at most 50): frames last whole hundredths of a second."""
     return 100.0 / max(2, round(100.0 / fps))
 
 
 def write_gif(frames: Iterator[Frame], path: Path, fps: float) -> None:
-    """Write a GIF; the same frames give the same bytes.
-
-    Parameters
-    ----------
-    frames : iterator of ndarray of uint8, shape (height, width, 3)
-        Of which the last one stays for a while.
-    path : Path
-        Of the file.
-    fps : float
-        As of `gif_rate`.
-    """
+    """Write frames, shape (height, width, 3), as a GIF at a rate of `gif_rate`; same frames, same bytes."""
     first = Image.fromarray(next(frames)).copy()
-    # One palette for all frames: what does not move keeps its colour.
+    # One palette for all frames, so that static parts keep their colour.
     palette = first.quantize(_COLOURS, method=Image.Quantize.MEDIANCUT, dither=Image.Dither.NONE)
-    waiting = [palette]
+    palettes = [palette]
 
     def pictures() -> Iterator[Image.Image]:
         for frame in frames:
-            yield Image.fromarray(frame).quantize(palette=waiting[0], dither=Image.Dither.NONE)
+            yield Image.fromarray(frame).quantize(palette=palettes[0], dither=Image.Dither.NONE)
 
-    each = round(1000.0 / fps)
-    palette.save(path, format="GIF", save_all=True, append_images=pictures(), duration=each, loop=0, optimize=False)
+    frame_ms = round(1000.0 / fps)
+    palette.save(path, format="GIF", save_all=True, append_images=pictures(), duration=frame_ms, loop=0, optimize=False)
 
 
 def find_ffmpeg() -> str:
-    """Find the program that writes films.
-
-    Returns
-    -------
-    str
-        Path of ffmpeg.
-
-    Raises
-    ------
-    InputError
-        There is none.
-    """
-    found = find_program("ffmpeg")
-    if found is None:
+    """Return the path of ffmpeg; InputError if it is not installed."""
+    program = find_program("ffmpeg")
+    if program is None:
         try:
             from imageio_ffmpeg import get_ffmpeg_exe
 
-            found = str(get_ffmpeg_exe())
+            program = str(get_ffmpeg_exe())
         except (ImportError, RuntimeError):
             raise InputError(
                 "An .mp4 is written by ffmpeg, which is not on the PATH: install it, or `pip install"
                 " 'cornercase[video]'`; .gif and .html need nothing more."
             ) from None
-    return found
+    return program
 
 
 def write_mp4(frames: Iterator[Frame], path: Path, fps: float) -> None:
-    """Write an MP4 that every browser and player shows.
-
-    Parameters
-    ----------
-    frames : iterator of ndarray of uint8, shape (height, width, 3)
-        With even width and height.
-    path : Path
-        Of the file.
-    fps : float
-        Frames for each second.
-
-    Raises
-    ------
-    InputError
-        There is no ffmpeg, or it fails.
-    """
+    """Write frames of even width and height as an MP4 that all browsers play; InputError if ffmpeg fails."""
     program = find_ffmpeg()
     first = next(frames)
     height, width, _ = first.shape
@@ -119,8 +69,8 @@ def write_mp4(frames: Iterator[Frame], path: Path, fps: float) -> None:
         "-c:v", "libx264", "-pix_fmt", "yuv420p", "-crf", "20", "-movflags", "+faststart",
         "-fflags", "+bitexact", "-flags:v", "+bitexact", "-map_metadata", "-1", "-f", "mp4", str(path.resolve()),
     ]  # fmt: skip
-    with tempfile.TemporaryFile() as said:
-        process = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.DEVNULL, stderr=said)
+    with tempfile.TemporaryFile() as error_file:
+        process = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.DEVNULL, stderr=error_file)
         assert process.stdin is not None
         try:
             process.stdin.write(first.tobytes())
@@ -128,17 +78,15 @@ def write_mp4(frames: Iterator[Frame], path: Path, fps: float) -> None:
                 process.stdin.write(frame.tobytes())
             process.stdin.flush()
         except BrokenPipeError:
-            # Why it ended is told below.
-            pass
+            pass  # the error message is read below
         except BaseException:
             process.kill()
             raise
         finally:
-            # What could not be written is lost with it.
             with suppress(BrokenPipeError):
                 process.stdin.close()
             process.wait()
         if process.returncode != 0:
-            said.seek(0)
-            lines = said.read().decode(errors="replace").split("\n")
+            error_file.seek(0)
+            lines = error_file.read().decode(errors="replace").split("\n")
             raise InputError(f"ffmpeg could not write the film: {lines[0].strip() or process.returncode}.")

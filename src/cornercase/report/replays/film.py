@@ -1,4 +1,4 @@
-"""Frames of a replay: scenes from above, and the metric's course beneath."""
+"""Render the frames of a replay film: scenes from above and the metric's course below."""
 
 from __future__ import annotations
 
@@ -24,15 +24,16 @@ if TYPE_CHECKING:
     from matplotlib.artist import Artist
     from matplotlib.axes import Axes
 
-# Inches of a frame; even as pixels, as some films have to be.
+# Inches of a frame by number of scenarios; even numbers of pixels, as MP4 requires.
 _SIZE: Final = {1: (9.6, 7.2), 2: (14.4, 7.2)}
-# Where scenes and the course lie in a frame, as shares of it.
+# Layout of scenes and course, as shares of the frame.
 _ABOVE: Final = (0.35, 0.915)
 _BELOW: Final = (0.09, 0.25)
 _LEFT: Final = 0.075
 _RIGHT: Final = 0.985
 _BETWEEN: Final = 0.06
-# The two are all in view where their ways fit into so many m; else from so many s before the most critical instant on.
+# Ego and other are fully in view if their paths fit into this extent in m; otherwise only the last of these seconds
+# before the most critical instant are shown.
 _WIDEST: Final = 45.0
 _BEFORE: Final = (20.0, 15.0, 10.0, 8.0, 6.0, 4.0, 3.0, 2.0, 1.0)
 _AFTER: Final = 1.0
@@ -45,24 +46,16 @@ Frame = npt.NDArray[np.uint8]
 
 
 class Film:
-    """Draws a replay, frame by frame.
-
-    Parameters
-    ----------
-    footage : Footage
-        What is shown.
-    dots : int, default 100
-        Pixels for an inch: a frame of one scenario is 9.6 by 7.2 inches.
-    """
+    """Renders the frames of a replay; a frame of one scenario is 9.6 by 7.2 inches with `dots` pixels per inch."""
 
     def __init__(self, footage: Footage, *, dots: int = 100) -> None:
         self._footage = footage
         self._figure = Figure(figsize=_SIZE[len(footage.takes)], dpi=dots, facecolor="white")
         self._canvas = FigureCanvasAgg(self._figure)
-        places = np.concatenate([self._places(take) for take in footage.takes])
-        # All scenes show the same part of the plane.
-        self._middle: tuple[float, float] = tuple(((places.min(axis=0) + places.max(axis=0)) / 2.0).tolist())
-        self._high = max(_LEAST, float(np.ptp(places, axis=0).max()) + 2.0 * _MARGIN) / 2.0
+        positions = np.concatenate([self._places(take) for take in footage.takes])
+        # All scenes show the same region.
+        self._middle: tuple[float, float] = tuple(((positions.min(axis=0) + positions.max(axis=0)) / 2.0).tolist())
+        self._high = max(_LEAST, float(np.ptp(positions, axis=0).max()) + 2.0 * _MARGIN) / 2.0
         with rc_context({"text.parse_math": False, "font.size": 10.0}):
             self._scenes = [self._scene(k, take) for k, take in enumerate(footage.takes)]
             self._course = self._draw_course(footage.metrics[0])
@@ -83,10 +76,10 @@ class Film:
         axes.set_xlabel("x [m]", labelpad=1.0)
         axes.set_ylabel("y [m]", labelpad=1.0)
         axes.tick_params(labelsize=8)
-        # Places may be those of a country's grid.
+        # Coordinates may be those of a national grid.
         axes.ticklabel_format(useOffset=False, style="plain")
-        about = [f"scenario {take.row.id}", take.outcome, *(("critical",) if take.critical else ())]
-        title = plain_text(" · ".join(filter(None, about)))
+        facts = [f"scenario {take.row.id}", take.outcome, *(("critical",) if take.critical else ())]
+        title = plain_text(" · ".join(filter(None, facts)))
         axes.set_title(shorten(title, _LONGEST_TITLE // count), loc="left", fontsize=11, pad=5)
         return Scene(axes, take.recording, self._footage, self._footage.other_of(take))
 
@@ -114,53 +107,42 @@ class Film:
         return axes, moving
 
     def _places(self, take: Take) -> FloatArray:
-        """Where the ego and the other are while they are in view, in m, shape (P, 2)."""
+        """Return the positions of ego and other while they are in view, in m, shape (P, 2)."""
         recording, meta = take.recording, self._footage.meta
-        shown = (meta.ego, self._footage.other_of(take))
-        both = [recording.center(name) for name in shown if name in recording.names]
-        places = np.stack(both or [recording.center(name) for name in recording.names])
+        names = (meta.ego, self._footage.other_of(take))
+        paths = [recording.center(name) for name in names if name in recording.names]
+        centers = np.stack(paths or [recording.center(name) for name in recording.names])
         middle = take.critical_time(self._footage.metrics[0])
-        found = np.zeros((1, 2))
+        positions = np.zeros((1, 2))
         for before in (np.inf, *_BEFORE):
-            near = recording.time >= middle - before
-            near &= recording.time <= middle + (_AFTER if np.isfinite(before) else np.inf)
-            some = places[:, near].reshape(-1, 2)
-            some = some[np.isfinite(some).all(axis=1)]
-            if len(some):
-                found = some
-                if float(np.ptp(some, axis=0).max()) <= _WIDEST:
+            is_visible = recording.time >= middle - before
+            is_visible &= recording.time <= middle + (_AFTER if np.isfinite(before) else np.inf)
+            visible = centers[:, is_visible].reshape(-1, 2)
+            visible = visible[np.isfinite(visible).all(axis=1)]
+            if len(visible):
+                positions = visible
+                if float(np.ptp(visible, axis=0).max()) <= _WIDEST:
                     break
-        return found
+        return positions
 
     def frames(self, times: FloatArray) -> Iterator[Frame]:
-        """Draw the frames at some times.
-
-        Parameters
-        ----------
-        times : ndarray of float64, shape (F,)
-            s.
-
-        Yields
-        ------
-        ndarray of uint8, shape (height, width, 3)
-            One frame for each time.
-        """
+        """Yield a frame, (height, width, 3) uint8, for each time in s."""
         metric = self._footage.metrics[0].name
         takes = self._footage.takes
         motions = [
             motion_at(take.recording, np.clip(times, take.recording.time[0], take.recording.time[-1])) for take in takes
         ]
         values = [np.interp(times, take.recording.time, take.courses[metric]) for take in takes]
-        # What does not move is drawn once.
+        # Static parts are drawn once.
         with warnings.catch_warnings():
             warnings.filterwarnings("ignore", r"Glyph \d+ .* missing")
             self._canvas.draw()
-        still = self._canvas.copy_from_bbox(self._figure.bbox)
+        background = self._canvas.copy_from_bbox(self._figure.bbox)
         for k, time in enumerate(times.tolist()):
             with warnings.catch_warnings():
-                # Signs that the font lacks are drawn as boxes.
+                # Characters missing in the font are drawn as boxes.
                 warnings.filterwarnings("ignore", r"Glyph \d+ .* missing")
-                self._draw_moving(still, k, time, motions, values)
+                self._draw_moving(background, k, time, motions, values)
             yield np.array(self._canvas.buffer_rgba())[..., :3]
 
     def _draw_moving(self, still: Any, k: int, time: float, motions: list[Motion], values: list[FloatArray]) -> None:

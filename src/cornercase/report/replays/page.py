@@ -1,4 +1,4 @@
-"""The page of a replay: one HTML file without outside references, and with nothing but the replay."""
+"""Page of a replay: one HTML file without external references."""
 
 from __future__ import annotations
 
@@ -19,31 +19,20 @@ _POLICY: Final = "default-src 'none'; script-src 'unsafe-inline'; style-src 'uns
 
 
 def fill_replay(footage: Footage) -> str:
-    """Put the page of a replay together.
-
-    Parameters
-    ----------
-    footage : Footage
-        What it shows.
-
-    Returns
-    -------
-    str
-        HTML; the same for the same study.
-    """
-    unique = {take.row.id: take for take in footage.takes}
+    """Render the page of a replay; the same study gives the same bytes."""
+    item_by_id = {take.row.id: take for take in footage.takes}
     block, offsets = pack_block(
-        [pack_record(one, take.recording, take.courses) for one, take in sorted(unique.items())]
+        [pack_record(scenario, take.recording, take.courses) for scenario, take in sorted(item_by_id.items())]
     )
-    index = {str(one): [0, offset] for one, offset in zip(sorted(unique), offsets, strict=True)}
+    index = {str(scenario): [0, offset] for scenario, offset in zip(sorted(item_by_id), offsets, strict=True)}
     meta = footage.meta
-    which = " beside ".join(str(take.row.id) for take in footage.takes)
+    ids = " beside ".join(str(take.row.id) for take in footage.takes)
     return fill_template(
         "replay.html.j2",
         _STYLES,
         _SCRIPTS,
         policy=_POLICY,
-        title=f"{meta.title}, scenario {which}",
+        title=f"{meta.title}, scenario {ids}",
         about=f"From {footage.study}. {tell_roles(meta)}",
         contents=_contents(footage) | {"recordings": index},
         blocks=[base64.b64encode(block).decode()],
@@ -51,33 +40,29 @@ def fill_replay(footage: Footage) -> str:
 
 
 def _contents(footage: Footage) -> dict[str, Any]:
-    """What the page of a study knows, of these scenarios only."""
+    """Return the contents of the page, limited to the replayed scenarios."""
     meta, metrics = footage.meta, footage.metrics
-    takes = sorted({take.row.id: take for take in footage.takes}.values(), key=lambda take: take.row.id)
-    outcomes = sorted({take.outcome for take in takes} - {""})
+    items = sorted({take.row.id: take for take in footage.takes}.values(), key=lambda take: take.row.id)
+    outcomes = sorted({take.outcome for take in items} - {""})
     critical = None
     if footage.threshold is not None:
-        first = metrics[0]
-        critical = {
-            "threshold": footage.threshold,
-            "lower_is_critical": first.lower_is_critical,
-            "unit": first.unit,
-        }
+        lower, unit = metrics[0].lower_is_critical, metrics[0].unit
+        critical = {"threshold": footage.threshold, "lower_is_critical": lower, "unit": unit}
     return tell_subject(meta, footage.study) | {
         "searched": metrics[0].name if footage.threshold is not None else "",
         "critical": critical,
         "outcomes": outcomes,
         "scenarios": {
-            "id": [take.row.id for take in takes],
-            "round": [take.row.round for take in takes],
-            "failed": [0] * len(takes),
-            "values": plain_values(footage.parameters, [take.row for take in takes]),
-            "scores": {one.name: [plain_score(take.scores[one.name]) for take in takes] for one in metrics},
-            "critical": [int(take.critical) for take in takes],
-            "outcome": [outcomes.index(take.outcome) if take.outcome else None for take in takes],
-            "kept": [0] * len(takes),
+            "id": [take.row.id for take in items],
+            "round": [take.row.round for take in items],
+            "failed": [0] * len(items),
+            "values": plain_values(footage.parameters, [take.row for take in items]),
+            "scores": {metric.name: [plain_score(take.scores[metric.name]) for take in items] for metric in metrics},
+            "critical": [int(take.critical) for take in items],
+            "outcome": [outcomes.index(take.outcome) if take.outcome else None for take in items],
+            "kept": [0] * len(items),
         }
-        | tell_against(meta, [[take.against.get(one.name) for one in metrics] for take in takes]),
+        | tell_against(meta, [[take.against.get(metric.name) for metric in metrics] for take in items]),
         "kept": {},
         "errors": {},
         "kinds": {},

@@ -1,4 +1,4 @@
-"""One scene of a film: the road, and the entities on it."""
+"""One scene of a replay film: the road and the entities on it."""
 
 from __future__ import annotations
 
@@ -30,23 +30,14 @@ _THIRD: Final = "#4a4f55"
 _HIT: Final = "#b3261e"
 _SHADOW: Final = (0.08, 0.09, 0.12, 0.24)
 _LONGEST_NAME: Final = 24
-# A disc is at least so large, in m by metre that is shown upwards.
+# Smallest radius of a pedestrian, as a share of the view's height.
 _SMALLEST: Final = 0.009
 
 
 class Scene:
-    """Draws the entities of a recording onto axes.
+    """Draws the entities of a recording onto axes whose limits are set.
 
-    Parameters
-    ----------
-    axes : Axes
-        Of which the limits are set.
-    recording : Recording
-        What is shown.
-    footage : Footage
-        Says who is the ego and who the others are, and where the road is.
-    other : str
-        The one that the ego is shown to see or not.
+    `other` is the entity whose visibility from the ego is shown.
     """
 
     def __init__(self, axes: Axes, recording: Recording, footage: Footage, other: str) -> None:
@@ -54,13 +45,13 @@ class Scene:
         names = recording.names
         self._ego = names.index(footage.meta.ego) if footage.meta.ego in names else -1
         self._other = names.index(other) if other in names else -1
-        self._others = {names.index(one) for one in footage.meta.others if one in names}
+        self._others = {names.index(name) for name in footage.meta.others if name in names}
         self._high = float(np.ptp(axes.get_ylim()))
         if footage.road is not None:
             self._draw_road(footage)
         self._ways = [recording.center(name) for name in names]
-        for entity, way in enumerate(self._ways):
-            axes.plot(*way.T, ":", color=self._colour(entity), linewidth=1.0, alpha=0.55)
+        for entity, path in enumerate(self._ways):
+            axes.plot(*path.T, ":", color=self._colour(entity), linewidth=1.0, alpha=0.55)
         self._hits = [
             (hit.time, contact(recording, hit.time, *map(recording.index, hit.entities)))
             for hit in recording.collisions
@@ -71,8 +62,8 @@ class Scene:
     def _draw_road(self, footage: Footage) -> None:
         assert footage.road is not None
         for order, (kind, colour) in enumerate(_AREAS.items()):
-            areas = [points for one, points in footage.road.areas if one == kind]
-            # All outlines lie below all areas: only the outline of their union is left.
+            areas = [points for area_kind, points in footage.road.areas if area_kind == kind]
+            # All outlines lie below all areas, so that only the outline of the union is visible.
             self._axes.add_collection(
                 PolyCollection(areas, facecolors="none", edgecolors=LINE, linewidths=1.8, zorder=0.1 + order),
                 autolim=False,
@@ -89,41 +80,31 @@ class Scene:
         return EGO if entity == self._ego else OTHER if entity in self._others else _THIRD
 
     def draw(self, motion: Motion, k: int, time: float) -> None:
-        """Draw what moves, as it is at one time.
-
-        Parameters
-        ----------
-        motion : Motion
-            Of the recording.
-        k : int
-            Number of the time.
-        time : float
-            s.
-        """
-        there = motion.there(k)
-        if self._ego in there:
-            for other in there:
-                dark = shadow(motion, self._ego, other, k) if other not in (self._ego, self._other) else None
-                if dark is not None:
-                    self._show(Polygon(dark, facecolor=_SHADOW, edgecolor="none"))
-        for entity in there:
+        """Draw the moving parts at time index `k`, which is `time` in s."""
+        existing = motion.there(k)
+        if self._ego in existing:
+            for other in existing:
+                hidden = shadow(motion, self._ego, other, k) if other not in (self._ego, self._other) else None
+                if hidden is not None:
+                    self._show(Polygon(hidden, facecolor=_SHADOW, edgecolor="none"))
+        for entity in existing:
             past = self._ways[entity][self._recording.time <= time + 1e-6]
             line: Any = "--" if entity in self._others else "-"
             self._show(Line2D(*past.T, color=self._colour(entity), linewidth=1.6, linestyle=line))
-        if self._ego in there and self._other in there:
+        if self._ego in existing and self._other in existing:
             seen = sees(motion, self._ego, self._other, k)
-            goal = [motion.x[self._other, k], motion.y[self._other, k]]
-            way = np.stack([motion.eye(self._ego, k), goal])
-            self._show(Line2D(*way.T, color=EGO, linewidth=1.3, linestyle="-" if seen else (0, (1, 3))))
-        for entity in there:
+            target = [motion.x[self._other, k], motion.y[self._other, k]]
+            sight_line = np.stack([motion.eye(self._ego, k), target])
+            self._show(Line2D(*sight_line.T, color=EGO, linewidth=1.3, linestyle="-" if seen else (0, (1, 3))))
+        for entity in existing:
             self._draw_entity(motion, entity, k)
-        for when, place in self._hits:
-            if time >= when - 1e-6:
+        for hit_time, point in self._hits:
+            if time >= hit_time - 1e-6:
                 self._show(
-                    Line2D(*place[:, None], marker=(8, 1, 0), markersize=18, color=_HIT, markeredgecolor="white")
+                    Line2D(*point[:, None], marker=(8, 1, 0), markersize=18, color=_HIT, markeredgecolor="white")
                 )
-                self._write(f"collision at {when:.2f} s", place[0], place[1] + 0.035 * self._high, _HIT)
-        for entity in there:
+                self._write(f"collision at {hit_time:.2f} s", point[0], point[1] + 0.035 * self._high, _HIT)
+        for entity in existing:
             self._draw_label(motion, entity, k)
 
     def _draw_entity(self, motion: Motion, entity: int, k: int) -> None:
@@ -146,13 +127,15 @@ class Scene:
     def _draw_label(self, motion: Motion, entity: int, k: int) -> None:
         speed = motion.speed[entity, k]
         name = shorten(plain_text(self._recording.names[entity]), _LONGEST_NAME)
-        third = entity != self._ego and entity not in self._others
-        text = name if third and not abs(speed) > 0.05 else f"{name} {speed:.1f} m/s"
-        # Of the ego and that other, whoever is further up has its label above.
-        up = {one: motion.y[one, k] if one in motion.there(k) else -np.inf for one in (self._ego, self._other)}
-        lower = self._other if up[self._ego] >= up[self._other] else self._ego
-        reach = float(np.ptp(motion.corners(entity, k)[:, 1])) / 2.0 + 0.02 * self._high
-        y = motion.y[entity, k] + (-reach if entity == lower else reach)
+        is_neutral = entity != self._ego and entity not in self._others
+        text = name if is_neutral and not abs(speed) > 0.05 else f"{name} {speed:.1f} m/s"
+        # The upper one of ego and other has its label above, the lower one below.
+        height = {
+            entity: motion.y[entity, k] if entity in motion.there(k) else -np.inf for entity in (self._ego, self._other)
+        }
+        lower = self._other if height[self._ego] >= height[self._other] else self._ego
+        offset = float(np.ptp(motion.corners(entity, k)[:, 1])) / 2.0 + 0.02 * self._high
+        y = motion.y[entity, k] + (-offset if entity == lower else offset)
         self._write(text, motion.x[entity, k], y, self._colour(entity), "top" if entity == lower else "bottom")
 
     def _write(self, text: str, x: float, y: float, colour: str, align: str = "bottom") -> None:
@@ -160,7 +143,7 @@ class Scene:
         self._axes.draw_artist(self._text)
 
     def _show(self, artist: Artist) -> None:
-        """Draw something that is gone in the next frame."""
+        """Draw an artist for one frame."""
         self._axes.add_artist(artist)
         self._axes.draw_artist(artist)
         artist.remove()

@@ -1,4 +1,4 @@
-"""Writing the replay of a scenario to a file."""
+"""Write the replay of a scenario to a file."""
 
 from __future__ import annotations
 
@@ -24,9 +24,9 @@ if TYPE_CHECKING:
 
 _ENDINGS: Final = (".html", ".gif", ".mp4")
 _FASTEST: Final = 60.0
-# A frame of a GIF lasts two hundredths of a second at least.
+# A GIF frame lasts at least two hundredths of a second.
 _FASTEST_GIF: Final = 50.0
-# A GIF with more frames, or larger ones, is too large to be sent.
+# A GIF with more or larger frames would be too large to send.
 _RATES: Final = {".gif": 10.0, ".mp4": 25.0}
 _DOTS: Final = {".gif": 75, ".mp4": 100}
 _MOST_FRAMES: Final = 20_000
@@ -44,47 +44,52 @@ def replay(
     critical: float | None = None,
     progress: bool = False,
 ) -> Path:
-    """Write the replay of a scenario: who drives where on the road, and how critical that is.
+    """Write the replay of a scenario: the motion of all entities on the road, and how critical it is.
 
     Parameters
     ----------
     study : Study or path
         In which the scenario was run.
     id : int
-        Of the scenario.
+        Id of the scenario.
     path : path
-        A page where it ends with ``.html``, to play, scrub and zoom in any browser; else a film that stands for
-        itself, ``.gif`` or ``.mp4``. The same study gives the same bytes, but for ``.mp4`` of another ffmpeg.
+        ``.html`` for a page to play, scrub and zoom in any browser; ``.gif`` or ``.mp4`` for a film. The same study
+        gives the same bytes (``.mp4``: with the same ffmpeg).
     beside : int, optional
-        Another scenario, shown beside it on the same clock.
+        Id of another scenario, shown beside it on the same clock.
     fps : float, optional
-        Frames for each second of a film, 60 at most; by default 25 of an MP4 and 10 of a GIF, of which a frame lasts
-        whole hundredths of a second.
+        Frames per second of a film, at most 60; default: 25 for MP4, 10 for GIF, whose frames last whole hundredths of
+        a second.
     speed : float, default 1
-        How fast a film runs: 0.5 shows 1 s of the recording in 2 s.
+        Speed of a film: 0.5 shows 1 s of the recording in 2 s.
     scenario : path or Scenario, optional
-        The scenario file that was explored, for the road; by default it is looked for beside the study and in the
-        current folder. Where it is not found, there is no road.
+        Scenario file that was explored, to draw the road; by default it is searched beside the study and in the current
+        folder. Without it no road is drawn.
     critical : float, optional
-        Another threshold than the study's own, which stays as it is.
+        Threshold instead of the study's own, which the study keeps.
     progress : bool, default False
-        Show how far it is, on standard error.
+        Show a progress bar on standard error.
 
     Returns
     -------
     Path
-        What was written.
+        The file.
 
     Raises
     ------
     InputError
-        A scenario is not there, failed or was not run yet; the ending is none of these; `fps` or `speed` is given for a
-        page; there is no ffmpeg for an ``.mp4``; the `scenario` is not the one that was explored; or the file cannot be
-        written.
+        A scenario does not exist, failed or was not run yet; the file ending is unknown; `fps` or `speed` is given for
+        a page; ffmpeg is missing for an ``.mp4``; `scenario` is not the explored one; or the file cannot be written.
 
     See Also
     --------
     cornercase.write_report : The page of the whole study, in which each scenario can be replayed.
+
+    Examples
+    --------
+    >>> import cornercase as cc
+    >>> cc.replay("study.db", 45, "run.html", beside=3)  # doctest: +SKIP
+    PosixPath('run.html')
     """
     path = arguments.path("path", path)
     ids = [arguments.whole_number("id", id, least=1)]
@@ -97,26 +102,26 @@ def replay(
     if ending == ".gif" and rate > _FASTEST_GIF:
         raise InputError(f"`fps` {rate:g}: a GIF shows at most {_FASTEST_GIF:g}; write an .mp4.")
     if ending not in _ENDINGS:
-        raise InputError(f"`path` {path}: ends with none of {', '.join(_ENDINGS)}, which say what is written.")
+        raise InputError(f"`path` {path}: the file name must end with one of {', '.join(_ENDINGS)}.")
     if ending == ".html" and (fps is not None or speed != 1.0):
-        raise InputError("`fps` and `speed` are for films, and a page has its own controls; leave them out.")
+        raise InputError("`fps` and `speed` only apply to films; leave them out for a page.")
     if ending == ".mp4":
         from cornercase.report.replays.encoding import find_ffmpeg
 
         find_ffmpeg()
     with open_study(study, readonly=True, critical=critical) as opened:
         require_other_file(path, opened.path)
-        footage = read_footage(opened, ids, scenario)
-    if footage.road_missing and (ending != ".html" or is_of_map(footage.road_missing)):
-        # The page says it by itself; what an option mends is said at once.
-        warnings.warn(footage.road_missing.removesuffix("."), NoticeWarning, stacklevel=2)
+        data = read_footage(opened, ids, scenario)
+    if data.road_missing and (ending != ".html" or is_of_map(data.road_missing)):
+        # The page itself explains a missing road; a missing map can be fixed with an option, so warn at once.
+        warnings.warn(data.road_missing.removesuffix("."), NoticeWarning, stacklevel=2)
     with written_whole(path) as temporary:
         if ending == ".html":
             from cornercase.report.replays.page import fill_replay
 
-            temporary.write_text(fill_replay(footage), encoding="utf-8", errors="backslashreplace", newline="\n")
+            temporary.write_text(fill_replay(data), encoding="utf-8", errors="backslashreplace", newline="\n")
         else:
-            _write_film(footage, temporary, ending, rate, speed, progress)
+            _write_film(data, temporary, ending, rate, speed, progress)
     return path
 
 
@@ -138,7 +143,7 @@ def _write_film(footage: Footage, path: Path, ending: str, fps: float, speed: fl
 
 
 def _times(footage: Footage, step: float) -> FloatArray:
-    """Times of frames from the begin to the end, which is one of them."""
+    """Return the frame times from begin to end, including the end, in s."""
     span = footage.end - footage.begin
     if span / step > _MOST_FRAMES:
         raise InputError(

@@ -1,4 +1,4 @@
-"""The reduced set, and what it leaves out."""
+"""Sections on the reduced set and what it leaves out."""
 
 from __future__ import annotations
 
@@ -13,18 +13,7 @@ from cornercase.report.words import format_value, name_axis, tell_chosen
 
 
 def show_kept(data: ReportData) -> Iterator[Part]:
-    """Tell which scenarios are kept, and what they leave out.
-
-    Parameters
-    ----------
-    data : ReportData
-        What the report shows.
-
-    Yields
-    ------
-    Part
-        The scenarios, and what they leave out.
-    """
+    """Render the sections on the reduced set; nothing before the study was reduced."""
     reduced = data.summary.reduced
     if reduced is None or not reduced.kept:
         return
@@ -35,27 +24,20 @@ def show_kept(data: ReportData) -> Iterator[Part]:
 def _tell_kept(data: ReportData, reduced: ReducedSet) -> Iterator[str]:
     yield tables.make_table(
         [
-            "file",
-            "cluster",
-            "role",
-            *map(name_axis, data.parameters),
-            *(f"{metric.name} [{metric.unit}]" for metric in data.metrics),
-            "why",
+            "file", "cluster", "role", *map(name_axis, data.parameters),
+            *(f"{metric.name} [{metric.unit}]" for metric in data.metrics), "why",
         ],
         [
             [
-                one.file,
-                str(one.cluster),
-                one.role,
-                *(format_value(parameter.read(one.values)) for parameter in data.parameters),
-                *(f"{one.scores[metric.name]:.3g}" for metric in data.metrics),
-                one.why,
+                scenario.file, str(scenario.cluster), scenario.role,
+                *(format_value(parameter.read(scenario.values)) for parameter in data.parameters),
+                *(f"{scenario.scores[metric.name]:.3g}" for metric in data.metrics), scenario.why,
             ]
-            for one in reduced.kept
+            for scenario in reduced.kept
         ],
         text=(0, 2, -1),
-    )
-    # A study that was reduced by an early version has none.
+    )  # fmt: skip
+    # Studies reduced by an early version have no shapes.
     if reduced.shapes:
         yield "<h3>Shapes of the clusters</h3>"
         yield tables.tell_shapes(reduced.shapes)
@@ -71,8 +53,8 @@ def _tell_left_out(reduced: ReducedSet, chosen: str) -> Iterator[str]:
         "<p>DTW distance from each scenario that was run to the nearest kept one, also as a share of the largest"
         " distance between any two. The kept scenarios were chosen to make these distances small.</p>"
     )
-    if judged := tables.tell_held_out(reduced.coverage):
-        yield judged
+    if held_out := tables.tell_held_out(reduced.coverage):
+        yield held_out
         yield (
             "<p>The same for held-out scenarios, which the choice has not seen: each fifth of the scenarios (only one"
             " fifth if there are many) grades a set that was chosen in the same way from the other four fifths. For"

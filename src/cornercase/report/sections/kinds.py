@@ -1,4 +1,4 @@
-"""Kinds of scenario: the clusters by each aspect, and whether they agree."""
+"""Sections on the clusters by each aspect and their agreement."""
 
 from __future__ import annotations
 
@@ -16,37 +16,15 @@ from cornercase.report.words import judge_clusters, list_scenarios, name_cluster
 
 
 def show_kinds(data: ReportData) -> Iterator[Part]:
-    """Tell of the clusters by each aspect.
-
-    Parameters
-    ----------
-    data : ReportData
-        What the report shows.
-
-    Yields
-    ------
-    Part
-        One for each aspect.
-    """
+    """Render one section on the clusters of each aspect."""
     for name, analysis in data.summary.analyses.items():
-        what = f"the course of {name}" if name in data.summary.meta.metrics else name
-        yield make_part(f"kinds-{name}", f"Kinds of scenario, by {what}", _tell_clusters(data, analysis))
+        title = f"the course of {name}" if name in data.summary.meta.metrics else name
+        yield make_part(f"kinds-{name}", f"Kinds of scenario, by {title}", _tell_clusters(data, analysis))
 
 
 def compare_kinds(data: ReportData) -> Iterator[Part]:
-    """Say how far the clusters by different aspects agree.
-
-    Parameters
-    ----------
-    data : ReportData
-        What the report shows.
-
-    Yields
-    ------
-    Part
-        With what happened, and with each other.
-    """
-    tells = {by: one.tells for by, one in data.summary.analyses.items() if one.tells}
+    """Render how much the clusterings say about facts, and how far they agree with each other."""
+    tells = {by: analysis.tells for by, analysis in data.summary.analyses.items() if analysis.tells}
     if tells:
         yield make_part("facts", "Do the clusterings say what happened?", _tell_facts(tells))
     if data.summary.agreements:
@@ -66,8 +44,15 @@ def _tell_agreement(agreements: Mapping[tuple[str, str], Agreement]) -> Iterator
     yield tables.make_table(
         ["by", "and by", "adjusted Rand", "adjusted mutual information", "differ", "scenarios"],
         [
-            [one, two, f"{found.rand:.2f}", f"{found.mutual:.2f}", str(len(found.differ)), list_scenarios(found.differ)]
-            for (one, two), found in agreements.items()
+            [
+                aspect,
+                other,
+                f"{agreement.rand:.2f}",
+                f"{agreement.mutual:.2f}",
+                str(len(agreement.differ)),
+                list_scenarios(agreement.differ),
+            ]
+            for (aspect, other), agreement in agreements.items()
         ],
         text=(0, 1, -1),
     )
@@ -78,51 +63,42 @@ def _tell_agreement(agreements: Mapping[tuple[str, str], Agreement]) -> Iterator
 
 
 def _tell_clusters(data: ReportData, analysis: Analysis) -> Iterator[str]:
-    labels, found = analysis.labels, analysis.clustering
+    labels, clustering = analysis.labels, analysis.clustering
     ids = analysis.ids.tolist()
     rows = data.rows_of(ids)
-    if judged := judge_clusters(analysis):
-        yield f"<p>{escape(judged)}</p>"
-    if later := data.summary.run - len(ids):
+    if information := judge_clusters(analysis):
+        yield f"<p>{escape(information)}</p>"
+    if n_unassigned := data.summary.run - len(ids):
         yield (
-            f"<p>{later} of {data.summary.run} scenarios were run since and are in no cluster yet: add them with"
-            f" <code>{escape(name_joining(analysis))}</code>; without <code>--keep</code> all are clustered again.</p>"
+            f"<p>{n_unassigned} of {data.summary.run} scenarios were run since and are in no cluster yet: add them with"
+            f" <code>{escape(name_joining(analysis))}</code>; without <code>--keep-clusters</code>"
+            " all are clustered again.</p>"
         )
-    if found.n_clusters < 2:
+    if clustering.n_clusters < 2:
         return
-    if any(one.name for one in analysis.profiles):
+    if any(profile.name for profile in analysis.profiles):
         yield tables.tell_names(analysis.profiles)
     yield f"<p>{escape(tell_how_found(analysis))}</p>"
-    if chosen_from := tables.tell_choices(found):
-        yield chosen_from
+    if settings := tables.tell_choices(clustering):
+        yield settings
         yield (
             "<p>The best setting for each number of clusters. DBCV and silhouette say how dense and how far apart"
             " clusters are (1 is best). Stability says how much of them is found again in random parts of 80 %.</p>"
         )
+    medians = [f"median {metric.name} [{metric.unit}]" for metric in data.metrics]
     yield tables.make_table(
-        [
-            "cluster",
-            "scenarios",
-            "collisions",
-            *(f"median {metric.name} [{metric.unit}]" for metric in data.metrics),
-            "shortest [s]",
-            "longest [s]",
-        ],
+        ["cluster", "scenarios", "collisions", *medians, "shortest [s]", "longest [s]"],
         [_tell_cluster(data, label, rows[labels == label]) for label in np.unique(labels).tolist()],
     )
-    # A study that was analysed by an early version has none.
+    # Studies analyzed by an early version have no profiles.
     if analysis.profiles:
         yield tables.tell_profiles(analysis.profiles)
 
 
 def _tell_cluster(data: ReportData, label: int, members: IntArray) -> list[str]:
     ids = [data.rows[k].id for k in members.tolist()]
-    longest = [float(data.times[i][-1]) for i in ids]
-    return [
-        name_cluster(label),
-        str(len(ids)),
-        str(sum(bool(data.touched[one]) for one in ids)),
-        *(f"{np.median(data.scores[metric.name][members]):.3g}" for metric in data.metrics),
-        f"{min(longest):.2f}",
-        f"{max(longest):.2f}",
-    ]
+    seconds = [float(data.times[i][-1]) for i in ids]
+    medians = [f"{np.median(data.scores[metric.name][members]):.3g}" for metric in data.metrics]
+    n_collisions = sum(bool(data.touched[i]) for i in ids)
+    durations = [f"{min(seconds):.2f}", f"{max(seconds):.2f}"]
+    return [name_cluster(label), str(len(ids)), str(n_collisions), *medians, *durations]

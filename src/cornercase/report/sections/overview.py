@@ -1,4 +1,4 @@
-"""What was run: scores, what failed, and how the study was made."""
+"""Sections on scores, failures and how the study was made."""
 
 from __future__ import annotations
 
@@ -15,123 +15,76 @@ from cornercase._common.texts import plain_text
 from cornercase._common.version import __version__
 from cornercase.drivers import driver_text
 from cornercase.report.data import ReportData
-from cornercase.report.repeating import name_command, tell_limits
 from cornercase.report.sections.part import Part, make_part
+from cornercase.report.study_files import name_command, tell_limits
 from cornercase.report.summary import Summary
 from cornercase.report.tables import make_table
 from cornercase.report.words import find_reasons, format_value, list_scenarios, name_range
 from cornercase.study import Row, StudyMeta
 
-# Columns of the table of scores that hold no number.
+# Columns of the table of scores that contain text.
 _WORDS: Final = ("metric", "unit", "critical is", "against", "in", "scenarios against")
-# What figures depend on besides cornercase itself.
+# Libraries whose version may change the results.
 _LIBRARIES: Final = {"NumPy": "numpy", "SciPy": "scipy", "scikit-learn": "scikit-learn"}
-# Stages of a study whose names are no verbs.
+# Stages whose names are not verbs.
 _STAGES: Final = {"files": "read the scenario"}
 
 
 def tell_scores(data: ReportData) -> Iterator[Part]:
-    """Tell the scores by each metric.
-
-    Parameters
-    ----------
-    data : ReportData
-        What the report shows.
-
-    Yields
-    ------
-    Part
-        One.
-    """
+    """Render the scores by each metric."""
     rows = []
-    for one in data.summary.metrics.values():
-        between = "" if one.spread is None else f"{one.spread[0]:.3g}, at most {one.spread[1]:.3g}"
-        at = ", ".join(f"{each.name} = {format_value(each.read(one.at))}" for each in data.parameters)
-        whom = ", ".join(f"{other} in {count}" for other, count in one.counts.items() if count)
+    for summary in data.summary.metrics.values():
+        spread = "" if summary.spread is None else f"{summary.spread[0]:.3g}, at most {summary.spread[1]:.3g}"
+        location = ", ".join(
+            f"{parameter.name} = {format_value(parameter.read(summary.at))}" for parameter in data.parameters
+        )
+        scores_per_other = ", ".join(f"{other} in {count}" for other, count in summary.counts.items() if count)
         rows.append(
             [
-                one.name, one.unit, "low" if one.lower_is_critical else "high", f"{one.most_critical:.4g}",
-                one.against or "", f"scenario {one.scenario} ({at})", f"{one.median:.4g}", whom, between, one.alike,
+                summary.name, summary.unit, "low" if summary.lower_is_critical else "high",
+                f"{summary.most_critical:.4g}", summary.against or "", f"scenario {summary.scenario} ({location})",
+                f"{summary.median:.4g}", scores_per_other, spread, summary.alike,
             ]
         )  # fmt: skip
     head = [
         "metric", "unit", "critical is", "most critical", "against", "in", "median", "scenarios against",
         "between runs of one scenario", "note",
     ]  # fmt: skip
-    shown = [k for k in range(len(head)) if any(row[k] for row in rows)]
-    words = [at for at, k in enumerate(shown) if head[k] in _WORDS]
-    lines = [make_table([head[k] for k in shown], [[row[k] for k in shown] for row in rows], text=tuple(words))]
+    columns = [k for k in range(len(head)) if any(row[k] for row in rows)]
+    text_columns = [at for at, k in enumerate(columns) if head[k] in _WORDS]
+    lines = [
+        make_table([head[k] for k in columns], [[row[k] for k in columns] for row in rows], text=tuple(text_columns))
+    ]
     yield make_part("scores", "Scores by each metric", lines)
 
 
 def tell_failures(data: ReportData) -> Iterator[Part]:
-    """Say why scenarios could not be run.
-
-    Parameters
-    ----------
-    data : ReportData
-        What the report shows.
-
-    Yields
-    ------
-    Part
-        One where a scenario failed.
-    """
+    """Render why scenarios failed; nothing if none did."""
     if data.failed:
         yield make_part("failures", "Scenarios that could not be run", [tell_reasons(data.failed)])
 
 
 def tell_reasons(failed: Sequence[Row]) -> str:
-    """Tell for what reasons scenarios could not be run, and which.
-
-    Parameters
-    ----------
-    failed : sequence of Row
-        Scenarios that could not be run.
-
-    Returns
-    -------
-    str
-        HTML.
-    """
+    """Render the reasons of failed scenarios, with their ids."""
     rows = [[str(len(ids)), why, list_scenarios(ids)] for why, ids in find_reasons(failed).items()]
     return make_table(["scenarios", "why", "which"], rows, text=(1, 2))
 
 
 def tell_provenance(study: str, summary: Summary) -> Markup:
-    """Say how the study was made.
-
-    Parameters
-    ----------
-    study : str
-        Name of its file.
-    summary : Summary
-        What is known of it.
-
-    Returns
-    -------
-    Markup
-        HTML.
-    """
-    meta = summary.meta
+    """Render how the study was made: command, settings and versions; `study` is the file name."""
+    meta, empty = summary.meta, ({}, [], None, "")
+    settings = {key: value for key, value in meta.settings.items() if key != "drivers" and value not in empty}
     facts: dict[str, Any] = {
         "study": study,
         "scenario file": meta.file_name,
         "fingerprint (SHA-256 of the scenario and all files that it uses)": meta.fingerprint,
-        **{f"range of {one.name}": name_range(one) for one in meta.space.parameters},
+        **{f"range of {parameter.name}": name_range(parameter) for parameter in meta.space.parameters},
         "optimizer": meta.optimizer,
         "seed": meta.seed,
         "simulator": meta.simulator,
-        **{
-            f"simulator's {key}": _plain(value)
-            for key, value in meta.settings.items()
-            if key != "drivers" and value not in ({}, [], None, "")
-        },
-        **{f"driver of {entity}": driver_text(one) for entity, one in meta.drivers.items()},
-        **{
-            f"time to {_STAGES.get(stage, stage)} [s]": _in_seconds(seconds)
-            for stage, seconds in summary.seconds.items()
-        },
+        **{f"simulator's {key}": _plain(value) for key, value in settings.items()},
+        **{f"driver of {entity}": driver_text(driver) for entity, driver in meta.drivers.items()},
+        **{f"time to {_STAGES.get(name, name)} [s]": _in_seconds(time) for name, time in summary.seconds.items()},
         **_versions(meta),
     }
     table = make_table(["what", "value"], [[key, str(value)] for key, value in facts.items()], text=(0, 1))
@@ -145,12 +98,12 @@ def _in_seconds(seconds: float) -> str:
 
 
 def _plain(value: Any) -> str:
-    """Write a setting without the signs of a programming language."""
+    """Format a setting without Python syntax."""
     if isinstance(value, dict):
-        return ", ".join(f"{name}: {_plain(one)}" for name, one in value.items())
+        return ", ".join(f"{name}: {_plain(item)}" for name, item in value.items())
     if isinstance(value, list | tuple):
         return ", ".join(map(str, value))
-    # Where the folders of whoever made the study lie is nobody else's concern.
+    # Only the file name, as folders of the author are private.
     path = next((kind(str(value)) for kind in (PurePosixPath, PureWindowsPath) if kind(str(value)).is_absolute()), None)
     return str(value) if path is None else path.name
 

@@ -1,4 +1,4 @@
-"""A part of the page's details."""
+"""Section of the page's details."""
 
 from __future__ import annotations
 
@@ -10,36 +10,13 @@ from markupsafe import Markup
 
 @dataclass(frozen=True)
 class Part:
-    """A part of the page's details, which opens when its title is clicked.
+    """Section of the page's details that opens when its title is clicked."""
 
-    Attributes
-    ----------
-    name : str
-        For addresses and tests.
-    title : str
-        Plain text.
-    html : Markup
-        HTML in which all texts are escaped.
-    """
-
-    name: str
-    title: str
-    html: Markup
+    name: str  # for addresses and tests
+    title: str  # plain text
+    html: Markup  # all texts are escaped
 
 
 def make_part(name: str, title: str, lines: Iterable[str]) -> Part:
-    """Make a part of lines of HTML.
-
-    Parameters
-    ----------
-    name, title : str
-        Plain texts.
-    lines : iterable of str
-        HTML in which all texts are escaped.
-
-    Returns
-    -------
-    Part
-        The lines one after the other.
-    """
+    """Join lines of HTML (texts already escaped) into a section."""
     return Part(name, title, Markup("\n".join(lines)))

@@ -1,1 +1,1 @@
-"""The page that shows what changed between two versions."""
+"""Page of a comparison between two versions."""

@@ -1,4 +1,4 @@
-"""Charts of two versions: scores with the one over scores with the other, and what became critical where."""
+"""Charts of a comparison: old over new scores, and where in the space criticality changed."""
 
 from __future__ import annotations
 
@@ -18,81 +18,54 @@ WIDTH: Final = 440
 HEIGHT: Final = 330
 _LEFT, _RIGHT, _TOP, _BOTTOM = 62, 14, 12, 46
 _TICKS: Final = 5
-# Points beyond which those that did not change are thinned out.
+# Unchanged points are thinned out to about this number.
 _MOST: Final = 3000
 
 
 @dataclass(frozen=True)
 class Chart:
-    """A chart, in pixels.
-
-    Attributes
-    ----------
-    title, caption : str
-    across, up : str
-        What the axes are of, with its unit.
-    ticks_across, ticks_up : tuple of tuple of (float, str)
-        Place and number.
-    points : tuple of tuple of (float, float, str, str)
-        Place, class, and what it is in words.
-    diagonal : tuple of float or None
-        From x, y to x, y.
-    legend : tuple of tuple of (str, str)
-        Class, and what it means.
-    """
+    """A chart; coordinates in pixels."""
 
     title: str
     caption: str
-    across: str
-    up: str
-    ticks_across: tuple[tuple[float, str], ...]
+    across: str  # label of the horizontal axis
+    up: str  # label of the vertical axis
+    ticks_across: tuple[tuple[float, str], ...]  # position and number
     ticks_up: tuple[tuple[float, str], ...]
-    points: tuple[tuple[float, float, str, str], ...]
-    diagonal: tuple[float, float, float, float] | None
-    legend: tuple[tuple[str, str], ...]
+    points: tuple[tuple[float, float, str, str], ...]  # x, y, class, text
+    diagonal: tuple[float, float, float, float] | None  # from x, y to x, y
+    legend: tuple[tuple[str, str], ...]  # class and its meaning
 
     @property
     def frame(self) -> dict[str, float]:
-        """Sizes: of the picture, and the edges of the axes."""
+        """Sizes of the picture and edges of the axes."""
         right, bottom = WIDTH - _RIGHT, HEIGHT - _BOTTOM
         return {"width": WIDTH, "height": HEIGHT, "left": _LEFT, "right": right, "top": _TOP, "bottom": bottom}
 
 
 def draw_charts(found: Comparison, parameters: Sequence[Parameter]) -> Iterator[Chart]:
-    """Draw what there is to see of a comparison.
-
-    Parameters
-    ----------
-    found : Comparison
-    parameters : sequence of Parameter
-        Of the space; the first two that are numbers span a chart.
-
-    Yields
-    ------
-    Chart
-        Of each metric of which a score moved, and of the space.
-    """
-    ran = [one for one in found.pairs if one.ran]
+    """Yield a chart for each metric whose scores changed, and one of the first two numeric parameters."""
+    ran = [pair for pair in found.pairs if pair.ran]
     for score in found.scores:
         if score.moved:
             yield _of_scores(ran, score.metric)
-    axes = [one for one in parameters if not one.choices][:2]
-    if len(axes) == 2 and any(one.run not in ("the same", "within rounding") for one in found.pairs):
+    axes = [parameter for parameter in parameters if not parameter.choices][:2]
+    if len(axes) == 2 and any(pair.run not in ("the same", "within rounding") for pair in found.pairs):
         yield _of_space(found.pairs, axes)
 
 
 def _of_scores(pairs: Sequence[Pair], name: str) -> Chart:
     metric = METRICS.create(name)
-    scores = np.array([one.scores[name] for one in pairs])
+    scores = np.array([pair.scores[name] for pair in pairs])
     low, high = float(scores.min()), float(scores.max())
     low, high = (low, high) if high > low else (low - 0.5, high + 0.5)
     oriented = np.asarray(metric.oriented(scores))
-    kinds = np.where(oriented[:, 1] < oriented[:, 0], "new", np.where(oriented[:, 1] > oriented[:, 0], "old", "both"))
+    classes = np.where(oriented[:, 1] < oriented[:, 0], "new", np.where(oriented[:, 1] > oriented[:, 0], "old", "both"))
     unit = "" if metric.unit == "1" else f" [{metric.unit}]"
-    places = np.stack([_across(scores[:, 0], low, high), _up(scores[:, 1], low, high)], axis=1)
-    words = [
-        f"{one.ids[0]}, {one.ids[1]}: {before:.4g} → {after:.4g}"
-        for one, (before, after) in zip(pairs, scores, strict=True)
+    points = np.stack([_across(scores[:, 0], low, high), _up(scores[:, 1], low, high)], axis=1)
+    texts = [
+        f"{pair.ids[0]}, {pair.ids[1]}: {before:.4g} → {after:.4g}"
+        for pair, (before, after) in zip(pairs, scores, strict=True)
     ]
     ends = np.array([low, high])
     corner = [*_across(ends, low, high).tolist(), *_up(ends, low, high).tolist()]
@@ -103,25 +76,27 @@ def _of_scores(pairs: Sequence[Pair], name: str) -> Chart:
         up=f"new {name}{unit}",
         ticks_across=_ticks(low, high, across=True),
         ticks_up=_ticks(low, high, across=False),
-        points=_thinned(places, kinds.tolist(), words),
+        points=_thinned(points, classes.tolist(), texts),
         diagonal=(corner[0], corner[2], corner[1], corner[3]),
         legend=(("new", "more critical now"), ("old", "less critical now"), ("both", "as before")),
     )
 
 
 def _of_space(pairs: Sequence[Pair], axes: Sequence[Parameter]) -> Chart:
-    values = np.array([[one.read_number(pair.values) for one in axes] for pair in pairs])
-    known = any(one.critical is not None for one in pairs)
-    kinds, words = [], []
-    for one in pairs:
-        before, after = one.critical if known and one.critical is not None else one.collides
-        kind = "new" if after and not before else "old" if before and not after else "always" if after else "both"
-        if kind == "both" and one.run in ("otherwise", "not in one"):
-            kind = "moved"
-        kinds.append(kind)
-        ends = [outcome or error or "" for outcome, error in zip(one.outcomes, one.errors, strict=True)]
-        words.append(f"{one.ids[0]}, {one.ids[1]}: {ends[0]} → {ends[1]}")
-    what = "critical" if known else "a collision"
+    values = np.array([[parameter.read_number(pair.values) for parameter in axes] for pair in pairs])
+    has_threshold = any(pair.critical is not None for pair in pairs)
+    classes, texts = [], []
+    for pair in pairs:
+        before, after = pair.critical if has_threshold and pair.critical is not None else pair.collides
+        point_class = (
+            "new" if after and not before else "old" if before and not after else "always" if after else "both"
+        )
+        if point_class == "both" and pair.run in ("otherwise", "not in one"):
+            point_class = "moved"
+        classes.append(point_class)
+        ends = [outcome or error or "" for outcome, error in zip(pair.outcomes, pair.errors, strict=True)]
+        texts.append(f"{pair.ids[0]}, {pair.ids[1]}: {ends[0]} → {ends[1]}")
+    event = "critical" if has_threshold else "a collision"
     first, second = axes
     return Chart(
         title="Where in the space",
@@ -134,14 +109,14 @@ def _of_space(pairs: Sequence[Pair], axes: Sequence[Parameter]) -> Chart:
             np.stack(
                 [_across(values[:, 0], first.low, first.high), _up(values[:, 1], second.low, second.high)], axis=1
             ),
-            kinds,
-            words,
+            classes,
+            texts,
         ),
         diagonal=None,
         legend=(
-            ("new", f"{what} only now"),
-            ("old", f"{what} no longer"),
-            ("always", f"{what} with both"),
+            ("new", f"{event} only now"),
+            ("old", f"{event} no longer"),
+            ("always", f"{event} with both"),
             ("moved", "went otherwise"),
             ("both", "as before"),
         ),
@@ -161,23 +136,23 @@ def _up(values: FloatArray, low: float, high: float) -> FloatArray:
 
 
 def _ticks(low: float, high: float, *, across: bool) -> tuple[tuple[float, str], ...]:
-    """Round numbers between two ends, 1, 2 or 5 times a power of ten apart."""
+    """Return round numbers between two ends, 1, 2 or 5 times a power of ten apart, with their positions."""
     if not high > low:
         return ()
-    least = (high - low) / _TICKS
-    power = 10.0 ** math.floor(math.log10(least))
-    step = next(one * power for one in (1.0, 2.0, 5.0, 10.0) if one * power >= least * (1.0 - 1e-9))
+    min_step = (high - low) / _TICKS
+    power = 10.0 ** math.floor(math.log10(min_step))
+    step = next(factor * power for factor in (1.0, 2.0, 5.0, 10.0) if factor * power >= min_step * (1.0 - 1e-9))
     numbers = step * np.arange(math.ceil(low / step - 1e-9), math.floor(high / step + 1e-9) + 1)
-    places = (_across if across else _up)(numbers, low, high)
+    positions = (_across if across else _up)(numbers, low, high)
     return tuple(
-        (place, f"{number + 0.0:.4g}") for place, number in zip(places.tolist(), numbers.tolist(), strict=True)
+        (position, f"{number + 0.0:.4g}") for position, number in zip(positions.tolist(), numbers.tolist(), strict=True)
     )
 
 
 def _thinned(places: FloatArray, kinds: Sequence[str], words: Sequence[str]) -> tuple[tuple[Any, ...], ...]:
-    """Points, those last that changed, so that they lie above the others."""
-    same = [k for k, one in enumerate(kinds) if one == "both"]
-    others = [k for k, one in enumerate(kinds) if one != "both"]
-    every = max(1, math.ceil(len(same) / _MOST))
-    order = [*same[::every], *others]
+    """Return points with class and text; changed ones last, so that they are on top."""
+    unchanged = [k for k, point_class in enumerate(kinds) if point_class == "both"]
+    changed = [k for k, point_class in enumerate(kinds) if point_class != "both"]
+    stride = max(1, math.ceil(len(unchanged) / _MOST))
+    order = [*unchanged[::stride], *changed]
     return tuple((*places[k].tolist(), kinds[k], words[k]) for k in order)

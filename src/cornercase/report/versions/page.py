@@ -1,4 +1,4 @@
-"""The page of a comparison: one HTML file without outside references."""
+"""Page of a comparison: one HTML file without external references."""
 
 from __future__ import annotations
 
@@ -35,34 +35,41 @@ def write_comparison(
     *,
     scenario: Path | str | Scenario | None = None,
 ) -> Path:
-    """Write the page of a comparison: verdict, changes in words and charts, and the scenarios that show them, to play.
+    """Write the page of a comparison: verdict, changes, charts, and replays of example scenarios.
 
     Parameters
     ----------
     found : Comparison
-        Of the two studies.
+        Result of `compare` for the two studies.
     old, new : Study or path
-        As they were compared.
+        The compared studies.
     path : path
         File to write. The same comparison gives the same bytes.
     scenario : path or Scenario, optional
-        The scenario file, for the road; by default it is looked for beside the old study and in the current folder.
+        Scenario file, to draw the road; by default it is searched beside the old study and in the current folder.
 
     Returns
     -------
     Path
-        What was written.
+        The page.
 
     Raises
     ------
     InputError
-        The file cannot be written, a study cannot be read, or the `scenario` is another one.
+        The file cannot be written, a study cannot be read, or `scenario` is not the explored one.
+
+    Examples
+    --------
+    >>> import cornercase as cc
+    >>> from cornercase.report import write_comparison
+    >>> write_comparison(cc.compare("old.db", "new.db"), "old.db", "new.db", "compare.html")  # doctest: +SKIP
+    PosixPath('compare.html')
     """
     path = arguments.path("path", path)
-    asked = found.critical
+    critical = found.critical
     with (
-        open_study(old, readonly=True, critical=asked) as before,
-        open_study(new, readonly=True, critical=asked) as after,
+        open_study(old, readonly=True, critical=critical) as before,
+        open_study(new, readonly=True, critical=critical) as after,
     ):
         require_other_file(path, before.path)
         require_other_file(path, after.path)
@@ -75,13 +82,13 @@ def write_comparison(
 def _filled(found: Comparison, old: Study, new: Study, scenario: Path | str | Scenario | None) -> str:
     recordings, records = [], []
     for k, telling in enumerate(found.telling):
-        for one, study, scenario_id in _both(k, telling, old, new):
+        for number, study, scenario_id in _both(k, telling, old, new):
             if study.scores_of(scenario_id):
                 recordings.append(study.recording(scenario_id))
-                records.append((one, pack_record(one, recordings[-1], _courses(study, scenario_id, found))))
+                records.append((number, pack_record(number, recordings[-1], _courses(study, scenario_id, found))))
     block, offsets = pack_block([record for _, record in records])
-    index = {str(one): [0, offset] for (one, _), offset in zip(records, offsets, strict=True)}
-    sections = [one for one in tell_comparison(found) if one.key not in ("answer", "findings", "telling")]
+    index = {str(number): [0, offset] for (number, _), offset in zip(records, offsets, strict=True)}
+    sections = [section for section in tell_comparison(found) if section.key not in ("answer", "findings", "telling")]
     answer = tell_comparison(found)[0]
     contents = _contents(found, old, new) | {"recordings": index} | _roads(found, old, recordings, scenario)
     return fill_template(
@@ -94,10 +101,10 @@ def _filled(found: Comparison, old: Study, new: Study, scenario: Path | str | Sc
         answer=answer,
         verdict=found.verdict,
         reason=found.verdict_reason,
-        findings=[(title, _findings(each, found)) for title, each in _directions(found) if each],
+        findings=[(title, _findings(findings, found)) for title, findings in _directions(found) if findings],
         sections=sections,
         charts=list(draw_charts(found, old.space.parameters)),
-        telling=[(2 * k + 1, 2 * k + 2, one.why, _ids(one)) for k, one in enumerate(found.telling)],
+        telling=[(2 * k + 1, 2 * k + 2, example.why, _ids(example)) for k, example in enumerate(found.telling)],
         contents=contents,
         blocks=[base64.b64encode(block).decode()],
     )
@@ -108,21 +115,21 @@ def _directions(found: Comparison) -> tuple[tuple[str, tuple[Finding, ...]], ...
 
 
 def _findings(findings: Sequence[Finding], found: Comparison) -> list[dict[str, Any]]:
-    """What the page says of findings, and the numbers that it gives to their scenarios, if it can play them."""
-    played = {one.pair.ids: (2 * k + 1, 2 * k + 2) for k, one in enumerate(found.telling)}
+    """Return the texts of findings, with the page's numbers of their scenarios if they can be replayed."""
+    page_numbers = {example.pair.ids: (2 * k + 1, 2 * k + 2) for k, example in enumerate(found.telling)}
     return [
         {
-            "what": one.what,
-            "test": one.tell_test(),
-            "scenarios": [(name_pair(ids), *played.get(ids, (None, None))) for ids in one.ids[:NAMED]],
-            "more": max(len(one.ids) - NAMED, 0),
+            "what": finding.what,
+            "test": finding.tell_test(),
+            "scenarios": [(name_pair(ids), *page_numbers.get(ids, (None, None))) for ids in finding.ids[:NAMED]],
+            "more": max(len(finding.ids) - NAMED, 0),
         }
-        for one in findings
+        for finding in findings
     ]
 
 
 def _both(k: int, telling: Telling, old: Study, new: Study) -> tuple[tuple[int, Study, int], ...]:
-    """Numbers that the page gives to a pair, and whose they are."""
+    """Return the page's number, study and scenario id of each scenario of example `k`."""
     return (2 * k + 1, old, telling.pair.ids[0]), (2 * k + 2, new, telling.pair.ids[1])
 
 
@@ -132,46 +139,48 @@ def _ids(telling: Telling) -> str:
 
 
 def _courses(study: Study, scenario: int, found: Comparison) -> dict[str, FloatArray]:
-    names = [one.metric for one in found.scores]
+    names = [score.metric for score in found.scores]
     return {name: METRICS.create(name).capped(study.course(scenario, name)) for name in names}
 
 
 def _contents(found: Comparison, old: Study, new: Study) -> dict[str, Any]:
-    """What the page of a replay knows, with the two scenarios of each pair under numbers of the page's own."""
+    """Return the contents of the replays; the two scenarios of each pair have numbers of the page's own."""
     rows = [{row.id: row for row in study.rows()} for study in (old, new)]
-    pairs = [one.pair for one in found.telling]
-    outcomes = sorted({outcome for one in pairs for outcome in one.outcomes if outcome})
-    metrics = [one.metric for one in found.scores]
-    each = [(pair, side, rows[side][pair.ids[side]]) for pair in pairs for side in (0, 1)]
-    errors = {str(k + 1): row.error or "" for k, (_, _, row) in enumerate(each) if row.state == "failed"}
+    pairs = [example.pair for example in found.telling]
+    outcomes = sorted({outcome for pair in pairs for outcome in pair.outcomes if outcome})
+    metrics = [score.metric for score in found.scores]
+    members = [(pair, side, rows[side][pair.ids[side]]) for pair in pairs for side in (0, 1)]
+    errors = {str(k + 1): row.error or "" for k, (_, _, row) in enumerate(members) if row.state == "failed"}
     meta = old.meta
     subject = tell_subject(meta, old.path.name)
     critical = None
     if old.critical is not None and not meta.weights and not meta.pareto:
         first = METRICS.create(meta.metrics[0])
         critical = {"threshold": old.critical, "lower_is_critical": first.lower_is_critical, "unit": first.unit}
-    shown = [one for one in subject["metrics"] if one["name"] in metrics] or subject["metrics"]
-    known = [(old, new)[side].against_of(row.id) for _, side, row in each]
+    metrics_of_page = [metric for metric in subject["metrics"] if metric["name"] in metrics] or subject["metrics"]
+    sources = [(old, new)[side].against_of(row.id) for _, side, row in members]
     return subject | {
-        "metrics": shown,
+        "metrics": metrics_of_page,
         "searched": meta.metrics[0] if critical is not None else "",
         "critical": critical,
         "outcomes": outcomes,
         "called": {
             str(k + 1): f"{('Old', 'New')[side]}: scenario {row.id} of {found.names[side]}"
-            for k, (_, side, row) in enumerate(each)
+            for k, (_, side, row) in enumerate(members)
         },
         "scenarios": {
-            "id": list(range(1, len(each) + 1)),
-            "round": [row.round for _, _, row in each],
-            "failed": [int(row.state == "failed") for _, _, row in each],
-            "values": plain_values(old.space.parameters, [row for _, _, row in each]),
-            "scores": {name: [_score(pair.scores, name, side) for pair, side, _ in each] for name in metrics},
-            "critical": [int(bool(pair.critical and pair.critical[side])) for pair, side, _ in each],
-            "outcome": [outcomes.index(pair.outcomes[side]) if pair.outcomes[side] else None for pair, side, _ in each],
-            "kept": [0] * len(each),
+            "id": list(range(1, len(members) + 1)),
+            "round": [row.round for _, _, row in members],
+            "failed": [int(row.state == "failed") for _, _, row in members],
+            "values": plain_values(old.space.parameters, [row for _, _, row in members]),
+            "scores": {name: [_score(pair.scores, name, side) for pair, side, _ in members] for name in metrics},
+            "critical": [int(bool(pair.critical and pair.critical[side])) for pair, side, _ in members],
+            "outcome": [
+                outcomes.index(pair.outcomes[side]) if pair.outcomes[side] else None for pair, side, _ in members
+            ],
+            "kept": [0] * len(members),
         }
-        | tell_against(meta, [[one.get(metric["name"]) for metric in shown] for one in known]),
+        | tell_against(meta, [[source.get(metric["name"]) for metric in metrics_of_page] for source in sources]),
         "kept": {},
         "errors": errors,
         "kinds": {},

@@ -1,6 +1,6 @@
 "use strict";
 
-// What can be done with the selected scenario.
+// Actions for the selected scenario: copy, download, note.
 class ActionBar {
   constructor(section, store, recordings) {
     Object.assign(this, { store, recordings });
@@ -31,7 +31,7 @@ class ActionBar {
       this.typing = setTimeout(() => this.saveNote(), 800);
     });
     this.note.addEventListener("change", () => this.saveNote());
-    // Keys of the replay are letters, too.
+    // Letter keys also control the replay.
     this.note.addEventListener("keydown", (event) => event.stopPropagation());
     this.said = document.createElement("p");
     this.said.id = "note-said";
@@ -95,7 +95,7 @@ class ActionBar {
     this.why.hidden = !this.why.textContent;
   }
 
-  // What somebody is writing is not taken from under the hands.
+  // Do not overwrite a note that is being edited.
   showNote(always = false) {
     if (!always && document.activeElement === this.note) return;
     this.note.value = this.store.notes.get(this.id) ?? "";
@@ -167,7 +167,7 @@ async function saveServed(store, path, name) {
   }
 }
 
-// For browsers that give a page no clipboard.
+// For browsers without clipboard access.
 function copiedByHand(text) {
   const field = document.createElement("textarea");
   field.value = text;

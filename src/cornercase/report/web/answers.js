@@ -1,6 +1,6 @@
 "use strict";
 
-// Long answers begin folded, so that the scenarios are in sight beneath them; the button opens them.
+// Long answers are folded at first, so that the scenarios are visible below them; the button unfolds them.
 function foldAnswers(section) {
   const button = document.createElement("button");
   button.type = "button";

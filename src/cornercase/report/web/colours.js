@@ -1,6 +1,6 @@
 "use strict";
 
-// Okabe and Ito's colours, which the colour-blind can tell apart; symbols and dashes say the same without colour.
+// Colours by Okabe and Ito, which colour-blind readers can distinguish; symbols and dashes carry the same information.
 const KIND_COLOURS = {
   light: ["#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#000000", "#b8a800"],
   dark: ["#3d95d6", "#f0792b", "#1fbf92", "#dd94bd", "#f2b42e", "#8accf5", "#ffffff", "#f0e442"],
@@ -10,7 +10,7 @@ const DASHES = [[], [7, 4], [2, 3], [9, 3, 2, 3]];
 const PLOTLY_DASHES = ["solid", "dash", "dot", "dashdot"];
 const PLOTLY_SYMBOLS = ["circle", "square", "diamond", "cross", "circle-open", "square-open", "diamond-open", "x"];
 
-// Viridis at nine places.
+// Viridis at nine points.
 const SCALE = ["#440154", "#472d7b", "#3b528b", "#2c728e", "#21918c", "#28ae80", "#5ec962", "#addc30", "#fde725"];
 const STEPS = 48;
 
@@ -19,7 +19,7 @@ function isDark() {
   return theme ? theme === "dark" : matchMedia("(prefers-color-scheme: dark)").matches;
 }
 
-// What the style sheet calls its colours; read anew after each change of the theme.
+// Colours of the style sheet; read again after each change of the theme.
 let coloursRead = null;
 
 function themeColours() {
@@ -52,16 +52,16 @@ function mixed(first, second, share) {
   return `rgb(${parts.join(",")})`;
 }
 
-// Colour of a share between 0 and 1, where 1 is what should stand out: dark on light pages, bright on dark ones.
+// Colour of a value between 0 and 1, where 1 should stand out: dark on light pages, bright on dark ones.
 function scaleColour(share) {
   const from = isDark() ? share : 1 - share;
-  // The palest yellow cannot be seen on white, nor the darkest violet on black.
+  // Without the palest yellow on white and the darkest violet on black, which are invisible.
   const place = (isDark() ? 0.12 + 0.88 * from : 0.93 * from) * (SCALE.length - 1);
   const k = Math.min(SCALE.length - 2, Math.floor(place));
   return mixed(SCALE[k], SCALE[k + 1], place - k);
 }
 
-// How each scenario is drawn: `of[row]` is the number of one of `styles`, each { colour, symbol, name }.
+// Style of each scenario: `of[row]` is an index into `styles`, each { colour, symbol, name }.
 function rowLooks(store) {
   const key = [store.options.colour, store.options.aspect, store.options.metric, isDark(), store.version].join("\n");
   if (store.looks?.key !== key) store.looks = { key, ...makeLooks(store) };

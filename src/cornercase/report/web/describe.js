@@ -1,6 +1,6 @@
 "use strict";
 
-// What scenarios, ranges and numbers are called, for people.
+// Names of scenarios, ranges and numbers for readers.
 
 function formatNumber(value) {
   if (value === null || value === undefined || Number.isNaN(value)) return "–";
@@ -11,7 +11,7 @@ function formatNumber(value) {
   return text.replace("-", "−");
 }
 
-// With as many digits as tell numbers apart that are a `step` from each other, far from 0 too.
+// With enough digits to distinguish numbers that differ by `step`, also far from 0.
 function formatInSteps(value, step) {
   const digits = Math.floor(Math.log10(Math.abs(value) / step)) + 1;
   const plain = !Number.isFinite(value) || !(step > 0) || digits <= 4 || digits > 15;
@@ -31,7 +31,7 @@ function parameterText(store, k, row) {
   return withUnit(value, one.unit, formatInSteps(value, (one.high - one.low) / 1000));
 }
 
-// Pairs of a name and a value: all that a reader may want to know of a scenario at a glance.
+// Pairs of name and value that summarize a scenario.
 function describeScenario(store, row, most = 10) {
   const { scenarios, parameters, metrics, outcomes, kept, errors } = store.contents;
   const id = scenarios.id[row];
@@ -53,7 +53,7 @@ function describeScenario(store, row, most = 10) {
   return lines.map((line) => line.map(unturned));
 }
 
-// One sentence for the screen reader.
+// One sentence for screen readers.
 function sayScenario(store, row) {
   const lines = describeScenario(store, row, 6).map(([name, value]) => `${name} ${value}`);
   return `Scenario ${store.contents.scenarios.id[row]}: ${lines.join(", ")}`;
@@ -64,7 +64,7 @@ function shortened(text, most) {
   return letters.length > most ? `${letters.slice(0, most - 1).join("")}…` : text;
 }
 
-// Between what bounds a column is filtered, for instance "ego_start 30 to 45 m".
+// The bounds of a filtered column, for instance "ego_start 30 to 45 m".
 function rangeText(store, column) {
   const [low, high] = store.ranges.get(column);
   const [, key] = Store.split(column);
@@ -83,7 +83,7 @@ function announce(text) {
   document.getElementById("told").textContent = text;
 }
 
-// The box that says what is under the pointer.
+// The tooltip under the pointer.
 class Tip {
   constructor() {
     this.box = document.createElement("div");

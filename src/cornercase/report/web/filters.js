@@ -1,6 +1,6 @@
 "use strict";
 
-// The bar above the views: which scenarios are shown, what is looked at, and a chip for each filter that is on.
+// The bar above the views: filters, display options, and a chip for each active filter.
 class FilterBar {
   constructor(box, store) {
     this.store = store;
@@ -61,7 +61,7 @@ class FilterBar {
 
   changed(event, detail) {
     if (event === "cleared") for (const name of Object.keys(this.values)) this.values[name] = "";
-    // Clusters of another aspect have other numbers.
+    // Cluster numbers of another aspect are different.
     if (event === "options" && detail.includes("aspect") && this.values.kind) this.set({ kind: "" });
     if (event === "contents") {
       this.applyAll();
@@ -70,7 +70,7 @@ class FilterBar {
     this.refresh();
   }
 
-  // Filters by name, as texts: what the selects hold, and what stands in the address.
+  // Filters by name, as texts: values of the selects and of the address.
   set(values) {
     for (const [name, value] of Object.entries(values)) this.values[name] = this.known(name, value) ? value : "";
     this.applyAll();
@@ -78,7 +78,7 @@ class FilterBar {
     announce(this.count.textContent);
   }
 
-  // Addresses are written by people, and for other studies.
+  // Addresses may be typed by people, or belong to another study.
   known(name, value) {
     const { contents } = this.store;
     if (value === "") return true;

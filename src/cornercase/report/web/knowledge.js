@@ -1,8 +1,8 @@
 "use strict";
 
-// The sentences and tables of a page whose study grows.
+// Sentences and tables of a live page.
 
-// HTML of the page's own server, in which all texts are escaped, as elements.
+// Turns HTML of the page's own server, with all texts escaped, into elements.
 function parsed(html) {
   return [...new DOMParser().parseFromString(html, "text/html").body.childNodes];
 }
@@ -33,7 +33,7 @@ function showAnswers(answers) {
   for (const one of before.values()) one.remove();
 }
 
-// What is open stays open.
+// Open sections stay open.
 function showDetails(details) {
   const box = document.getElementById("details");
   const before = new Map([...box.querySelectorAll("details")].map((one) => [one.dataset.part, one]));

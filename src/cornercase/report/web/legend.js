@@ -1,6 +1,6 @@
 "use strict";
 
-// What colours and symbols mean, beneath a drawing.
+// Legend of colours and symbols below a drawing.
 
 function legendItem(list, text, draw = null) {
   const item = document.createElement("li");
@@ -17,7 +17,7 @@ function legendItem(list, text, draw = null) {
   return item;
 }
 
-// `sample` draws what stands for a look: a symbol, or where scenarios are lines a piece of one.
+// `sample` draws the example of a style: a symbol, or a piece of a line.
 function fillLegend(list, store, sample = (g, style) => drawSymbol(g, style, 8, 8, 4.5)) {
   const looks = rowLooks(store);
   const { scenarios } = store.contents;

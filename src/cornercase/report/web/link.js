@@ -1,6 +1,6 @@
 "use strict";
 
-// What was chosen stands in the address, so that it can be sent: `#id=123&beside=45&kind=2&score=0:1.5`.
+// The selection is part of the address, so that it can be shared: `#id=123&beside=45&kind=2&score=0:1.5`.
 class Link {
   constructor(store, bar) {
     this.store = store;
@@ -13,7 +13,7 @@ class Link {
     addEventListener("popstate", () => this.read());
   }
 
-  // The address of what is seen now, without the "#".
+  // The address of the current selection, without "#".
   text() {
     const { store, bar, defaults } = this;
     const parts = [];
@@ -31,7 +31,7 @@ class Link {
     return parts.join("&").replaceAll("%3A", ":").replaceAll("%20", "+");
   }
 
-  // One entry in the history for all that changes within a moment: a brush would fill it otherwise.
+  // One history entry for all changes within a moment; otherwise a brush would fill the history.
   later() {
     clearTimeout(this.waiting);
     this.waiting = setTimeout(() => this.write(), 250);
@@ -45,7 +45,7 @@ class Link {
     try {
       history.pushState(null, "", address);
     } catch (error) {
-      // Pages without an address, in a frame of a notebook, have no history, and some browsers take few entries a minute.
+      // A page in a notebook frame has no history, and some browsers limit the entries per minute.
       if (!(error instanceof DOMException)) throw error;
     }
   }
@@ -79,7 +79,7 @@ class Link {
     this.waiting = null;
   }
 
-  // What the bounds of a column are called in an address: "range.ego_start", "score.ttc", "range-of.round".
+  // Names of a column's bounds in an address: "range.ego_start", "score.ttc", "range-of.round".
   static nameOf(column) {
     const [kind, key] = Store.split(column);
     if (!key) return `range-of.${kind}`;
@@ -93,7 +93,7 @@ class Link {
     return null;
   }
 
-  // The value where it is one that is there; null otherwise, as for a page of another study.
+  // The value if it exists, else null, as for a page of another study.
   option(name, value) {
     if (value === null) return null;
     const { contents } = this.store;

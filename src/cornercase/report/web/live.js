@@ -1,8 +1,8 @@
 "use strict";
 
-// A page that is served while its study grows asks its server for everything, and is told what is new.
+// A live page loads all contents from its server, then receives events.
 
-// Every request names the token of the page's own address.
+// Every request contains the token of the page's address.
 function servedAt(path, more = {}) {
   const address = new URL(path, location.href);
   address.hash = "";
@@ -16,15 +16,15 @@ function isLive() {
   return document.documentElement.dataset.live === "true";
 }
 
-// Another study may lie there by the time that something of this one is asked for.
+// The study may have been replaced before a request arrives.
 function ofStudy(store) {
   return { epoch: epochOf(store.contents) };
 }
 
-// Why the server gave nothing, as a sentence for the reader.
+// Why the server returned nothing, as a sentence for the reader.
 class ServerError extends Error {}
 
-// What the server answers, read as "json", "text", "blob" or "arrayBuffer".
+// The response of the server, read as "json", "text", "blob" or "arrayBuffer".
 async function ask(path, read, more = {}, options = {}) {
   let answer = null;
   let content = null;
@@ -32,7 +32,7 @@ async function ask(path, read, more = {}, options = {}) {
     answer = await fetch(servedAt(path, more), options);
     content = await answer[answer.ok ? read : "text"]();
   } catch (error) {
-    // So a browser tells of a connection that is not there, or that ends amid the answer.
+    // This is how browsers report a missing or broken connection.
     if (!(error instanceof TypeError)) throw error;
     throw new ServerError("The server does not answer.");
   }
@@ -42,7 +42,7 @@ async function ask(path, read, more = {}, options = {}) {
 
 async function fetchContents() {
   const contents = await ask("contents", "json");
-  // As arrays, so that more can be added to them.
+  // As arrays that can grow.
   for (const course of Object.values(contents.courses ?? {})) {
     const bytes = await unpack(course.values);
     course.values = new Uint16Array(bytes.buffer, bytes.byteOffset, bytes.byteLength / 2);
@@ -50,7 +50,7 @@ async function fetchContents() {
   return contents;
 }
 
-// Waits until a scenario has ended, and the server is there.
+// Waits for the server, and until a scenario has ended.
 async function firstContents() {
   const state = new LiveState();
   for (;;) {
@@ -66,7 +66,7 @@ async function firstContents() {
   }
 }
 
-// What the header says of the study.
+// Text of the header.
 class LiveState {
   constructor() {
     this.box = document.getElementById("live-state");
@@ -87,7 +87,7 @@ class LiveState {
     const parts = [`live: ${state.run} scenarios`];
     if (state.failed) parts.push(`${state.failed} failed`);
     if (state.pending) parts.push(`${state.pending} pending`);
-    // Always with 24 hours, so that it is as wide in each country.
+    // Always 24 hours, so that the width is the same in each locale.
     if (state.last) parts.push(`last ${new Date(1000 * state.last).toLocaleTimeString("en-GB")}`);
     this.box.textContent = parts.join(", ");
   }
@@ -98,14 +98,14 @@ class LiveState {
   }
 }
 
-// Recordings of the server, of which the last few that were looked at are kept.
+// Recordings of the server; the last few are cached.
 class ServedRecordings {
   constructor(store) {
     this.store = store;
     this.known = new Map();
   }
 
-  // Which scenarios have a recording is known by the store.
+  // The store knows which scenarios have a recording.
   has(id) {
     const row = this.store.rows.get(id);
     return row !== undefined && !this.store.contents.scenarios.failed[row];
@@ -117,7 +117,7 @@ class ServedRecordings {
       const coming = this.fetch(id);
       this.known.set(id, coming);
       if (this.known.size > 64) this.known.delete(this.known.keys().next().value);
-      // What did not come is asked for again when it is looked at the next time.
+      // A failed request is repeated the next time the recording is needed.
       coming.catch(() => this.known.get(id) === coming && this.known.delete(id));
     }
     return this.known.get(id);
@@ -132,13 +132,13 @@ class ServedRecordings {
   }
 }
 
-// Keeps the store as the study is.
+// Keeps the store in sync with the study.
 class Following {
   constructor(store, recordings) {
     this.store = store;
     this.recordings = recordings;
     this.state = new LiveState();
-    // What was told and is not shown yet, as [event, data].
+    // Received events that are not shown yet, as [event, data].
     this.told = [];
     this.waiting = null;
     this.cost = 0;
@@ -146,7 +146,7 @@ class Following {
     this.again = false;
     this.cursor = store.contents.live.cursor;
     this.begin();
-    // A browser opens six connections to a server: the pages that nobody looks at leave them to the others.
+    // A browser opens six connections to a server; hidden pages leave them to the others.
     document.addEventListener("visibilitychange", () => {
       this.events.close();
       if (!document.hidden) this.begin();
@@ -163,7 +163,7 @@ class Following {
         this.cursor = event.lastEventId || this.cursor;
         act(JSON.parse(event.data));
       });
-    // The server may tell of a study that has replaced the one that is shown.
+    // The study that is shown may have been replaced.
     const same = () => this.cursor.split(".")[0] === epochOf(this.store.contents);
     for (const name of ["scenarios", "knowledge", "state"]) {
       on(name, (data) => (same() ? this.add(name, data) : this.fetchAgain()));
@@ -174,7 +174,7 @@ class Following {
       if (this.last) this.state.show(this.last);
       this.store.tell("served");
     };
-    // The browser connects again by itself, unless the server has refused it.
+    // The browser reconnects by itself unless the server refused the connection.
     events.onerror = () => {
       this.state.showStopped();
       if (events.readyState !== EventSource.CLOSED) return;
@@ -182,7 +182,7 @@ class Following {
     };
   }
 
-  // What comes close together is shown together: redrawing a large study takes longer than being told of a scenario.
+  // Events in quick succession are shown together: redrawing a large study takes longer than receiving a scenario.
   add(name, data) {
     this.told.push([name, data]);
     this.waiting ??= setTimeout(() => {
@@ -194,10 +194,10 @@ class Following {
     }, Math.min(1000, Math.max(100, 3 * this.cost)));
   }
 
-  // Shows scenarios, what counts them and what is known of them at one go, so that all numbers are of one moment.
+  // Shows scenarios, counts and analysis in one step, so that all numbers belong to one moment.
   show() {
     const { store } = this;
-    // Those of which more follow at once wait for these.
+    // Batches that continue at once wait for the rest.
     const last = this.told.findLastIndex(([name, data]) => name !== "scenarios" || data.state !== null);
     const told = this.told.splice(0, last + 1);
     if (!told.length) return;
@@ -209,7 +209,7 @@ class Following {
     this.showKnowledge(knowledge ?? {});
   }
 
-  // A state that counts other scenarios than are here is of another moment; its own will come.
+  // A state with other counts belongs to another moment; the right one will come.
   showState(state) {
     if (!state || (state.name !== "waiting" && state.run + state.failed !== this.store.n)) return;
     this.last = state;
@@ -218,7 +218,7 @@ class Following {
 
   async fetchAgain() {
     this.again = true;
-    // All that was told before is in what is asked for now.
+    // All previous events are included in the contents requested now.
     this.told = [];
     if (this.fetching) return;
     this.fetching = true;
@@ -232,24 +232,24 @@ class Following {
     } catch (error) {
       if (!(error instanceof ServerError)) throw error;
       this.state.showStopped(error.message);
-      // Of what this page should have, nobody tells it a second time.
+      // The server does not repeat events this page should have.
       setTimeout(() => this.fetchAgain(), 1000);
     } finally {
       this.fetching = false;
     }
-    // What came meanwhile, of which most is in the contents already.
+    // Events received meanwhile; most are in the contents already.
     if (this.told.length) this.add(...this.told.pop());
   }
 
   take(contents) {
     const { store } = this;
     const about = ({ parameters, metrics }) => JSON.stringify([parameters, metrics]);
-    // Another study lies there now, of which the views know nothing.
+    // A different study is there now, which the views do not know.
     if (about(contents) !== about(store.contents)) {
       location.reload();
       return;
     }
-    // Scenarios of a search that was begun anew have ids that others had.
+    // A restarted search reuses scenario ids.
     const isOther = epochOf(contents) !== epochOf(store.contents);
     if (isOther) this.recordings.forget();
     store.setContents(contents);
@@ -258,7 +258,7 @@ class Following {
     this.showKnowledge(contents);
   }
 
-  // Sentences and tables follow in the background: of how many scenarios they are is said until they are of all.
+  // The analysis follows in the background; until it is up to date, its number of scenarios is shown.
   showHowOld() {
     const { store } = this;
     const known = knownOf(store);
@@ -290,12 +290,12 @@ class Following {
   }
 }
 
-// Which study, of all that the server has seen.
+// Identifies the study among all that the server has seen.
 function epochOf(contents) {
   return contents.live.cursor.split(".")[0];
 }
 
-// The contents with rows that are not in them yet; null where all are.
+// The contents with new rows; null if there are none.
 function addRows(store, told) {
   const { contents } = store;
   const known = new Set(store.rows.keys());
@@ -335,7 +335,7 @@ function addRows(store, told) {
   return { ...contents, scenarios, kinds, courses, errors };
 }
 
-// Courses are whole numbers of 16 bits between the lowest and the highest value, which may be new ones.
+// Courses are 16-bit integers between the lowest and the highest value, which may change.
 function addCourses(old, added) {
   const { points } = old;
   const nothing = 65535;

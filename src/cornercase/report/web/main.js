@@ -1,8 +1,8 @@
 "use strict";
 
-// Plotly is in the file as compressed text: it is unpacked once, when the first view needs it.
+// Plotly is compressed in the file and unpacked once, when the first view needs it.
 let plotlyLoaded = null;
-// After how many ms Plotly is unpacked, if no view needed it before.
+// Delay in ms after which Plotly is unpacked if no view needed it before.
 const UNHURRIED = 6000;
 
 function loadPlotly() {
@@ -24,17 +24,17 @@ async function begin() {
   showTools(document.getElementById("tools"), store);
   const bar = new FilterBar(document.getElementById("filters"), store);
   const link = new Link(store, bar);
-  // The link comes first, so that what the address says is there when the replay begins.
+  // The link comes first, so that the replay starts with the selection of the address.
   if (typeof showReplay === "function") showReplay(document.getElementById("replay"), store, recordings);
   foldAnswers(document.getElementById("answers"));
   const views = new Views(document.getElementById("views"), store);
   window.cornercase = { ...window.cornercase, store, recordings, bar, link, views, settled: () => views.settled() };
   window.cornercase.actions = showActions(document.getElementById("replay"), store, recordings);
   if (live) window.cornercase.following = new Following(store, recordings);
-  // The page can be used when filters, table and the views on the screen are there; what needs Plotly comes after.
+  // The page is usable once filters, table and visible views are ready; Plotly follows.
   await views.settled();
   document.documentElement.dataset.ready = "true";
-  // Before a page is printed there is no time to wait for Plotly.
+  // Before printing there is no time to wait for Plotly.
   views.makeAll(() => setTimeout(() => whenIdle(() => views.drawAll()), UNHURRIED));
 }
 

@@ -1,9 +1,9 @@
 "use strict";
 
-// Notes on scenarios. In a file they are kept by the browser until the page is saved with them; live they go to the study.
+// Notes on scenarios. For a file, the browser stores them until the page is saved; live they go to the study.
 
 const LONGEST_NOTE = 2000;
-// The page as it came, to be saved again; only references, as nothing of it has been changed yet.
+// The original page, to be saved again; only references, as nothing has been changed yet.
 const PRISTINE = document.documentElement.cloneNode(true);
 
 class NoteKeeper {
@@ -13,7 +13,7 @@ class NoteKeeper {
     this.own = isLive() ? {} : this.remembered();
     const found = { ...store.contents.notes };
     for (const [id, { before, text }] of Object.entries(this.own)) {
-      // Where the file says something else by now, it was saved or written anew since.
+      // If the file contains a different note, it was saved or written again since.
       if ((found[id] ?? "") === before) found[id] = text;
       else delete this.own[id];
     }
@@ -24,13 +24,13 @@ class NoteKeeper {
     try {
       return JSON.parse(localStorage.getItem(this.key)) ?? {};
     } catch (error) {
-      // The browser keeps nothing for this page, or what another program wrote there.
+      // The browser stores nothing for this page, or the stored text belongs to another program.
       if (!(error instanceof DOMException || error instanceof SyntaxError)) throw error;
       return {};
     }
   }
 
-  // Resolves to a sentence for the reader, or null where nothing was changed.
+  // Resolves to a sentence for the reader, or null if nothing changed.
   async write(id, given) {
     const text = given.trim();
     if ((this.store.notes.get(id) ?? "") === text) return null;
@@ -55,14 +55,14 @@ class NoteKeeper {
     }
   }
 
-  // The page as it came, with all notes in it.
+  // The original page with all notes.
   page() {
     const { store } = this;
     const root = PRISTINE.cloneNode(true);
     const notes = Object.fromEntries([...store.notes].map(([id, text]) => [String(id), text]));
     const holder = root.querySelector("#contents");
     const contents = { ...JSON.parse(holder.textContent), notes };
-    // In a script nothing is escaped, so what would end it must not be there.
+    // Nothing is escaped inside a script, so the text must not contain anything that ends it.
     holder.textContent = JSON.stringify(contents).replace(/[<\u2028\u2029]/g, escaped);
     return `<!DOCTYPE html>\n${root.outerHTML}\n`;
   }

@@ -1,6 +1,6 @@
 "use strict";
 
-// Places of numbers along an axis, from pixel `from` to pixel `to`.
+// Maps numbers to pixels along an axis, from pixel `from` to pixel `to`.
 class Scale {
   constructor(low, high, from, to, choices = []) {
     this.choices = choices;
@@ -19,7 +19,7 @@ class Scale {
     return this.low + ((pixel - this.from) / (this.to - this.from)) * (this.high - this.low);
   }
 
-  // Round numbers some `apart` pixels from each other, each with its text.
+  // Round numbers about `apart` pixels from each other, each with its text.
   ticks(apart) {
     const most = Math.max(2, Math.abs(this.to - this.from) / apart);
     if (this.choices.length) {
@@ -38,8 +38,8 @@ class Scale {
   }
 }
 
-// A drawing on two canvases: the lower one has what changes with filters, the upper one what follows the pointer.
-// Subclasses draw (drawBase, drawOver), say where rows are (placeOf, rowAt), and may take brushes (brushTo).
+// A drawing on two canvases: the lower one changes with filters, the upper one with the pointer.
+// Subclasses draw (drawBase, drawOver), locate rows (placeOf, rowAt), and may accept brushes (brushTo).
 class Plot {
   constructor(box, store, { name, height = 330, margin = [10, 14, 46, 62] }) {
     this.store = store;
@@ -82,7 +82,7 @@ class Plot {
     return width > 0;
   }
 
-  // What was just measured is empty; in print, clearing it again would blank what lies below.
+  // A newly measured canvas is empty; in print, clearing it again would blank what lies below.
   redraw(events, empty = false) {
     if (!this.width) return;
     if (["contents", "shown", "options", "theme"].some((one) => events.has(one))) {
@@ -123,7 +123,7 @@ class Plot {
     this.y = new Scale(low, high, this.height - this.bottom, this.top, choices);
   }
 
-  // Grid, ticks and names of both axes.
+  // Grid, ticks and labels of both axes.
   drawAxes(g, xTitle, yTitle) {
     const colours = themeColours();
     g.font = `11.5px ${colours.font}`;
@@ -159,7 +159,7 @@ class Plot {
     g.restore();
   }
 
-  // The scenarios that are selected, and the one under the pointer, as lines above all others.
+  // The selected and hovered scenarios, as lines on top.
   markLines(g, draw, width, dash) {
     const { store } = this;
     const colours = themeColours();
@@ -254,7 +254,7 @@ class Plot {
     event.preventDefault();
   }
 
-  // To the next scenario that is shown, from left to right, or from bottom to top.
+  // Moves to the next visible scenario, from left to right, or from bottom to top.
   walk(key) {
     const along = key === "ArrowUp" || key === "ArrowDown" ? 1 : 0;
     if (this.order?.along !== along) this.order = { along, rows: this.rowsInOrder(along) };
@@ -288,10 +288,10 @@ class Plot {
   }
 }
 
-// What is drawn anew, finely, before the page is printed.
+// Drawings that are redrawn in print resolution.
 const PRINTED = new Set();
 
-// A click selects; with shift, control or command the scenario goes beside the selected one.
+// A click selects; with Shift, Ctrl or Cmd the scenario is shown beside the selected one.
 function chooseRow(store, row, event) {
   const slot = event.shiftKey || event.ctrlKey || event.metaKey ? "beside" : "selected";
   const id = store.contents.scenarios.id[row];
@@ -306,7 +306,7 @@ function line(g, x0, y0, x1, y1) {
   g.stroke();
 }
 
-// The text, cut where it is wider than its place.
+// The text, shortened to the available width.
 function fitted(g, text, width) {
   if (g.measureText(text).width <= width) return text;
   const letters = Array.from(text);

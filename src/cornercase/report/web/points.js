@@ -1,6 +1,6 @@
 "use strict";
 
-// Symbols around a place; each as large to the eye as the circle.
+// Symbols around a point, all of the same apparent size as the circle.
 function symbolPath(g, symbol, x, y, r) {
   g.beginPath();
   const corners = (count, size, turn, inner = null) => {
@@ -46,7 +46,7 @@ function drawSymbol(g, { colour, symbol }, x, y, r) {
   }
 }
 
-// Scenarios as points: a plot that knows where they are (px, py: one place for each row, NaN for none).
+// Scenarios as points: a plot that knows their positions (px, py: one per row, NaN for none).
 class PointPlot extends Plot {
   radius() {
     const { n } = this.store;
@@ -134,7 +134,7 @@ function keptRole(store, row) {
   return store.contents.kept[store.contents.scenarios.id[row]]?.role ?? "kept";
 }
 
-// A kept scenario keeps the look of its kind, within an outline that says its role.
+// A scenario of the reduced set keeps the style of its kind, with an outline for its role.
 function drawKept(g, style, role, x, y, r) {
   const [outline, size] = (Object.hasOwn(ROLES, role) ? ROLES[role] : ["diamond", 2.2]);
   symbolPath(g, outline, x, y, size * r);
@@ -148,7 +148,7 @@ function drawKept(g, style, role, x, y, r) {
   drawSymbol(g, style.symbol === "ring" ? { ...style, symbol: "circle" } : style, x, y, r * 0.95);
 }
 
-// Rows as they are drawn: the most critical ones last, and so on top.
+// Rows in drawing order: the most critical ones last, and so on top.
 function drawingOrder(store) {
   const key = `${store.version} ${store.options.metric}`;
   if (store.drawing?.key !== key) {

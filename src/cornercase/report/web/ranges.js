@@ -1,6 +1,6 @@
 "use strict";
 
-// Controls that several views and the filter bar share.
+// Controls shared by several views and the filter bar.
 
 function labelledSelect(box, text, id) {
   const label = document.createElement("label");
@@ -14,7 +14,7 @@ function labelledSelect(box, text, id) {
   return select;
 }
 
-// Options as [value, text]; what was chosen stays where it still is there.
+// Options as [value, text]; the choice is kept if it still exists.
 function setOptions(select, options, value = select.value) {
   const key = JSON.stringify(options);
   if (select.dataset.key !== key) {
@@ -38,7 +38,7 @@ function columnName(name) {
   return key;
 }
 
-// Two fields for the bounds of a column: the keyboard's way to brush.
+// Two fields for the bounds of a column: a brush for the keyboard.
 class RangeFields {
   constructor(box, store, { text, lowId, highId }) {
     this.store = store;
@@ -88,7 +88,7 @@ class RangeFields {
   }
 }
 
-// A part of a view that opens, with two fields for each of its columns; returns what brings it up to date.
+// A collapsible part of a view with two fields for each column; returns its update function.
 function rangeMenu(box, store, columns) {
   const details = document.createElement("details");
   details.className = "menu";

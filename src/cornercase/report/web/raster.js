@@ -1,12 +1,12 @@
 "use strict";
 
-// Each look is drawn once, as pixels, and then copied: thousands of paths, or of images, would take several frames.
+// Each style is drawn once as pixels and then copied: thousands of paths or images would take several frames.
 class Stamps {
   constructor() {
     this.made = new Map();
   }
 
-  // By the style itself first: building a key for each of thousands of points would take longer than to copy it.
+  // Looked up by the style object first: building a key for thousands of points would take longer than copying.
   get(style, r, ratio) {
     const last = style.stamp;
     if (last !== undefined && last.r === r && last.ratio === ratio) return last;
@@ -34,7 +34,7 @@ class Stamps {
 
 const STAMPS = new Stamps();
 
-// Pixels that stamps are copied to, and that are then drawn at once.
+// A pixel buffer that stamps are copied to, and that is drawn at once.
 class Raster {
   begin(width, height) {
     if (this.width !== width || this.height !== height) {
@@ -49,7 +49,7 @@ class Raster {
     this.pixels.fill(0);
   }
 
-  // The middle of the stamp is at x, y.
+  // The centre of the stamp is at x, y.
   put({ size, pixels }, x, y) {
     const left = Math.round(x - size / 2);
     const top = Math.round(y - size / 2);

@@ -1,6 +1,6 @@
 "use strict";
 
-// The browser's own function where it has one, or a loop: Uint8Array.from takes half a second of a big page.
+// The browser's own function if it has one, else a loop: Uint8Array.from takes half a second for a large page.
 function fromBase64(text) {
   if (Uint8Array.fromBase64) return Uint8Array.fromBase64(text);
   const letters = atob(text);
@@ -9,7 +9,7 @@ function fromBase64(text) {
   return bytes;
 }
 
-// Bytes of a text in base64 that were compressed by zlib.
+// Bytes of a text in base64, compressed by zlib.
 async function unpack(text) {
   return inflate(fromBase64(text));
 }
@@ -19,7 +19,7 @@ async function inflate(packed) {
   return new Uint8Array(await new Response(stream).arrayBuffer());
 }
 
-// One recording as blocks.py packs it: arrays by name, each with a row for each entity.
+// Decodes a recording of the page's record format: arrays by name, one row per entity.
 function readRecord(bytes, offset = 0) {
   const view = new DataView(bytes.buffer, bytes.byteOffset, bytes.byteLength);
   const headLength = view.getUint32(offset, true);
@@ -51,7 +51,7 @@ function readRecord(bytes, offset = 0) {
   return recording;
 }
 
-// Recordings of the file, unpacked when they are asked for.
+// Recordings of the file, unpacked on demand.
 class EmbeddedRecordings {
   constructor(index) {
     this.index = index;
@@ -62,7 +62,7 @@ class EmbeddedRecordings {
     return String(id) in this.index;
   }
 
-  // A promise of the recording, of null where the file does not have it.
+  // A promise of the recording, or of null if the file does not contain it.
   async get(id) {
     if (!this.has(id)) return null;
     const [block, offset] = this.index[String(id)];

@@ -1,6 +1,6 @@
 "use strict";
 
-// How a scenario is run again: its command, its file, and its recording as a table.
+// How to run a scenario again: its command, its file, and its recording as a table.
 
 // A number as Python writes it.
 function numberText(value) {
@@ -18,7 +18,7 @@ function numberText(value) {
   return `${sign}${whole}.${plain.slice(power + 1) || "0"}`;
 }
 
-// A word as a shell takes it: that of Unix, or PowerShell.
+// A word quoted for a Unix shell or PowerShell.
 function shellWord(word, windows = navigator.userAgent.includes("Windows")) {
   if (/^[A-Za-z0-9_@%+=:,./-]+$/.test(word) && !(windows && /[@%,]/.test(word))) return word;
   return windows ? `'${word.replaceAll("'", "''")}'` : `'${word.replaceAll("'", `'"'"'`)}'`;
@@ -38,7 +38,7 @@ class Running {
     return this.store.contents.scenarios.values.map((column) => column[row]);
   }
 
-  // The words of the command that runs a scenario; null where there is none.
+  // The words of the command that runs a scenario; null if there is none.
   words(id) {
     const command = this.told?.command;
     if (!command) return null;
@@ -52,12 +52,12 @@ class Running {
 
   command(id) {
     const words = this.words(id);
-    // A terminal may take other characters for orders, whatever stands around them.
+    // Other characters could be control sequences for a terminal, even inside quotes.
     if (words === null || words.some((word) => /[\u0000-\u001f\u007f-\u009f]/.test(word))) return null;
     return words.map((word) => shellWord(word)).join(" ");
   }
 
-  // The scenario's file as `cornercase reduce` writes it; null where the page does not hold it.
+  // The scenario file as `cornercase reduce` writes it; null if the page does not contain it.
   file(id) {
     const file = this.told?.file;
     if (!file) return null;
@@ -79,7 +79,7 @@ function padded(id) {
 const CSV_COLUMNS = ["x", "y", "heading", "speed", "acceleration"];
 const CSV_BOX = ["length", "width", "center_x"];
 
-// The recording of the page, whose numbers are rounded to what a drawing needs.
+// The recording of the page, with numbers rounded to drawing precision.
 function tableOf(recording) {
   const digits = Object.fromEntries(recording.fields.map(([name, , step]) => [name, Math.round(-Math.log10(step))]));
   const number = (value, name) => (Number.isNaN(value) ? "nan" : String(Number(value.toFixed(digits[name]))));
@@ -97,7 +97,7 @@ function tableOf(recording) {
   return `${lines.join("\n")}\n`;
 }
 
-// A collision stands in the row of its first entity, at the instant that is nearest to it.
+// A collision is written in the row of its first entity, at the nearest instant.
 function touchedAt({ collisions, names, time }) {
   const found = new Map();
   for (const [when, a, b] of collisions) {
@@ -111,7 +111,7 @@ function touchedAt({ collisions, names, time }) {
   return found;
 }
 
-// A text that a spreadsheet would take for a formula gets an apostrophe, which cornercase's reader takes away.
+// A text that a spreadsheet would run as a formula gets an apostrophe, which cornercase's reader removes.
 function csvCell(text) {
   const isNumber = /^[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d{1,4})?$/.test(text);
   const plain = /^'*[=+\-@\t\r\n\uff1d\uff0b\uff0d\uff20]/.test(text) && !isNumber ? `'${text}` : text;

@@ -1,6 +1,6 @@
 "use strict";
 
-// A text without marks that turn the direction of writing: they would turn what stands beside it, too.
+// A text without control characters for the writing direction, which would affect the text beside it.
 function unturned(text) {
   return text.replace(/[\u061c\u200e\u200f\u202a-\u202e\u2066-\u2069]/g, escaped);
 }
@@ -9,12 +9,12 @@ function escaped(sign) {
   return `\\u${sign.charCodeAt(0).toString(16).padStart(4, "0")}`;
 }
 
-// Of how many scenarios sentences, tables and some views are; null where they are of all that are here.
+// Number of scenarios that sentences, tables and some views cover; null if they cover all.
 function knownOf({ n, contents }) {
   return contents.known_of < n ? contents.known_of : null;
 }
 
-// What the page knows and what its reader chose: views read it, change it, and are told when it changed.
+// Contents of the page and choices of its reader: views read and change it, and are notified of changes.
 //
 // Events: "contents" (scenarios came, live), "shown" (filters), "selected" (one of the two scenarios of the replay),
 // "options" (metric, aspect, colour, axes), "hovered" (the scenario under the pointer), "theme".
@@ -22,10 +22,10 @@ class Store {
   constructor(contents) {
     this.listeners = new Map();
     this.filters = new Map();
-    // Every brush is a range of a column, so that all views show the brushes of each other.
+    // Every brush is a range of a column, so that all views show each other's brushes.
     this.ranges = new Map();
     const aspect = Store.firstAspect(contents);
-    // One kind would give all points one colour.
+    // A single kind would give all points one colour.
     const kinds = new Set(aspect === null ? [] : contents.kinds[aspect].labels.filter((one) => one !== null));
     this.options = { metric: contents.metrics[0].name, aspect, colour: kinds.size > 1 ? "kind" : "metric" };
     this.notes = new Map();
@@ -36,8 +36,8 @@ class Store {
     this.setContents(contents, false);
   }
 
-  // Of several others the one that a score is against; null where there is one other, or where it is against none more
-  // than another.
+  // With several others, the one a score belongs to; null with one other, or if it belongs to none in
+  // particular.
   against(metric, row) {
     const { metrics, other, scenarios } = this.contents;
     const place = scenarios.against?.[row]?.[metrics.findIndex((one) => one.name === metric)] ?? null;
@@ -48,7 +48,7 @@ class Store {
     const names = Object.keys(contents.kinds);
     if (names.includes(contents.default_aspect)) return contents.default_aspect;
     const metric = contents.metrics[0].name;
-    // One that tells kinds apart says more than one that puts all into one.
+    // An aspect with several kinds is more useful than one with a single kind.
     const many = names.filter((name) => Object.keys(contents.kinds[name].names).length > 1);
     for (const some of [many, names]) {
       const best = [metric, "interaction"].find((name) => some.includes(name)) ?? some[0];
@@ -57,23 +57,23 @@ class Store {
     return null;
   }
 
-  // Scenarios are rows 0 to n - 1 here; people know them by their ids.
+  // Scenarios are rows 0 to n - 1 here; readers know them by their ids.
   setContents(contents, tell = true) {
     this.contents = contents;
     this.version += 1;
     this.n = contents.scenarios.id.length;
     this.rows = new Map(contents.scenarios.id.map((id, row) => [id, row]));
     this.columns = new Map();
-    // Another study may lie there now.
+    // The study may have been replaced.
     for (const slot of ["selected", "beside"]) if (!this.rows.has(this[slot])) this[slot] = null;
-    // A study that grows is analysed later, or begun anew.
+    // A growing study is analyzed later, or starts again.
     if (!Object.hasOwn(contents.kinds, this.options.aspect ?? "")) this.options.aspect = Store.firstAspect(contents);
     this.shown = new Uint8Array(this.n);
     this.applyFilters(false);
     if (tell) this.tell("contents");
   }
 
-  // Notes by id: `NoteKeeper` knows where they are kept.
+  // Notes by id; `NoteKeeper` stores them.
   setNotes(notes) {
     this.notes = new Map(Object.entries(notes).map(([id, text]) => [Number(id), text]));
     this.tell("notes");
@@ -94,7 +94,7 @@ class Store {
     for (const listener of this.listeners.get(event) ?? []) listener(detail);
   }
 
-  // A filter is called by the row of each scenario; null takes it away. Its label is shown to the reader.
+  // A filter is called with the row of each scenario; null removes it. Its label is shown to the reader.
   filter(name, test, label = name) {
     if (test === null) {
       if (!this.filters.delete(name)) return;
@@ -104,7 +104,7 @@ class Store {
     this.applyFilters();
   }
 
-  // Ranges as [column, low, high]; where both are null the column is free again.
+  // Ranges as [column, low, high]; if both are null, the range is removed.
   setRanges(ranges) {
     for (const [column, low, high] of ranges) {
       if (low === null && high === null) {
@@ -138,7 +138,7 @@ class Store {
     if (tell) this.tell("shown");
   }
 
-  // `slot` is "selected" or "beside"; an id that is not there, or null, selects nothing.
+  // `slot` is "selected" or "beside"; an unknown id, or null, selects nothing.
   select(id, slot = "selected") {
     const other = slot === "beside" ? this.selected : null;
     const found = this.rows.has(id) && id !== other ? id : null;
@@ -182,7 +182,7 @@ class Store {
     return at < 0 ? [name, ""] : [name.slice(0, at), name.slice(at + 1)];
   }
 
-  // What an axis is called, with its unit, and the names of its numbers where they stand for choices.
+  // The label of an axis with its unit, and the names of its numbers if they are choices.
   axis(name) {
     const [kind, key] = Store.split(name);
     if (!key) return { title: name === "id" ? "scenario [id]" : `${name} [1]`, choices: [] };
@@ -191,7 +191,7 @@ class Store {
     return { title: one.unit ? `${said} [${one.unit}]` : said, unit: one.unit, choices: one.choices ?? [] };
   }
 
-  // Whether there is such a column: addresses are written by people, too.
+  // Whether the column exists: addresses are also typed by people.
   has(name) {
     const [kind, key] = Store.split(name);
     if (!key) return name === "id" || name === "round";
@@ -203,14 +203,14 @@ class Store {
     return this.contents.metrics.find((each) => each.name === name);
   }
 
-  // Score from which a scenario is critical; null where nothing says so, or it speaks of another metric.
+  // Score from which a scenario is critical; null if there is none for the shown metric.
   threshold(name = this.options.metric) {
     const { critical, searched } = this.contents;
     const own = critical && searched === name;
     return own ? critical.threshold : null;
   }
 
-  // Cluster of a scenario by the aspect that is looked at: null where it is in none yet, -1 for noise.
+  // Cluster of a scenario by the shown aspect: null if not assigned yet, -1 for noise.
   kindOf(row) {
     const { aspect } = this.options;
     return aspect === null ? null : this.contents.kinds[aspect].labels[row];

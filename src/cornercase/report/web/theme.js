@@ -2,7 +2,7 @@
 
 const THEMES = ["system", "light", "dark"];
 
-// Remembered where the browser lets a page remember something.
+// Stored if the browser allows it.
 function rememberedTheme() {
   try {
     const theme = localStorage.getItem("cornercase theme");
@@ -19,7 +19,7 @@ function setTheme(theme, store) {
   try {
     localStorage.setItem("cornercase theme", theme);
   } catch (error) {
-    // Where nothing is kept, the next page begins with the system's.
+    // If nothing is stored, the next page starts with the system's theme.
     if (!(error instanceof DOMException)) throw error;
   }
   forgetColours();
@@ -46,7 +46,7 @@ function showTools(box, store) {
   print.id = "print";
   print.textContent = "Print";
   print.addEventListener("click", async () => {
-    // A browser waits for nothing once it prints: charts that were not on the screen yet are drawn first.
+    // A browser does not wait once it prints: charts that were not visible yet are drawn first.
     window.cornercase.views.drawAll();
     if (document.getElementById("plotly")) await loadPlotly();
     setTimeout(() => window.print(), 500);

@@ -1,6 +1,6 @@
 "use strict";
 
-// The page of a comparison: the pair that is chosen is shown, the old version's scenario beside the new one's.
+// The page of a comparison: shows the chosen pair, the old version's scenario beside the new one's.
 async function beginVersions() {
   const contents = JSON.parse(document.getElementById("contents").textContent);
   const section = document.getElementById("replay");
@@ -13,7 +13,7 @@ async function beginVersions() {
       store.select(Number(button.dataset.new), "beside");
     };
     for (const button of buttons) button.addEventListener("click", () => choose(button));
-    // The verdict names scenarios, too: those that are played here can be chosen there.
+    // The verdict also names scenarios; those that can be played here can be chosen there.
     for (const link of document.querySelectorAll("#answer button")) {
       link.addEventListener("click", () => {
         choose(buttons.find((one) => one.dataset.old === link.dataset.old));

@@ -25,7 +25,7 @@ class Views {
     addEventListener("afterprint", () => this.late("contents"));
   }
 
-  // Some views are wanted only once there is something to see: a study that grows is analysed later.
+  // Some views appear later: a growing study is analyzed later.
   makeBoxes() {
     const { place, store, boxes } = this;
     VIEWS.forEach((view, order) => {
@@ -49,7 +49,7 @@ class Views {
     this.fillRows();
   }
 
-  // A view that would stand alone in its row takes all of it.
+  // A view that is alone in its row is full width.
   fillRows() {
     let run = [];
     const end = () => {
@@ -66,7 +66,7 @@ class Views {
   tellAbout({ view, caption }) {
     const about = typeof view.about === "function" ? view.about(this.store) : view.about;
     let told = view.finding ? this.store.contents.captions?.[view.name] : null;
-    // Some captions speak of one metric or one aspect.
+    // Some captions depend on the metric or the aspect.
     if (told && typeof told === "object") {
       const { metric, aspect } = this.store.options;
       told = told[[metric, aspect].find((name) => Object.hasOwn(told, name))];
@@ -112,7 +112,7 @@ class Views {
     one.made.redraw(events);
   }
 
-  // Who walks through the page by keyboard must find in each view what can be focused, before it was ever seen.
+  // For keyboard users, each view must have focusable content before it was ever visible.
   makeAll(done) {
     const missing = [...this.boxes.values()].find((one) => one.made === null && !one.view.heavy);
     if (!missing) return done();
@@ -126,13 +126,13 @@ class Views {
     for (const one of this.boxes.values()) this.draw(one);
   }
 
-  // Resolves when what is on the screen shows the last change.
+  // Resolves when everything visible shows the last change.
   settled() {
     this.schedule();
     return new Promise((resolve) => this.drawn.push(resolve));
   }
 
-  // A printer is finer than a screen, and prints what was never scrolled to.
+  // Printing needs a finer resolution, and also views that were never visible.
   print() {
     this.drawAll();
     for (const plot of PRINTED) {

@@ -1,6 +1,6 @@
 "use strict";
 
-// The page of a replay alone: the scenarios that it holds are shown beside each other.
+// The page of a replay alone: its scenarios are shown side by side.
 async function beginReplay() {
   const contents = JSON.parse(document.getElementById("contents").textContent);
   const store = new Store(contents);

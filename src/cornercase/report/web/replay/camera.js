@@ -1,8 +1,8 @@
 "use strict";
 
-// Which part of the plane is shown. All scenes share it, so that what is as long looks as long.
+// The visible part of the plane. All scenes share it, so that lengths are comparable.
 //
-// Modes: "near" (where the two come near each other), "all", "follow" (the ego stays in the middle), "free".
+// Modes: "near" (where the two come close), "all", "follow" (the ego stays in the centre), "free".
 const CLOSEST_SCALE = 200;
 const WIDEST_SCALE = 0.05;
 
@@ -15,13 +15,13 @@ class ReplayCamera {
     this.scale = 8;
   }
 
-  // Pixels by metre and the middle of what is shown; `ego` is its box in that scene, where it exists.
+  // Pixels per metre and the centre of the view; `ego` is its box in that scene, if it exists.
   view(ego) {
     if (this.mode === "follow" && ego) return { x: ego.x + this.x, y: ego.y + this.y, scale: this.scale };
     return { x: this.x, y: this.y, scale: this.scale };
   }
 
-  // Shows a region [left, bottom, right, top] in scenes of so many pixels.
+  // Shows a region [left, bottom, right, top] in scenes of this size in pixels.
   fit([left, bottom, right, top], width, height, mode) {
     this.mode = mode;
     this.x = (left + right) / 2;
@@ -49,7 +49,7 @@ class ReplayCamera {
     this.scale = Math.min(Math.max(scale, WIDEST_SCALE), CLOSEST_SCALE);
   }
 
-  // Zooms about a point that is so many pixels right of and below the middle, where the plane stays as it is.
+  // Zooms around a point given in pixels right of and below the centre, which stays fixed.
   zoom(factor, right = 0, below = 0) {
     const before = this.scale;
     this.setScale(before * factor);
@@ -69,7 +69,7 @@ class ReplayCamera {
   }
 }
 
-// Mouse, wheel and touch move what a canvas shows. One finger scrolls the page up and down, as everywhere; two zoom.
+// Mouse, wheel and touch move the view of a canvas. One finger scrolls the page as usual; two fingers zoom.
 function moveByPointer(canvas, camera) {
   const pointers = new Map();
   const middleOf = () => {
@@ -101,7 +101,7 @@ function moveByPointer(canvas, camera) {
   canvas.addEventListener(
     "wheel",
     (event) => {
-      // The page scrolls on, unless one means the scene: by a key, or by having clicked into it.
+      // The wheel scrolls the page unless a key is pressed or the scene was clicked.
       if (!event.ctrlKey && !event.metaKey && document.activeElement !== canvas) return;
       event.preventDefault();
       const turned = Math.min(Math.max(event.deltaY, -60), 60);

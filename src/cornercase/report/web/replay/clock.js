@@ -1,6 +1,6 @@
 "use strict";
 
-// The time that all scenes show, in s of the recordings; it runs while it plays.
+// The time that all scenes show, in s of the recordings; it runs during playback.
 class ReplayClock {
   constructor(changed) {
     this.changed = changed;
@@ -16,7 +16,7 @@ class ReplayClock {
     return this.times[0];
   }
 
-  // Instants that are stepped through, and when the longest recording ends.
+  // Instants to step through, and the end of the longest recording.
   setTimes(times, end) {
     this.times = times;
     this.end = Math.max(end, times[times.length - 1]);
@@ -28,7 +28,7 @@ class ReplayClock {
     this.changed();
   }
 
-  // To the next instant, or one before; a scene between two instants goes to one of them.
+  // To the next or previous instant; from between two instants to one of them.
   step(count) {
     this.pause();
     const k = instantBefore(this.times, this.time);
@@ -59,7 +59,7 @@ class ReplayClock {
 
   tick(now) {
     if (!this.playing) return;
-    // A page that was in the background does not leap ahead.
+    // A page that was in the background does not jump ahead.
     const passed = this.last === null ? 0 : Math.min((now - this.last) / 1000, 0.1);
     this.last = now;
     this.time = Math.min(this.time + passed * this.speed, this.end);

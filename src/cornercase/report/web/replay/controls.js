@@ -3,7 +3,7 @@
 // Buttons and keys of the replay.
 
 const REPLAY_SPEEDS = [0.1, 0.25, 0.5, 1, 2, 4];
-// Pictures of the buttons, each of 16 by 16.
+// Icons of the buttons, 16 by 16.
 const REPLAY_ICONS = {
   start: "M3 3h2v10H3zM13 3v10L6 8z",
   back: "M11 3v10L4 8zM12 3h1.6v10H12z",
@@ -115,7 +115,7 @@ class ReplayControls {
   }
 }
 
-// Keys of the whole panel; what is typed into a field stays there.
+// Keys of the whole panel; typing into a field is not affected.
 function listenToKeys(section, panel) {
   const { clock, camera } = panel;
   const pan = { ArrowLeft: [40, 0], ArrowRight: [-40, 0], ArrowUp: [0, 40], ArrowDown: [0, -40] };

@@ -4,7 +4,7 @@
 
 const COURSE_EDGES = { left: 46, right: 10, top: 8, bottom: 32 };
 
-// Some three to six round numbers from one to another.
+// About three to six round numbers between two values.
 function roundTicks(low, high, most = 5) {
   const span = high - low;
   if (!(span > 0)) return [low];
@@ -20,7 +20,7 @@ function tickText(value) {
 }
 
 class CourseChart {
-  // `seek(time)` is called where one clicks or drags.
+  // `seek(time)` is called on a click or drag.
   constructor(canvas, seek) {
     this.canvas = canvas;
     this.courses = [];

@@ -1,6 +1,6 @@
 "use strict";
 
-// Where the entities of a recording are at a time, and how its courses run.
+// Positions of the entities of a recording at a time, and its courses.
 
 // The last instant that is not after a time; -1 before the first one.
 function instantBefore(times, time) {
@@ -8,7 +8,7 @@ function instantBefore(times, time) {
   let high = times.length;
   while (low < high) {
     const middle = (low + high) >> 1;
-    // The page holds times to a tenth of a millisecond.
+    // The page stores times to a tenth of a millisecond.
     if (times[middle] <= time + 1e-6) low = middle + 1;
     else high = middle;
   }
@@ -20,7 +20,7 @@ function instantNearest(times, time) {
   return k + 1 < times.length && times[k + 1] - time < time - times[k] ? k + 1 : k;
 }
 
-// A place between two instants: the earlier one, the later one, and how far it is from one to the other.
+// A time between two instants: the earlier one, the later one, and the fraction between them.
 function momentOf(times, time) {
   const k = Math.min(Math.max(0, instantBefore(times, time)), times.length - 1);
   if (k + 1 >= times.length || time <= times[k]) return [k, k, 0];
@@ -32,7 +32,7 @@ function between(values, [first, second, share]) {
   if (share === 0) return values[first];
   const one = values[first];
   const other = values[second];
-  // Who comes or goes between two instants is where it is at that one at which it exists.
+  // An entity that appears or disappears between two instants stays at the one where it exists.
   if (Number.isNaN(one)) return share > 0.5 ? other : NaN;
   if (Number.isNaN(other)) return share <= 0.5 ? one : NaN;
   return one + share * (other - one);
@@ -46,7 +46,7 @@ function headingBetween(values, [first, second, share]) {
   return one + share * (turn - 2 * Math.PI * Math.round(turn / (2 * Math.PI)));
 }
 
-// The box of an entity at a time, or null where it does not exist.
+// The box of an entity at a time, or null if it does not exist.
 function boxAt(recording, entity, time) {
   const moment = momentOf(recording.time, time);
   const heading = headingBetween(recording.heading[entity], moment);
@@ -64,7 +64,7 @@ function boxAt(recording, entity, time) {
   };
 }
 
-// Ways of the boxes' centres, which do not change while a recording is shown: for each entity its x and y.
+// Paths of the box centres, constant for a recording: x and y for each entity.
 const waysKnown = new WeakMap();
 
 function waysOf(recording) {
@@ -86,7 +86,7 @@ function boxesAt(recording, time) {
   return recording.names.map((_, entity) => boxAt(recording, entity, time));
 }
 
-// A point of a box by its place along and across, each from -1 to 1.
+// A point of a box by its coordinates along and across, each from -1 to 1.
 function pointOf(box, along, across) {
   const [forward, left] = [along * box.halfLength, across * box.halfWidth];
   return [box.x + forward * box.cos - left * box.sin, box.y + forward * box.sin + left * box.cos];
@@ -98,7 +98,7 @@ function cornersOf(box) {
   return BOX_CORNERS.map(([along, across]) => pointOf(box, along, across));
 }
 
-// The point of a box that is nearest to another point.
+// The point of a box nearest to another point.
 function nearestOf(box, x, y) {
   const [dx, dy] = [x - box.x, y - box.y];
   const limited = (value, half) => Math.min(Math.max(value, -half), half) / Math.max(half, 1e-9);
@@ -116,7 +116,7 @@ function contactOf(one, other) {
   return [(x + u) / 2, (y + v) / 2];
 }
 
-// The first instant at which a course is most critical; null where it says nothing.
+// The first most critical instant of a course; null if it is constant.
 function mostCriticalInstant(course, lowerIsCritical) {
   let best = null;
   let same = true;

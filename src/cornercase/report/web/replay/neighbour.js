@@ -1,8 +1,8 @@
 "use strict";
 
-// A scenario to compare with: the nearest in the parameter space that ended otherwise. Another outcome counts first;
-// where outcomes are not known, another kind does, and where kinds are not known either, critical against not
-// critical. Where all are alike, it is simply the nearest.
+// A scenario to compare with: the nearest one in the parameter space with a different outcome. If outcomes
+// are unknown, with a different kind; if kinds are unknown too, critical against not critical. If all are
+// equal, simply the nearest.
 function neighbourOf(store, id, has) {
   const { scenarios, parameters } = store.contents;
   const row = store.rows.get(id);
@@ -43,7 +43,7 @@ function differs(one, other) {
   return one !== null && other !== null && one !== other;
 }
 
-// The scenario that the page begins with: the most critical by the metric that is looked at.
+// The first scenario of the page: the most critical one by the shown metric.
 function mostCriticalScenario(store) {
   const { scenarios, metrics } = store.contents;
   const metric = metrics.find((one) => one.name === store.options.metric) ?? metrics[0];

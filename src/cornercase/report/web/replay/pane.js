@@ -1,9 +1,9 @@
 "use strict";
 
-// Entities whose values are told.
+// Entities whose values are shown.
 const MOST_VALUES = 30;
 
-// One of the two scenes of the replay: a scenario's name and values, its canvas, and what holds at the clock's time.
+// One of the two scenes of the replay: name and values of a scenario, its canvas, and the values at the clock's time.
 class ReplayPane {
   constructor(slot, panel) {
     this.slot = slot;
@@ -29,7 +29,7 @@ class ReplayPane {
     new ResizeObserver(() => panel.changed()).observe(this.canvas);
   }
 
-  // Shows a scenario, or none; resolves when its recording is there, or that it is not is said.
+  // Shows a scenario, or none; resolves when its recording, or the message that there is none, is shown.
   async show(id) {
     this.id = id;
     this.recording = null;
@@ -69,7 +69,7 @@ class ReplayPane {
     this.fillValues();
   }
 
-  // The one to look at: of several others the one that the score is against.
+  // The main other entity: with several, the one the score belongs to.
   get other() {
     const { store } = this.panel;
     const whom = store.against(this.panel.metric().name, store.rows.get(this.id));
@@ -146,7 +146,7 @@ class ReplayPane {
     this.values.replaceChildren(newElement("caption", "", `${scenarioName(this.panel.store, this.id)} now`), head, body);
   }
 
-  // The instant at which the metric's course is most critical, in s; else the first collision, else the begin.
+  // The instant at which the metric's course is most critical, in s; else the first collision, else the start.
   criticalTime() {
     const { recording, panel } = this;
     const metric = panel.metric();
@@ -155,7 +155,7 @@ class ReplayPane {
     return recording.collisions[0]?.[0] ?? recording.time[0];
   }
 
-  // Places of the two on their way to the most critical instant, with room around.
+  // Positions of the two before the most critical instant, with a margin.
   region(all) {
     const { recording } = this;
     if (all) {
@@ -168,14 +168,14 @@ class ReplayPane {
     return near ?? regionOf(recording, both, -Infinity, Infinity, 8) ?? this.region(true);
   }
 
-  // Where the ego is, or was last.
+  // The current or last position of the ego.
   boxOfEgo(time) {
     if (!this.recording || this.ego < 0) return null;
     this.lastBox = boxAt(this.recording, this.ego, this.timeOf(time)) ?? this.lastBox;
     return this.lastBox;
   }
 
-  // Its own time: a recording that ended stays as it ended.
+  // Time within the recording: a recording that has ended stays at its end.
   timeOf(time) {
     const { time: times } = this.recording;
     return Math.min(Math.max(time, times[0]), times[times.length - 1]);
@@ -234,14 +234,14 @@ class ReplayPane {
   }
 }
 
-// At its cap a course says only that it is no more critical than that, or not defined.
+// At its cap, a course is only known to be not more critical than that, or it is undefined.
 function courseText(score, { unit, cap, lower_is_critical: lower }) {
   if (!Number.isFinite(score)) return "–";
   const capped = lower ? score >= cap - 1e-4 : score <= cap + 1e-4;
   return capped ? `none or ${lower ? "above" : "below"} ${withSceneUnit(cap, unit)}` : withSceneUnit(score, unit);
 }
 
-// What people know a scenario by: its id, or what the page calls it where it holds those of several studies.
+// The name of a scenario: its id, or the page's own name if it shows several studies.
 function scenarioName(store, id) {
   return store.contents.called?.[id] ?? `Scenario ${id}`;
 }

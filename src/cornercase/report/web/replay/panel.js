@@ -1,6 +1,6 @@
 "use strict";
 
-// The replay: the selected scenario on its road, another one beside it, and the metric's course beneath.
+// The replay: the selected scenario on its road, another one beside it, and the metric's course below.
 class ReplayPanel {
   constructor(section, store, recordings) {
     Object.assign(this, { section, store, recordings });
@@ -24,12 +24,12 @@ class ReplayPanel {
     store.on("contents", () => {
       this.takeRoad();
       for (const pane of Object.values(this.panes)) if (store.rows.has(pane.id)) pane.describe();
-      // A study that began empty shows its first scenario when it comes.
+      // A study that was empty at first shows its first scenario when it arrives.
       if (this.never && store.selected === null) store.select(mostCriticalScenario(store));
       this.follow();
     });
     store.on("options", () => this.choose());
-    // What the server did not give is asked for when it is there again; another study's scenarios have the same ids.
+    // Failed requests are repeated when the server is back; scenarios of another study have the same ids.
     store.on("served", () => this.follow((pane) => pane.trouble !== null));
     store.on("replaced", () => this.follow((pane) => pane.id !== null));
     store.on("theme", () => this.recolour());
@@ -61,7 +61,7 @@ class ReplayPanel {
     new ResizeObserver(() => this.changed()).observe(this.chart.canvas);
   }
 
-  // The road comes with the first knowledge of a study that is still explored, and grows with its region.
+  // The road arrives with the first analysis of a live study, and grows with its region.
   takeRoad() {
     const { roads, roads_missing: missing } = this.store.contents;
     if (roads === this.roads) return;
@@ -81,7 +81,7 @@ class ReplayPanel {
     return metrics.find((one) => one.name === this.store.options.metric) ?? metrics[0];
   }
 
-  // Shows what the store says is selected, and again those panes that ask for it.
+  // Shows the selection of the store, and repeats panes on request.
   async follow(again = () => false) {
     const { store, panes } = this;
     const before = this.shown;
@@ -99,7 +99,7 @@ class ReplayPanel {
     else if (this.camera.mode === "free" && !this.inSight()) this.fit("near");
   }
 
-  // Whether what is most critical lies in what is shown.
+  // Whether the most critical instant is in view.
   inSight() {
     return this.there().every((pane) => {
       const box = pane.boxOfEgo(this.clock.time);
@@ -114,7 +114,7 @@ class ReplayPanel {
     return Object.values(this.panes).filter((pane) => pane.recording);
   }
 
-  // What depends on the metric and the aspect, and on who is shown.
+  // Parts that depend on the metric, the aspect and the selection.
   choose() {
     const there = this.there();
     for (const pane of Object.values(this.panes)) if (pane.id !== null) pane.describe();
@@ -123,7 +123,7 @@ class ReplayPanel {
       this.clock.setTimes(there[0].recording.time, end);
       const metric = this.metric();
       const { critical, searched } = this.store.contents;
-      // A weighted sum has a threshold too, but no course.
+      // A weighted sum has a threshold, but no course.
       const threshold = critical && metric.name === searched ? critical.threshold : null;
       const courses = there
         .filter(({ recording }) => recording.courses[metric.name])
@@ -140,7 +140,7 @@ class ReplayPanel {
     this.changed();
   }
 
-  // In a sentence.
+  // As a sentence.
   called(id) {
     return this.store.contents.called?.[id] ?? `scenario ${id}`;
   }
@@ -169,7 +169,7 @@ class ReplayPanel {
     const whole = regions.reduce(([left, bottom, right, top], one) => [
       Math.min(left, one[0]), Math.min(bottom, one[1]), Math.max(right, one[2]), Math.max(top, one[3]),
     ]);
-    // Labels need some room, whatever the scale.
+    // Labels need some room at any scale.
     const [wide, high] = [Math.max(width - 60, 50), Math.max(height - 60, 50)];
     const least = Math.max(0, 22 - Math.max(whole[2] - whole[0], whole[3] - whole[1])) / 2;
     const grown = [whole[0] - least, whole[1] - least, whole[2] + least, whole[3] + least];
@@ -187,7 +187,7 @@ class ReplayPanel {
 
   toggleNeighbour() {
     const { store } = this;
-    // There a scenario has its partner beside it.
+    // In a comparison the partner is shown beside a scenario.
     if (store.contents.called) return;
     if (store.beside !== null) store.select(null, "beside");
     else store.select(neighbourOf(store, store.selected, (id) => this.recordings.has(id)), "beside");
@@ -198,7 +198,7 @@ class ReplayPanel {
     this.changed();
   }
 
-  // Draws once before the next frame, however often it is asked to.
+  // Draws once before the next frame, however often it is called.
   changed() {
     if (this.waiting) return;
     this.waiting = true;
@@ -222,7 +222,7 @@ class ReplayPanel {
   }
 }
 
-// Begins the replay; what is not chosen by the address begins with the most critical scenario.
+// Starts the replay, by default with the most critical scenario.
 function showReplay(section, store, recordings) {
   if (store.selected === null) store.select(mostCriticalScenario(store));
   const panel = new ReplayPanel(section, store, recordings);

@@ -1,9 +1,9 @@
 "use strict";
 
-// The road beneath a scene, from what roads.py packs: areas of lanes, whose union has the edges of the road as its
+// The road below a scene, from the encoded road outline: areas of lanes, whose union has the edges of the road as its
 // outline, and lines between lanes.
 
-// From below to the top: who drives has the road where areas overlap.
+// From bottom to top: driving lanes win where areas overlap.
 const AREA_KINDS = ["verge", "walk", "road"];
 
 class RoadDrawing {
@@ -13,7 +13,7 @@ class RoadDrawing {
     this.lines = RoadDrawing.paths(roads.lines, false);
   }
 
-  // Paths by kind, in m from the origin: far from it, the numbers of a path are not exact.
+  // Paths by kind, in m from the origin: far from it, path coordinates would be inexact.
   static paths(shapes, closed) {
     const found = new Map();
     for (const [kind, numbers] of shapes) {
@@ -32,7 +32,7 @@ class RoadDrawing {
     return found;
   }
 
-  // `place(x, y)` gives pixels of a point of the plane, `scale` pixels by metre.
+  // `place(x, y)` gives the pixels of a point of the plane, `scale` pixels per metre.
   draw(context, place, scale, colours) {
     context.save();
     context.translate(...place(...this.origin));
@@ -40,7 +40,7 @@ class RoadDrawing {
     context.lineJoin = "round";
     for (const kind of AREA_KINDS) {
       const paths = this.areas.get(kind) ?? [];
-      // All outlines first: what is filled over them is inside, and only the outline of the union is left.
+      // All outlines first: the filled areas cover the inner ones, and only the outline of the union is left.
       context.strokeStyle = colours.edge;
       context.lineWidth = 2.4 / scale;
       for (const path of paths) context.stroke(path);
@@ -61,7 +61,7 @@ class RoadDrawing {
   }
 }
 
-// Where no road is known, lines each 10 m show that one moves.
+// Without a road, lines every 10 m show the motion.
 function drawGrid(context, place, view, width, height, colour) {
   const step = 10 * 10 ** Math.max(0, Math.ceil(Math.log10(12 / (10 * view.scale))));
   context.save();

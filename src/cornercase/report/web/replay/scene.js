@@ -1,12 +1,12 @@
 "use strict";
 
-// One scene: the road, and where the entities of a recording are on it at a time.
+// One scene: the road, and the entities of a recording on it at a time.
 
 const SCENE_FONT = "12px system-ui, sans-serif";
 const LONGEST_LABEL = 24;
-// A pedestrian is drawn at least so large, in pixels, or it could not be seen from afar.
+// Minimum size of a pedestrian in pixels, to be visible from afar.
 const SMALLEST_RADIUS = 4;
-// Places of all entities together.
+// Positions of all entities together.
 const MOST_TRAILED = 20_000;
 const SCALE_BARS = [0.5, 1, 2, 5, 10, 20, 50, 100, 200, 500, 1000, 2000, 5000];
 
@@ -19,8 +19,8 @@ function sceneColours(element) {
   return Object.fromEntries(SCENE_COLOURS.map((name) => [name, style.getPropertyValue(`--scene-${name}`).trim()]));
 }
 
-// What a scene is drawn from: { width, height, view, recording, time, ego, other, others, road, colours, sight }, where
-// `ego` and `other` are numbers of entities, or -1, and `others` those of all that the ego is measured against.
+// Input of a scene: { width, height, view, recording, time, ego, other, others, road, colours, sight }, where
+// `ego` and `other` are indices of entities, or -1, and `others` those of all that the ego is measured against.
 function drawScene(context, scene) {
   const { width, height, view, recording, time, colours } = scene;
   const place = (x, y) => [width / 2 + (x - view.x) * view.scale, height / 2 - (y - view.y) * view.scale];
@@ -53,14 +53,14 @@ function polygon(context, points, place) {
   context.closePath();
 }
 
-// What the ego cannot see, as others hide it; the other entity casts none, for it is what one looks for.
+// Areas hidden from the ego; the main other entity casts no shadow, as the reader looks for it.
 function drawShadows(context, scene, boxes, place) {
   const own = boxes[scene.ego];
   if (!own) return;
   const eye = eyeOf(own);
   context.save();
   context.fillStyle = scene.colours.shadow;
-  // All shadows at once, so that where they overlap is no darker.
+  // All shadows at once, so that overlaps are not darker.
   context.beginPath();
   boxes.forEach((box, entity) => {
     if (!box || entity === scene.ego || entity === scene.other) return;
@@ -75,7 +75,7 @@ function drawShadows(context, scene, boxes, place) {
   context.restore();
 }
 
-// The line from the ego's eye to the other: whole where it is seen, dashed where something hides it.
+// The line from the ego's eye to the other: solid if visible, dashed if hidden.
 function drawLook(context, scene, boxes, place) {
   const seen = sees(boxes, scene.ego, scene.other);
   if (seen === null) return;
@@ -98,10 +98,10 @@ function drawLook(context, scene, boxes, place) {
   context.restore();
 }
 
-// Where an entity was, as a line, and where it will be, as dots; the other's line is dashed.
+// Past positions of an entity as a line, future ones as dots; the other's line is dashed.
 function drawTrail(context, scene, entity, look, place) {
   const { recording, time, colours } = scene;
-  // In dense traffic the ways of all would take long to draw, and hide what matters.
+  // In dense traffic, the paths of all would be slow to draw and hide the important ones.
   if (look === "third" && recording.names.length * recording.time.length > MOST_TRAILED) return;
   const [x, y] = waysOf(recording)[entity];
   const now = instantBefore(recording.time, time);
@@ -172,14 +172,14 @@ function shortName(name) {
   return letters.length > LONGEST_LABEL ? `${letters.slice(0, LONGEST_LABEL - 1).join("")}…` : name;
 }
 
-// Of the ego and the other, whoever is further up has its label above: two who meet do not write over each other.
+// The upper one of ego and other has its label above, so that labels do not overlap when they meet.
 function labelsAbove(scene, boxes, place) {
   const up = (entity) => (boxes[entity] ? place(boxes[entity].x, boxes[entity].y)[1] : Infinity);
   const egoFirst = up(scene.ego) <= up(scene.other);
   return (entity) => entity !== (egoFirst ? scene.other : scene.ego);
 }
 
-// Names stand beside boxes, those of the ego and the other first; a third one goes without where it would cover them.
+// Labels stand beside boxes, those of ego and other first; other labels are left out if they would cover these.
 function drawLabels(context, scene, boxes, lookOf, place) {
   const above = labelsAbove(scene, boxes, place);
   const taken = [];
@@ -197,7 +197,7 @@ function drawLabels(context, scene, boxes, lookOf, place) {
     );
     context.font = SCENE_FONT;
     const half = context.measureText(text).width / 2 + 2;
-    // Who is at the edge of the scene has its whole name in it.
+    // At the edge of the scene the label is moved inside.
     const isThere = across > 0 && across < scene.width;
     const x = isThere ? Math.max(half, Math.min(across, scene.width - half)) : across;
     const heights = above(entity) ? [y - reach - 8, y + reach + 16] : [y + reach + 16, y - reach - 8];
@@ -221,7 +221,7 @@ function writeText(context, text, x, y, colour, halo, align = "left") {
   context.fillText(text, x, y);
 }
 
-// A star with as many points as no other mark has, and when it happened.
+// A star, the only mark with this shape, with the time of the collision.
 function drawCollision(context, { recording, colours, width }, [when, one, another], place) {
   const [first, second] = [boxAt(recording, one, when), boxAt(recording, another, when)];
   if (!first || !second) return;
@@ -241,7 +241,7 @@ function drawCollision(context, { recording, colours, width }, [when, one, anoth
   context.restore();
   const text = `collision at ${when.toFixed(2)} s`;
   context.font = SCENE_FONT;
-  // To the left of the star where there is no room to its right.
+  // Left of the star if there is no room on its right.
   const fits = x + 20 + context.measureText(text).width < width;
   writeText(context, text, x + (fits ? 15 : -15), y + 4, colours.hit, colours.halo, fits ? "left" : "right");
 }
@@ -261,7 +261,7 @@ function drawScaleBar(context, scale, height, colours) {
   writeText(context, `${length} m`, left + 5, down - 6, colours.label, colours.halo);
 }
 
-// The region [left, bottom, right, top] in which entities are during a span of time; null where none is there.
+// The region [left, bottom, right, top] of entities during a time span; null if there are none.
 function regionOf(recording, entities, begin, end, margin) {
   let [left, bottom, right, top] = [Infinity, Infinity, -Infinity, -Infinity];
   for (const entity of entities) {

@@ -1,18 +1,18 @@
 "use strict";
 
-// What the ego sees: the eye of `cornercase.drivers.visibility`, and the five points of a box that it looks at.
-// Boxes have no height: every entity hides what is behind it, but not what it stands around.
+// What the ego sees: the eye and the five points of a box, as in the visibility rule of the drivers.
+// Boxes have no height: every entity hides what is behind it, unless it surrounds the eye.
 
-// The eye is so much of the box's length ahead of its centre.
+// Position of the eye ahead of the box centre, as a share of its length.
 const EYE_AHEAD = 0.25;
-// A shadow ends so far away, in m: beyond all that is drawn.
+// Length of a shadow in m: beyond everything that is drawn.
 const SHADOW_REACH = 2000;
 
 function eyeOf(box) {
   return pointOf(box, 2 * EYE_AHEAD, 0);
 }
 
-// Whether the line from the eye to a point meets a box (by its slabs).
+// Whether the line from the eye to a point meets a box (slab method).
 function hides(box, [eyeX, eyeY], [x, y]) {
   const from = [eyeX - box.x, eyeY - box.y];
   const way = [x - eyeX, y - eyeY];
@@ -34,7 +34,7 @@ function hides(box, [eyeX, eyeY], [x, y]) {
   return enters < leaves && !inside;
 }
 
-// Whether a driver sees an entity: one of its corners, or its centre, without a third one between.
+// Whether a driver sees an entity: one of its corners or its centre, with no third one between.
 function sees(boxes, driver, target) {
   const [own, seen] = [boxes[driver], boxes[target]];
   if (!own || !seen) return null;
@@ -43,7 +43,7 @@ function sees(boxes, driver, target) {
   return [...cornersOf(seen), [seen.x, seen.y]].some((point) => between.every((box) => !hides(box, eye, point)));
 }
 
-// The area behind a box, seen from the eye; null where the eye is inside it.
+// The area behind a box as seen from the eye; null if the eye is inside it.
 function shadowOf(box, [eyeX, eyeY]) {
   const [dx, dy] = [box.x - eyeX, box.y - eyeY];
   const angles = cornersOf(box).map(([x, y]) => {

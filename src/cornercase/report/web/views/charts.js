@@ -1,8 +1,8 @@
 "use strict";
 
-// Charts that nobody brushes, drawn by Plotly, which is unpacked only when the first of them comes into sight.
+// Charts without brushes, drawn by Plotly, which is unpacked when the first of them becomes visible.
 
-// Plotly reads a part of HTML in its texts; names are only letters.
+// Plotly interprets some HTML in its texts; names must stay plain.
 function plainText(text) {
   return String(text).replaceAll("&", "&amp;").replaceAll("<", "&lt;").replaceAll(">", "&gt;");
 }
@@ -27,7 +27,7 @@ function chartLayout(more) {
   return layout;
 }
 
-// A view of Plotly: `fill(store)` gives traces, layout, and a sentence that says the same.
+// A Plotly view: `fill(store)` returns traces, layout, and a sentence with the same content.
 function chartView({ fill, height = 330, events: more = [], ...view }) {
   return {
     ...view,
@@ -54,7 +54,7 @@ function chartView({ fill, height = 330, events: more = [], ...view }) {
   };
 }
 
-// An interval around values, as Plotly takes it.
+// An interval around values in Plotly's form.
 function intervalBars(values, intervals, colour) {
   return {
     type: "data",
@@ -96,7 +96,7 @@ function missedTrace(missed, k) {
   };
 }
 
-// Panels above each other, on one axis of scenarios.
+// Panels above each other with a common axis of scenarios.
 VIEWS.push(chartView({
   name: "search",
   title: "Search over time",

@@ -1,6 +1,6 @@
 "use strict";
 
-// Courses of the metric over time: a line for each of some scenarios, and what most of a kind do.
+// Courses of the metric over time: a line for each of some scenarios, and a band for each kind.
 const MOST_COURSES = 200;
 const MOST_IN_BAND = 400;
 const MOST_BANDS = 6;
@@ -18,7 +18,7 @@ class CoursesPlot extends Plot {
     return `${this.store.axis(`score ${this.store.options.metric}`).title} over time`;
   }
 
-  // The packed courses of the metric; until they are unpacked there is nothing to draw.
+  // The packed courses of the metric; nothing is drawn until they are unpacked.
   courses() {
     const all = this.store.contents.courses[this.store.options.metric];
     if (!all) return null;
@@ -118,7 +118,7 @@ class CoursesPlot extends Plot {
     }
   }
 
-  // Median, 10th and 90th percentile at times when at least half of the scenarios still run.
+  // Median, 10th and 90th percentile while at least half of the scenarios still run.
   band(rows) {
     const { all } = this;
     const end = rows.reduce((most, row) => Math.max(most, all.end[row]), 0);

@@ -1,6 +1,6 @@
 "use strict";
 
-// Scores of two metrics, with the scenarios that no other one surpasses in all metrics.
+// Scores by two metrics, with the Pareto front.
 class FrontPlot extends SpacePlot {
   drawBase(g) {
     super.drawBase(g);

@@ -32,7 +32,7 @@ class HistogramPlot extends Plot {
     const [low, high] = finiteRange(values);
     const most = Math.max(8, Math.min(40, Math.round(2 * Math.cbrt(store.n) * 1.3)));
     const step = (high - low) / most || 1;
-    // No bar is critical in part: the threshold stands between two of them.
+    // No bar is partly critical: the threshold lies between two of them.
     const threshold = store.threshold();
     const within = threshold !== null && threshold > low && threshold < high;
     const from = within ? threshold - Math.ceil((threshold - low) / step) * step : low;

@@ -1,6 +1,6 @@
 "use strict";
 
-// Kernel space of an aspect: scenarios near each other are alike. Three components are a cube that can be turned.
+// Kernel space of an aspect: similar scenarios are close. Three components form a cube that can be turned.
 const TURN = Math.PI / 12;
 
 class KernelPlot extends PointPlot {
@@ -49,7 +49,7 @@ class KernelPlot extends PointPlot {
     this.drawPoints(g, there.map((value) => this.x.at(value)), second.map((value) => this.y.at(value)));
   }
 
-  // Where a point of the cube from -1 to 1 is seen, and how far behind the middle.
+  // Projection of a point of the cube (-1 to 1), and its depth behind the centre.
   seen(a, b, c) {
     const [sin, cos] = [Math.sin(this.yaw), Math.cos(this.yaw)];
     const [up, flat] = [Math.sin(this.pitch), Math.cos(this.pitch)];
@@ -93,7 +93,7 @@ class KernelPlot extends PointPlot {
     this.drawNames(g);
   }
 
-  // Each component is named at the edge that is outermost below, with its least and greatest value at the ends.
+  // Each component is labelled at the lowest outer edge, with its minimum and maximum at the ends.
   drawNames(g) {
     const colours = themeColours();
     g.textBaseline = "middle";
@@ -109,7 +109,7 @@ class KernelPlot extends PointPlot {
       const put = (text, share, far) => {
         const x = from[0] + share * (to[0] - from[0]) + shift[0] * far;
         const y = from[1] + share * (to[1] - from[1]) + shift[1] * far;
-        // On a narrow page names come as near to the cube as they must to be whole.
+        // On a narrow page labels move closer to the cube to stay complete.
         const wide = g.measureText(text).width + 2;
         const right = k !== 2 && shift[0] > 0;
         g.textAlign = right ? "left" : "right";
@@ -137,7 +137,7 @@ class KernelPlot extends PointPlot {
     });
   }
 
-  // Here a drag turns the cube.
+  // Dragging turns the cube.
   brushTo(start, now) {
     if (!this.solid) return;
     const from = this.last?.start === start ? this.last.now : start;

@@ -1,6 +1,6 @@
 "use strict";
 
-// Each scenario is a line over the axes of all parameters and of the score.
+// Each scenario is a line across the axes of all parameters and the score.
 const MOST_AXES = 12;
 const MOST_LINES = 1500;
 
@@ -73,11 +73,11 @@ class ParallelPlot extends Plot {
       }
       g.fillStyle = colours.text;
       g.font = `12px ${colours.font}`;
-      // The outermost ones grow inwards.
+      // The outermost labels grow inwards.
       const last = k === this.axes.length - 1;
       g.textAlign = k === 0 ? "left" : last ? "right" : "center";
       g.textBaseline = "alphabetic";
-      // Names of neighbours stand above and beneath where there is no room for all in a row.
+      // Neighbouring labels alternate above and below if a row is too narrow.
       const low = apart < 130 && k % 2 === 1;
       const room = (apart < 130 ? 2 : 1) * apart - 10;
       const place = k === 0 ? 4 : last ? this.width - 4 : at;
@@ -154,7 +154,7 @@ function rowsWhere(store, test) {
   return rows;
 }
 
-// At most so many of them, evenly picked, in their order.
+// At most this many of them, evenly picked, in their order.
 function evenly(rows, most) {
   if (rows.length <= most) return Array.from(rows);
   return Array.from({ length: Math.floor(most) }, (_, k) => rows[Math.floor((k * rows.length) / Math.floor(most))]);

@@ -25,7 +25,7 @@ class SpacePlot extends PointPlot {
     this.drawPoints(g, x.map((value) => this.x.at(value)), y.map((value) => this.y.at(value)));
   }
 
-  // Edges of the hulls that the archetypes were found on.
+  // Edges of the hulls on which the archetypes were found.
   drawHulls(g, x, y) {
     const { store } = this;
     g.lineWidth = 0.8;
@@ -78,7 +78,7 @@ class SpacePlot extends PointPlot {
   }
 }
 
-// From the least to the greatest value; of a parameter from bound to bound.
+// From minimum to maximum; for a parameter from bound to bound.
 function columnRange(store, name) {
   const [kind, key] = Store.split(name);
   const [low, high] = finiteRange(store.column(name));
@@ -87,7 +87,7 @@ function columnRange(store, name) {
   return [Math.min(low, one.low ?? low), Math.max(high, one.high ?? high)];
 }
 
-// A line where scenarios begin to be critical, on an axis that has the score.
+// A line at the threshold, on an axis that shows the score.
 function drawThreshold(g, plot, xName, yName) {
   const { store } = plot;
   g.strokeStyle = themeColours().danger;
@@ -114,7 +114,7 @@ function allColumns(store) {
   ];
 }
 
-// The two parameters that influence the score most; with one parameter, the score over it.
+// The two most influential parameters; with one parameter, the score over it.
 function firstColumns(store) {
   const { parameters, metrics, influential } = store.contents;
   const names = (influential ?? []).slice(0, 2).map((k) => `parameter ${parameters[k].name}`);

@@ -1,9 +1,9 @@
 "use strict";
 
-// Rows on paper; who wants others there sorts or filters.
+// Rows in print; sort or filter to choose others.
 const MOST_PRINTED = 100;
 
-// All scenarios that are shown, as rows; only those in sight are in the document.
+// All filtered scenarios as rows; only visible ones are in the document.
 class ScenarioTable {
   constructor(box, store) {
     this.store = store;
@@ -88,7 +88,7 @@ class ScenarioTable {
     this.columns = columns;
   }
 
-  // As wide as the title, and the values of some rows.
+  // As wide as the title and the values of some rows.
   fitColumns() {
     const some = evenly(this.rows, 40);
     for (const column of this.columns) {
@@ -98,7 +98,7 @@ class ScenarioTable {
     }
   }
 
-  // What some scenarios are: those come first when a reader sorts by it.
+  // Properties that only some scenarios have: those scenarios come first when sorted.
   markColumns() {
     const { store } = this;
     const { scenarios, kept, errors } = store.contents;
@@ -177,7 +177,7 @@ class ScenarioTable {
     const keys = Float64Array.from({ length: store.n }, (_, row) => of(row));
     const sign = this.sorting.down ? -1 : 1;
     const rows = rowsWhere(store, (row) => store.shown[row]);
-    // What has no value comes last either way.
+    // Missing values come last in both directions.
     this.rows = rows.sort((one, other) => {
       const [a, b] = [keys[one], keys[other]];
       if (Number.isNaN(a) || Number.isNaN(b)) return Number.isNaN(a) - Number.isNaN(b) || one - other;
@@ -236,7 +236,7 @@ class ScenarioTable {
     return line;
   }
 
-  // The selected scenario comes into sight.
+  // Scrolls to the selected scenario.
   reveal() {
     const row = this.store.rows.get(this.store.selected);
     const at = row === undefined ? -1 : this.rows.indexOf(row);

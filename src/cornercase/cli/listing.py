@@ -1,0 +1,83 @@
+"""Commands `metrics` and `simulators`: list what is available."""
+
+from __future__ import annotations
+
+import inspect
+import sys
+from typing import Annotated, Any
+
+import typer
+from rich.table import Column, Table
+
+from cornercase._common.texts import first_line, json_text
+from cornercase.cli import options as opt
+from cornercase.cli.options import app, out
+
+
+@app.command()
+def metrics(
+    names: Annotated[
+        list[str] | None, typer.Argument(metavar="[NAME]…", help="Metrics to define, with their options.")
+    ] = None,
+    *,
+    as_json: opt.Json = False,
+) -> None:
+    """List the criticality metrics, with those of other packages, or print definitions.
+
+    A metric takes options after a colon, those of its class in the documentation: --metric ttc:accelerating=true
+
+    \b
+    Example:
+      cornercase metrics
+      cornercase metrics wttc
+    """
+    from cornercase.metrics import METRICS
+
+    if names and not as_json:
+        out.print("\n\n".join(_definition(METRICS.create(name)) for name in dict.fromkeys(names)))
+        return
+    listed = [METRICS.create(name) for name in dict.fromkeys(names or METRICS.names())]
+    if as_json:
+        keys = ("name", "unit", "lower_is_critical", "cap", "source")
+        rows = [{key: getattr(metric, key) for key in keys} | {"definition": first_line(metric)} for metric in listed]
+        sys.stdout.write(json_text(rows) + "\n")
+        return
+    # Names are printed whole even on a narrow terminal, as they are typed again.
+    table = Table(Column("metric", no_wrap=True), "unit", "critical is", "what it is", "source", box=None)
+    for metric in listed:
+        side = "low" if metric.lower_is_critical else "high"
+        table.add_row(metric.name, metric.unit, side, first_line(metric), metric.source)
+    out.print(table)
+
+
+@app.command()
+def simulators(*, as_json: opt.Json = False) -> None:
+    """List the simulators, whether they can run here, and what they can do.
+
+    \b
+    Example:
+      cornercase simulators
+    """
+    from dataclasses import asdict
+
+    from cornercase.simulators import availabilities
+
+    available = availabilities()
+    if as_json:
+        sys.stdout.write(json_text({name: asdict(simulator) for name, simulator in available.items()}) + "\n")
+        return
+    # Addresses are printed whole even on a narrow terminal.
+    missing = Column("what is missing", overflow="fold")
+    table = Table("simulator", "here", "version", "what it can do", missing, box=None)
+    for name, simulator in available.items():
+        is_available, abilities = "no" if simulator.missing else "yes", ", ".join(simulator.abilities)
+        table.add_row(name, is_available, simulator.version or "-", abilities, simulator.missing or "-")
+    out.print(table)
+
+
+def _definition(metric: Any) -> str:
+    """Return the definition, unit and options of a metric."""
+    text = (inspect.getdoc(metric) or "").replace("``", "").replace("`", "").replace(" ::", ":")
+    side = "low" if metric.lower_is_critical else "high"
+    unit = f"in {metric.unit}" if metric.unit else "without unit"
+    return f"{metric.name}, {unit}; {side} is critical\n\n{text}"

@@ -1,0 +1,83 @@
+"""Commands `measure` and `import`: work with existing recordings."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+from rich.table import Table
+
+from cornercase._common.files import require_other_file
+from cornercase.cli import options as opt
+from cornercase.cli.options import Option, app, out
+
+
+@app.command()
+def measure(
+    recording: Annotated[
+        Path,
+        typer.Argument(
+            metavar="RECORDING",
+            help="Recording to measure: CSV, also esmini's; SUMO FCD (.xml), CarMaker (.erg), CARLA (.log), ASAM OSI"
+            " (.osi, .mcap), CommonRoad (.xml).",
+        ),
+    ],
+    *,
+    ego: opt.Ego,
+    other: opt.Other,
+    output: Annotated[Path, Option("--output", "-o", metavar="FILE.csv", help="Courses to write.")],
+    metric: Annotated[
+        list[str] | None,
+        Option("--metric", metavar="NAME", help="Criticality metric; default: all that take no formula."),
+    ] = None,
+) -> None:
+    """Measure a recording, of this or any other simulator, and print the scores.
+
+    \b
+    Example:
+      cornercase measure recording.csv --ego Ego --other Pedestrian --metric wttc -o courses.csv
+    """
+    from cornercase.metrics import measure as measure_recording
+    from cornercase.recordings import write_courses
+
+    require_other_file(output, recording)
+    measurement = measure_recording(recording, ego, other, metric)
+    write_courses(output, measurement.time, measurement.courses)
+    table = Table(*measurement.head(), box=None)
+    for row in measurement.rows():
+        table.add_row(*row)
+    out.print(table)
+    out.print(f"{measurement.time.size} instants written to {output}")
+
+
+@app.command(name="import")
+def import_(
+    folder: Annotated[Path, typer.Argument(metavar="DIR", help="Folder with recordings and parameters.csv.")],
+    *,
+    ego: opt.Ego,
+    other: opt.Other,
+    metric: opt.Metrics,
+    output: opt.StudyOutput,
+    table: Annotated[
+        Path | None, Option("--parameters", metavar="FILE.csv", help="Column 'file', and one for each parameter.")
+    ] = None,
+    critical: opt.Critical = None,
+) -> None:
+    """Make a study from existing recordings, to cluster and reduce them.
+
+    Reads what measure reads: cornercase's and esmini's CSV, SUMO's floating car data, CarMaker's ERG, CARLA's recorder
+    files, ASAM OSI traces, CommonRoad scenarios.
+
+    \b
+    Example:
+      cornercase import runs --ego hero --other adversary --metric ttc -o study.db
+    """
+    from cornercase.study import import_recordings
+
+    result = import_recordings(
+        folder, output, ego=ego, other=other, metrics=metric, table=table, critical=critical, progress=True
+    )
+    out.print(f"{result.done} scenarios in {output}")
+    if result.failed:
+        out.print(f"{result.failed} recordings could not be read or measured; the first: {result.reason}")

@@ -1,0 +1,191 @@
+"""Commands `report`, `watch`, `replay`, `show` and `export`: present a study."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from cornercase._common.errors import InputError
+from cornercase._common.memory import DEFAULT_MEMORY
+from cornercase._common.texts import json_text
+from cornercase.cli import options as opt
+from cornercase.cli.options import Option, app, out
+from cornercase.cli.profiling import Profile
+
+
+@app.command()
+def report(
+    study: opt.StudyFile,
+    *,
+    output: opt.PageOutput,
+    figures: Annotated[
+        bool, Option("--figures", help="Also write figures for a paper, as PNG and SVG, into a folder beside the page.")
+    ] = False,
+    figures_in: Annotated[
+        Path | None, Option("--figures-in", metavar="DIR", help="Write these figures into another folder.")
+    ] = None,
+    scenario: opt.ExploredScenario = None,
+    critical: opt.CriticalAnew = None,
+    memory: opt.Memory = DEFAULT_MEMORY,
+    profile: Profile = None,
+    maps: opt.Maps = None,
+) -> None:
+    """Write the report: one page that holds everything.
+
+    \b
+    Example:
+      cornercase report study.db -o report.html
+      cornercase report study.db --figures -o report.html
+    """
+    from cornercase.report import write_report
+
+    page = write_report(
+        study,
+        output,
+        figures=figures if figures_in is None else figures_in,
+        scenario=scenario,
+        critical=critical,
+        memory=memory,
+        progress=True,
+    )
+    out.print(f"The report is {page.resolve()}")
+
+
+@app.command()
+def watch(
+    study: Annotated[Path, typer.Argument(metavar="STUDY.db", help="Study; it need not exist yet.")],
+    *,
+    port: Annotated[int, Option(metavar="N", help="Port of the page; default: a free one.", min=0)] = 0,
+    host: Annotated[
+        str, Option(metavar="ADDRESS", help="Network interface; any other one lets other machines connect.")
+    ] = "127.0.0.1",
+    scenario: opt.ExploredScenario = None,
+    browser: Annotated[bool, Option("--browser/--no-browser", help="Open the page in the browser.")] = True,
+    maps: opt.Maps = None,
+) -> None:
+    """Serve the report of a study on this machine; it grows while explore runs.
+
+    It needs the extra live. The address is the password: with it, people can read the page and write notes. Ctrl-C ends
+    it.
+
+    \b
+    Example:
+      cornercase watch study.db
+    """
+    from cornercase.report import watch as watch_study
+
+    watch_study(study, port=port, host=host, scenario=scenario, browser=browser, tell=out.print)
+
+
+@app.command()
+def replay(
+    study: opt.StudyFile,
+    scenario_id: Annotated[int, typer.Argument(metavar="ID", help="Which scenario.", min=1)],
+    *,
+    output: Annotated[Path, Option("--output", "-o", metavar="FILE.html|gif|mp4", help="Page or film to write.")],
+    beside: Annotated[
+        int | None, Option(metavar="ID", help="Another scenario, shown beside it on the same clock.", min=1)
+    ] = None,
+    fps: Annotated[
+        float | None, Option(metavar="N", help="Frames per second of a film; default: 25, for a GIF 10.")
+    ] = None,
+    speed: Annotated[float, Option(metavar="X", help="How fast a film runs: 0.5 is slow motion.")] = 1.0,
+    scenario: opt.ExploredScenario = None,
+    critical: opt.CriticalAnew = None,
+    maps: opt.Maps = None,
+) -> None:
+    """Replay a scenario, as a page or as a film.
+
+    \b
+    Example:
+      cornercase replay study.db 45 -o run.html
+      cornercase replay study.db 45 --beside 3 --speed 0.5 -o run.mp4
+    """
+    from cornercase.report import replay as write_replay
+
+    path = write_replay(
+        study,
+        scenario_id,
+        output,
+        beside=beside,
+        fps=fps,
+        speed=speed,
+        scenario=scenario,
+        critical=critical,
+        progress=True,
+    )
+    out.print(f"The replay is {path.resolve()}")
+
+
+@app.command()
+def show(
+    study: opt.StudyFile,
+    *,
+    critical: opt.CriticalAnew = None,
+    as_json: opt.Json = False,
+    config: Annotated[bool, Option("--config", help="Print a study file for cornercase explore --config.")] = False,
+) -> None:
+    """Show what was run and what was found.
+
+    \b
+    Example:
+      cornercase show study.db
+      cornercase show study.db --critical 0.5
+      cornercase show study.db --config > study.toml
+    """
+    from cornercase.report import put_in_words, summarize, tell_study_file
+    from cornercase.report.plain import with_words
+
+    if config:
+        if as_json or critical is not None:
+            raise InputError("--config: prints how the study was made; leave --json and --critical out.")
+        sys.stdout.write(tell_study_file(study))
+        return
+    summary = put_in_words(summarize(study, critical=critical))
+    if as_json:
+        sys.stdout.write(json_text(summary) + "\n")
+        return
+    for key, value in with_words(summary).items():
+        if value != {}:
+            _print_entry(key, value)
+        elif key == "clusters":
+            out.print("clusters: none yet; 'cornercase analyze' finds them")
+
+
+@app.command()
+def export(
+    study: opt.StudyFile,
+    *,
+    output: Annotated[Path, Option("--output", "-o", metavar="DIR", help="Folder for the tables.")],
+    parquet: Annotated[
+        bool, Option("--parquet", help="Also write tables of scenarios, recordings and courses as Parquet.")
+    ] = False,
+) -> None:
+    """Write everything in a study as tables.
+
+    \b
+    Example:
+      cornercase export study.db -o tables
+    """
+    from cornercase.study import Study
+
+    with Study.open(study, readonly=True) as opened:
+        opened.export(output, parquet=parquet)
+    out.print(f"Written to {output}")
+
+
+def _print_entry(key: str, value: Any, indent: str = "") -> None:
+    if isinstance(value, dict):
+        out.print(f"{indent}{key}")
+        for inner_key, inner_value in value.items():
+            _print_entry(inner_key, inner_value, indent + "  ")
+    else:
+        text = ", ".join(map(_format_value, value)) if isinstance(value, list) else _format_value(value)
+        out.print(f"{indent}{key}: {text}")
+
+
+def _format_value(value: Any) -> str:
+    return f"{value:.6g}" if isinstance(value, float) else "–" if value is None else str(value)

@@ -1,0 +1,118 @@
+"""Commands `check` and `convert`: read and convert scenario files."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from cornercase._common.errors import InputError
+from cornercase._common.texts import shorten
+from cornercase.cli import options as opt
+from cornercase.cli import parsing
+from cornercase.cli.messages import LONGEST, in_words_of_the_command_line
+from cornercase.cli.options import Option, app, err, out
+
+
+@app.command()
+def check(
+    scenarios: opt.ScenarioFiles,
+    *,
+    space: opt.SpaceFile = None,
+    strict: Annotated[
+        bool, Option("--strict", help="Refuse violations of the standard even if they can be read, and name the rule.")
+    ] = False,
+    maps: opt.Maps = None,
+) -> None:
+    """Check scenario files: what they contain, what has no effect here, and whether they are valid and can run.
+
+    Violations of the standard that can mean only one thing are read that way and listed as "adapted". The exit code is
+    1 if a file is not valid or cannot run, or with --strict if something was adapted.
+
+    \b
+    Example:
+      cornercase check examples/x_intersection/x_intersection.xosc \\
+          --space examples/x_intersection/x_intersection.space.xosc
+      cornercase check reduced/*.xosc --strict
+    """
+    from cornercase import simulators
+
+    if space is not None and len(scenarios) > 1:
+        raise InputError("--space: belongs to one scenario; check one scenario at a time.")
+    n_bad = 0
+    for scenario in scenarios:
+        if len(scenarios) > 1:
+            out.print(f"{scenario}:")
+        try:
+            report = simulators.check(scenario, space, strict=strict)
+        except InputError as error:
+            if len(scenarios) == 1:
+                raise
+            out.print(shorten(in_words_of_the_command_line(str(error)).replace("\n", "\\n"), LONGEST))
+            n_bad += 1
+            continue
+        _print_check(report)
+        n_bad += not report.good
+    if len(scenarios) > 1:
+        strictly = ", break no rule" if strict else ""
+        out.print(f"{len(scenarios) - n_bad} of {len(scenarios)} are valid{strictly} and can be run")
+    if n_bad:
+        raise typer.Exit(1)
+
+
+def _print_check(report: Any) -> None:
+    """Print the check of one scenario."""
+    for key, count in report.contents.items():
+        out.print(f"{key}: {count}")
+    out.print(f"parameters: {', '.join(report.parameters) or 'none'}")
+    if report.variables:
+        out.print(f"variables: {', '.join(report.variables)}")
+    for notice in report.notices:
+        # With --strict, adaptations are printed below with their rules.
+        if not (report.adapted and notice.label == "adapted"):
+            out.print(shorten(notice.sentence, LONGEST))
+    if report.schema is None:
+        out.print("schema: not checked; install it with pip install 'cornercase[validate]'")
+    else:
+        except_adapted = ", except for what is adapted" if any(x.label == "adapted" for x in report.notices) else ""
+        out.print(f"schema {report.schema}: {f'valid{except_adapted}' if not report.invalid else 'not valid'}")
+    for line in (*report.invalid, *(f"refused: {text}" for text in report.adapted), *report.trouble):
+        out.print(shorten(f"  {line}", LONGEST))
+    if report.space is not None:
+        for parameter in report.space.parameters:
+            out.print(f"varied: {_format_parameter(parameter)}")
+        out.print(f"concrete scenarios: {'infinitely many' if report.space.size is None else report.space.size}")
+    out.print("can be run" if not report.trouble else "cannot be run")
+
+
+def _format_parameter(parameter: Any) -> str:
+    if parameter.choices:
+        return f"{parameter.name}: {len(parameter.choices)} choices"
+    step = "" if parameter.step is None else f" in steps of {parameter.step:g}"
+    return f"{parameter.name}: {parameter.low:g} to {parameter.high:g}{step} {parameter.unit}".rstrip()
+
+
+@app.command(name="convert")
+def convert_(
+    scenario: opt.ScenarioFile,
+    *,
+    ego: opt.Ego,
+    output: Annotated[Path, Option("--output", "-o", metavar="FILE.xosc", help="File to write.")],
+    values: opt.Values = None,
+    maps: opt.Maps = None,
+) -> None:
+    """Write a concrete scenario as OpenSCENARIO 1.0, as CARLA's ScenarioRunner reads it.
+
+    It reports what is not exactly the same there, and refuses what OpenSCENARIO 1.0 cannot express.
+
+    \b
+    Example:
+      cornercase convert examples/t_intersection/t_intersection.xosc \\
+          --set c_start_time=1 --ego Ego -o t10.xosc
+    """
+    from cornercase.simulators import convert
+
+    for note in convert(scenario, output, ego=ego, values=parsing.pairs(values or (), "--set")).notes:
+        err.print(note)
+    out.print(f"Written to {output}")

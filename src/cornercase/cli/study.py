@@ -1,0 +1,195 @@
+"""Commands `analyze` and `reduce`: cluster and select the scenarios of a study."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+from rich.table import Column, Table
+
+from cornercase._common.errors import InputError
+from cornercase._common.memory import DEFAULT_MEMORY
+from cornercase.cli import options as opt
+from cornercase.cli import parsing
+from cornercase.cli.options import Option, app, out
+from cornercase.cli.profiling import Profile
+
+
+@app.command()
+def analyze(
+    study: opt.StudyFile,
+    *,
+    by: opt.By = None,
+    gamma: opt.Gamma = "auto",
+    eps: opt.Eps = "auto",
+    min_samples: opt.MinSamples = "auto",
+    method: Annotated[
+        str | None, Option(metavar="dbscan|hdbscan", help="How to find clusters; default: dbscan.")
+    ] = None,
+    window: Annotated[
+        float | None, Option(metavar="S", help="Match only instants at most this many s apart; default: any.")
+    ] = None,
+    keep_clusters: Annotated[
+        bool, Option("--keep-clusters", help="Keep existing clusters; assign new scenarios to them.")
+    ] = False,
+    workers: opt.LocalWorkers = 1,
+    cluster: opt.Cluster = None,
+    critical: opt.CriticalAnew = None,
+    memory: opt.Memory = DEFAULT_MEMORY,
+    profile: Profile = None,
+) -> None:
+    """Cluster the scenarios of a study, by behaviour and by criticality.
+
+    Aspects: ego-trajectory, ego-speed, ego-motion, behaviour (the ego's distance over time), interaction, relative,
+    bearing (of the other, as the ego sees it), those of other packages, and each metric.
+
+    \b
+    Example:
+      cornercase analyze study.db --by ego-trajectory --by wttc
+      cornercase analyze study.db --by interaction --window 1
+    """
+    from cornercase import clustering
+
+    results = clustering.analyze(
+        study,
+        by,
+        gamma=parsing.number_or_auto(gamma, "--gamma"),
+        eps=parsing.number_or_auto(eps, "--eps"),
+        min_samples=parsing.count_or_auto(min_samples, "--min-samples"),
+        method=None if method is None else parsing.one_of(method, ("dbscan", "hdbscan"), "--method"),
+        window=window,
+        keep=keep_clusters,
+        workers=workers,
+        cluster=cluster,
+        critical=critical,
+        memory=memory,
+        progress=True,
+    )
+    # 80 characters are enough for the longest metric name and two clusters.
+    numbers = (Column(name, no_wrap=True) for name in ("noise", "stability", "gamma", "eps"))
+    table = Table(Column("by", no_wrap=True), "clusters", "sizes", *numbers, "min samples", box=None, pad_edge=False)
+    for name, analysis in results.items():
+        fit = analysis.clustering
+        sizes, noise = " ".join(map(str, analysis.sizes)), str(int((fit.labels < 0).sum()))
+        stability = "–" if fit.stability is None else f"{fit.stability:.2f}"
+        settings = f"{fit.gamma:.4g}", f"{fit.eps:.4g}", str(fit.min_samples)
+        table.add_row(name, str(len(analysis.sizes)), sizes, noise, stability, *settings)
+    out.print(table)
+    for name, analysis in results.items():
+        for member in analysis.profiles if len(analysis.sizes) > 1 else ():
+            if member.name:
+                out.print(f"{name}, cluster {member.cluster}: {member.label} ({member.size} scenarios)", markup=False)
+
+
+@app.command()
+def reduce(
+    study: opt.StudyFile,
+    *,
+    output: Annotated[Path, Option("--output", "-o", metavar="DIR", help="Folder for the kept scenarios.")],
+    by: Annotated[
+        str | None,
+        Option("--by", metavar="ASPECT|METRIC", help="Aspect whose clusters are used; default: the searched metric."),
+    ] = None,
+    archetypes: Annotated[
+        str | None,
+        Option(
+            metavar="N|auto",
+            help="As in the paper, keep only prototypes and this number of archetypes for each cluster.",
+        ),
+    ] = None,
+    archetypes_by: Annotated[
+        str,
+        Option(
+            metavar="auto|hull|pcha|parts|kernel",
+            help="How to find archetypes; auto depends on the convexity of each cluster.",
+        ),
+    ] = "auto",
+    size: Annotated[int | None, Option(metavar="N", help="Number of scenarios to keep.", min=1)] = None,
+    share: Annotated[float | None, Option(metavar="X", help="Share of scenarios to keep; default: 0.1.")] = None,
+    cover: Annotated[
+        float | None,
+        Option(
+            metavar="X",
+            help="Keep as few as possible; none is farther from a kept one than this share of the largest distance.",
+        ),
+    ] = None,
+    within: Annotated[
+        float,
+        Option(metavar="X", help="Two scenarios are alike within this share of the median distance inside clusters."),
+    ] = 0.5,
+    kill_mutants: Annotated[
+        int | None,
+        Option(metavar="N", help="First keep the scenarios that kill most of N mutants of the ego's driver.", min=1),
+    ] = None,
+    require: Annotated[
+        list[str] | None,
+        Option(
+            "--require",
+            metavar="EXPRESSION",
+            help="Requirement that a mutant has to fail, as for test; default: no collision.",
+        ),
+    ] = None,
+    seed: opt.MutantSeed = 0,
+    scenario: opt.NamedScenario = None,
+    workers: opt.LocalWorkers = 1,
+    cluster: opt.Cluster = None,
+    critical: opt.CriticalAnew = None,
+    memory: opt.Memory = DEFAULT_MEMORY,
+    profile: Profile = None,
+    maps: opt.Maps = None,
+) -> None:
+    """Keep the few concrete scenarios that matter, as files that run on their own.
+
+    \b
+    Example:
+      cornercase reduce study.db --size 32 -o reduced
+      cornercase reduce study.db --size 10 --kill-mutants 40 -o reduced
+    """
+    from cornercase import reduction
+    from cornercase.clustering import read_analysis
+    from cornercase.study import open_study
+    from cornercase.suite import find_exposure
+
+    exposure = None
+    if kill_mutants is None:
+        if require:
+            raise InputError("--require: only applies to mutants; give --kill-mutants too.")
+        if cluster is not None:
+            raise InputError("--cluster: only runs mutants; give --kill-mutants too.")
+    else:
+        for option, value in (("--cover", cover), ("--archetypes", archetypes)):
+            if value is not None:
+                raise InputError(f"--kill-mutants, {option}: give one of them.")
+        # Check that the study was analyzed before the mutants run.
+        with open_study(study, readonly=True, critical=critical) as opened:
+            read_analysis(opened, by or opened.meta.metrics[0])
+        exposure = find_exposure(
+            study,
+            kill_mutants,
+            require=require or (),
+            seed=seed,
+            scenario=scenario,
+            workers=workers,
+            cluster=cluster,
+            progress=True,
+        )
+    reduced = reduction.reduce(
+        study,
+        output,
+        by=by,
+        size=size,
+        share=share,
+        cover=cover,
+        archetypes=None if archetypes is None else parsing.count_or_auto(archetypes, "--archetypes"),
+        archetypes_by=parsing.one_of(archetypes_by, ("auto", "hull", "pcha", "parts", "kernel"), "--archetypes-by"),
+        within=within,
+        exposure=exposure,
+        scenario=scenario,
+        critical=critical,
+        memory=memory,
+        progress=True,
+    )
+    out.print(f"{len(reduced.kept)} of {reduced.run} scenarios kept, in {output}")
+    if reduced.exposing is not None:
+        count = sum(scenario.role == "exposing" for scenario in reduced.kept)
+        out.print(f"{count} of them expose mutants; {reduced.exposing.text}.")
