@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import shutil
 import sqlite3
 import threading
 from contextlib import closing
@@ -14,15 +13,12 @@ import pytest
 from cornercase._common.errors import InputError
 from cornercase.recordings import read_recording
 from cornercase.scenario import ParameterSpace
-from cornercase.study import Study, migrations, write_note
+from cornercase.study import Study, write_note
 from cornercase.study.notes import LONGEST_NOTE
-from cornercase.study.schema import SCHEMA_VERSION
-from sealed import as_version_5
 from strangers import change
 from synthetic import about
 
 SPACE = ParameterSpace.from_ranges(["a=0:10"])
-OLD = Path(__file__).parents[1] / "data" / "study_version_2.db"
 
 
 @pytest.fixture
@@ -115,30 +111,6 @@ def test_a_writer_that_does_not_end_is_not_waited_for_forever(explored, monkeypa
         stuck.execute("BEGIN IMMEDIATE")
         with pytest.raises(InputError, match="locked"):
             write_note(explored.path, 1, "x")
-
-
-def test_a_study_of_an_earlier_version_is_migrated_for_its_first_note(tmp_path):
-    old = Path(shutil.copy(OLD, tmp_path / "old.db"))
-    assert notes(old) == {}
-    write_note(old, 2, "seen")
-    assert notes(old) == {2: "seen"}
-    with closing(sqlite3.connect(old)) as connection:
-        assert migrations.schema_version(connection) == SCHEMA_VERSION
-    with Study.open(old, readonly=True) as study:
-        assert len(study.done()) == 10
-
-
-def test_version_4_lacks_notes_alone(explored):
-    before = explored.table()
-    explored.close()
-    as_version_5(explored.path)
-    change(explored.path, "DROP TABLE notes", "PRAGMA user_version = 4")
-    assert notes(explored.path) == {}
-    with Study.open(explored.path, readonly=False) as study:
-        assert study.notes() == {}
-        assert study.table().equals(before)
-    write_note(explored.path, 1, "seen")
-    assert notes(explored.path) == {1: "seen"}
 
 
 @pytest.mark.parametrize("value", ["zeroblob(5)", f"printf('%.{LONGEST_NOTE + 1}c', 'x')"])

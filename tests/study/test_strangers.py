@@ -24,7 +24,6 @@ from cornercase._common.errors import InputError
 from cornercase.recordings import read_recording
 from cornercase.study import Study
 from cornercase.study.codec import pack_arrays, unpack_arrays
-from sealed import as_version_5
 from strangers import change, copied, set_meta, whole_study
 from synthetic import SPACE, about
 
@@ -234,35 +233,19 @@ def remade(table, columns):
     )
 
 
-SCENARIOS = remade("scenarios", "id, round, point, parameters, state, error, recording")
-COURSES = remade("courses", "scenario, metric, score, course")
 NO_CLUSTERS = "DELETE FROM analyses", "DELETE FROM arrays"
-TEXTS = (
-    *SCENARIOS,
-    *COURSES,
-    "UPDATE scenarios SET id = '../../' || id",
-    "UPDATE courses SET scenario = '../../' || scenario",
-    *NO_CLUSTERS,
-)
-TWICE = (*SCENARIOS, "INSERT INTO scenarios SELECT * FROM scenarios")
 
 
-@pytest.mark.parametrize("statements", [TEXTS, TWICE, (*COURSES, "INSERT INTO courses SELECT * FROM courses")])
-@pytest.mark.parametrize("version", [5, 6])
-def test_scenarios_have_numbers_of_their_own(sent, statements, version):
-    # A study of today may not have other tables than cornercase makes; what an earlier one has is put into such ones.
-    if version == 5:
-        as_version_5(sent)
-        change(sent, *statements)
-    else:
-        columns = "id, round, point, parameters, state, error, recording_checksum, checksum, recording"
-        change(sent, *remade("scenarios", columns))
+def test_a_table_without_its_keys_is_refused(sent):
+    change(
+        sent,
+        *remade("scenarios", "id, round, point, parameters, state, error, recording_checksum, checksum, recording"),
+    )
     for one in (("export", sent, "-o", sent.parent / "tables"), ("show", sent)):
         result = cornercase(*one)
         assert (result.returncode, len(result.stderr.strip().splitlines())) == (2, 1)
-    assert not (sent.parent / "tables").exists()
-    if version == 6:
         assert "it holds the table 'scenarios'" in result.stderr
+    assert not (sent.parent / "tables").exists()
 
 
 def test_scenarios_are_numbered_from_1_on(sent):
@@ -390,19 +373,6 @@ def test_what_a_file_says_of_itself_is_not_trusted(sent):
     with Study.open(sent, readonly=True) as study:
         assert study._database.found("PRAGMA trusted_schema") == [(0,)]
         assert study._database.found("PRAGMA query_only") == [(1,)]
-
-
-def test_a_link_in_place_of_the_lock_is_not_followed(sent, tmp_path):
-    precious = tmp_path / "precious"
-    precious.write_text("precious")
-    lock = sent.with_name("s.db.lock")
-    lock.symlink_to(precious)
-    # Only an explorer of an earlier version has such a lock.
-    assert cornercase("analyze", sent).returncode == 0
-    as_version_5(sent)
-    result = cornercase("analyze", sent)
-    assert (result.returncode, precious.read_text()) == (2, "precious")
-    assert "is a link" in result.stderr
 
 
 ODD = (

@@ -227,13 +227,24 @@ def test_a_new_study_holds_nothing_of_one_that_was_removed(study):
             assert [row.state for row in reader.rows()] == ["pending"]
 
 
-def test_another_schema_version_is_refused(study):
+@pytest.mark.parametrize("version", [0, 2, 6])
+def test_another_schema_version_is_refused(study, version):
     study.close()
     with sqlite3.connect(study.path) as connection:
-        connection.execute("PRAGMA user_version = 7")
+        connection.execute(f"PRAGMA user_version = {version}")
     connection.close()
-    with pytest.raises(InputError, match="schema version 7"):
-        Study.open(study.path, readonly=False)
+    for readonly in (True, False):
+        with pytest.raises(InputError, match=rf"study\.db: has schema version {version}.*run `explore` again"):
+            Study.open(study.path, readonly=readonly)
+
+
+def test_a_table_with_other_columns_is_refused(study):
+    study.close()
+    with sqlite3.connect(study.path) as connection:
+        connection.execute("ALTER TABLE notes DROP COLUMN checksum")
+    connection.close()
+    with pytest.raises(InputError, match=r"study\.db: .*the table 'notes' with other columns.*run `explore` again"):
+        Study.open(study.path)
 
 
 def test_a_full_disk_is_said_and_harms_nothing(study):

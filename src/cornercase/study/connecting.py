@@ -6,15 +6,13 @@ import os
 import sqlite3
 import stat
 from collections.abc import Iterator
-from contextlib import closing, contextmanager, suppress
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Final
 
 from cornercase._common.errors import InputError
-from cornercase._common.locks import taken_lock
 from cornercase._common.pending_files import OF_SQLITE
 from cornercase.study.damage import DamageError
-from cornercase.study.migrations import OLD_TABLES, migrate, schema_version
 from cornercase.study.schema import ALWAYS, APPLICATION, SCHEMA_VERSION, STATEMENTS
 
 # What SQLite says where a file cannot be opened, or others keep it to themselves.
@@ -137,6 +135,12 @@ def require_file(path: Path) -> None:
         )
 
 
+def schema_version(connection: sqlite3.Connection) -> int:
+    """Read the schema version of a study."""
+    (version,) = connection.execute("PRAGMA user_version").fetchone()
+    return int(version)
+
+
 def require_study(path: Path, connection: sqlite3.Connection) -> None:
     """Refuse what is no study of a version that is known.
 
@@ -154,10 +158,10 @@ def require_study(path: Path, connection: sqlite3.Connection) -> None:
     if application != APPLICATION:
         raise InputError(f"{path}: is a database, but not a cornercase study.")
     version = schema_version(connection)
-    if not 1 <= version <= SCHEMA_VERSION:
+    if version != SCHEMA_VERSION:
         raise InputError(
-            f"{path}: has schema version {version}, this cornercase reads up to {SCHEMA_VERSION}; use the version that"
-            " wrote it."
+            f"{path}: has schema version {version}, but this cornercase reads version {SCHEMA_VERSION} only; use the"
+            " version that wrote it, or run `explore` again, into another study."
         )
 
 
@@ -174,20 +178,18 @@ def require_plain(path: Path, connection: sqlite3.Connection) -> None:
     InputError
         Something in the file is not as cornercase makes it.
     """
-    today = schema_version(connection) == SCHEMA_VERSION
     found = connection.execute("SELECT type, name, sql FROM sqlite_master").fetchall()
     for kind, name, statement in found:
         # SQLite's own index of a key has no statement.
         plain = kind == "index" and statement is None
-        if kind == "table" and today:
-            plain = name in STATEMENTS and statement == STATEMENTS[name]
-        elif kind == "table" and name in OLD_TABLES:
-            # Virtual tables have no columns of their own, computed columns are hidden ones.
-            columns = connection.execute(f"PRAGMA table_xinfo({name})").fetchall()
-            plain = not str(statement).upper().startswith("CREATE VIRTUAL") and not any(one[6] for one in columns)
+        if kind == "table":
+            plain = statement == STATEMENTS.get(name)
         if not plain:
-            raise InputError(f"{path}: is not a study that cornercase wrote; it holds the {kind} '{name}'.")
-    if today and (missing := set(ALWAYS) - {name for _, name, _ in found}):
+            what = f"the {kind} '{name}'"
+            if kind == "table" and name in STATEMENTS:
+                what += " with other columns: use the version that wrote it, or run `explore` again, into another study"
+            raise InputError(f"{path}: is not a study that cornercase wrote; it holds {what}.")
+    if missing := set(ALWAYS) - {name for _, name, _ in found}:
         raise DamageError.of(path, f"its table {min(missing)} is missing")
 
 
@@ -234,27 +236,6 @@ def told_by_sqlite(connection: sqlite3.Connection, most: int) -> Iterator[str]:
 
 def _any_text(raw: bytes) -> str:
     return raw.decode(errors="replace")
-
-
-def of_today(connection: sqlite3.Connection) -> sqlite3.Connection:
-    """Give the connection, or one to a migrated copy in its place.
-
-    Parameters
-    ----------
-    connection : sqlite3.Connection
-
-    Returns
-    -------
-    sqlite3.Connection
-    """
-    if schema_version(connection) == SCHEMA_VERSION:
-        return connection
-    with closing(connection):
-        # A database without a name is a temporary file that SQLite removes.
-        copy = sqlite3.connect("")
-        connection.backup(copy)
-    migrate(copy)
-    return copy
 
 
 def connected(path: Path, patience: float = 30.0) -> sqlite3.Connection:
@@ -344,38 +325,6 @@ def require_one_name(path: Path) -> None:
             f"{path}: has {names} names (hard links), by which two could write to it at once; remove the others, or"
             " write to a copy."
         )
-
-
-def migrate_alone(path: Path, connection: sqlite3.Connection) -> None:
-    """Migrate a study, which an explorer of an earlier version may be writing to: it holds a lock beside it.
-
-    Parameters
-    ----------
-    path : Path
-    connection : sqlite3.Connection
-
-    Raises
-    ------
-    InputError
-        Such an explorer writes to it, or the lock is something else.
-    """
-    beside = path.with_name(path.name + ".lock")
-    # Whoever sent the study may have put a link there, and to take a lock empties its file.
-    if beside.is_symlink() or (beside.exists() and not beside.is_file()):
-        raise InputError(f"{beside}: is a link or not a file, so it cannot be the study's lock; remove it.")
-    lock = None
-    if beside.exists():
-        try:
-            lock = taken_lock(beside)
-        except OSError as error:
-            raise InputError(f"{path}: cannot be written ({error.strerror}).") from error
-        if lock is None:
-            raise InputError(f"{path}: another cornercase is writing to it; wait until it has ended.")
-    try:
-        migrate(connection)
-    finally:
-        if lock is not None:
-            lock.release()
 
 
 def remove_log(path: Path) -> None:

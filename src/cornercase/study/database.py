@@ -19,8 +19,6 @@ from cornercase.study.connecting import (
     damage_of,
     file_at,
     is_out_of_reach,
-    migrate_alone,
-    of_today,
     remove_log,
     require_file,
     require_intact,
@@ -30,9 +28,7 @@ from cornercase.study.connecting import (
     require_study,
     sentences,
 )
-from cornercase.study.damage import damage_told
 from cornercase.study.lease import Lease
-from cornercase.study.migrations import schema_version
 from cornercase.study.own_file import OwnFile
 from cornercase.study.schema import ALWAYS, APPLICATION, SCHEMA_VERSION, STATEMENTS
 from cornercase.study.seals import put, read_rows, require_tally
@@ -63,10 +59,8 @@ class Database:
         self._closed = self._writing = False
         # Why it is not ours any more.
         self._lost = ""
-        # Its name may be no text.
-        ((file,),) = connection.execute("SELECT length(file) FROM pragma_database_list WHERE name = 'main'").fetchall()
-        # A migrated copy has no name; what is immutable is not looked at again.
-        self._sees_others = bool(file) and not is_out_of_reach(path)
+        # SQLite does not look again at a file that was opened as immutable.
+        self._sees_others = not is_out_of_reach(path)
         self._forced = -math.inf
         self._tallied: dict[str, tuple[int, int]] = {}
         self._own = None if lease is None else OwnFile(path, connection, lease)
@@ -115,8 +109,6 @@ class Database:
     def open(cls, path: Path, readonly: bool) -> Database:
         """Open a file.
 
-        One of an earlier schema version is migrated; a reader migrates a copy of its own and leaves the file as it is.
-
         Parameters
         ----------
         path : Path
@@ -129,7 +121,7 @@ class Database:
         Raises
         ------
         InputError
-            There is none, it is none, another program writes to it, or it is of a later schema version.
+            There is none, it is none, another program writes to it, or it is of another schema version.
         """
         require_file(path)
         # What is no study is not written to.
@@ -158,14 +150,9 @@ class Database:
                     # What is not read could lead what is written astray.
                     require_intact(path, connection)
                     connection.execute("PRAGMA journal_mode = WAL")
-                    if schema_version(connection) < SCHEMA_VERSION:
-                        with damage_told(path):
-                            migrate_alone(path, connection)
                     lease = Lease.take(path, connection)
                     require_still(path, file)
                 else:
-                    with damage_told(path):
-                        connection = of_today(connection)
                     connection.execute("PRAGMA query_only = ON")
                 return cls(path, connection, lease)
             except BaseException:
@@ -456,8 +443,7 @@ def make_tables(connection: sqlite3.Connection, *more: str) -> None:
 def written_beside(path: Path) -> Iterator[sqlite3.Connection]:
     """Give a connection for one short transaction beside those of an explorer, whose lock is not needed for it.
 
-    SQLite lets one of them write at a time, and each waits for the other. Only to migrate a file of an earlier schema
-    version the lock is taken.
+    SQLite lets one of them write at a time, and each waits for the other.
 
     Parameters
     ----------
@@ -476,7 +462,7 @@ def written_beside(path: Path) -> Iterator[sqlite3.Connection]:
     reads_itself = reader.changes() is not None
     reader.close()
     if not reads_itself:
-        # Of an earlier version, or one that cannot be written, which is said.
+        # Opening it for writing raises the error that says why it cannot be written.
         Database.open(path, readonly=False).close()
     file = file_at(path)
     with sentences(path), damage_of(path), closing(connected(path, _PATIENCE_BESIDE)) as connection:

@@ -21,7 +21,7 @@ def write_note(study: Path | str, scenario: int, note: str) -> None:
     """Write what somebody thinks of a scenario into its study.
 
     An explorer may be writing to the study: the note is a transaction of its own that takes milliseconds, for which the
-    lock of the explorer is not needed. A study of an earlier version is migrated first, which does need it.
+    lock of the explorer is not needed.
 
     Parameters
     ----------

@@ -77,7 +77,7 @@ class ScenarioContents:
         -------
         int or None
             Another number than before where another connection wrote since; None where a reader of this study does not
-            see what others write: it reads a migrated copy, or lies where nobody could write when it was opened.
+            see what others write: it lay where nobody could write when it was opened.
         """
         return self._database.changes()
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Final
 
-SCHEMA_VERSION: Final = 6
+SCHEMA_VERSION: Final = 1
 
 APPLICATION: Final = 0x434F524E
 """What SQLite holds as the application of a file: "CORN"."""

@@ -86,9 +86,6 @@ class Study(StudyContents):
     def open(cls, path: Path | str, readonly: bool = True) -> Study:
         """Open a study.
 
-        A study of an earlier version is brought to the schema of today: the file itself when it is opened for writing,
-        a temporary copy when it is only read.
-
         Parameters
         ----------
         path : path
@@ -103,13 +100,13 @@ class Study(StudyContents):
         Raises
         ------
         InputError
-            There is none, it is none, it is damaged, another process is to write to it too, or it is of a later schema
+            There is none, it is none, it is damaged, another process is to write to it too, or it is of another schema
             version.
         """
         database: Database | None = None
         try:
             file = arguments.path("path", path)
-            # Its facts may be such that they cannot be read, or not be migrated.
+            # Its description may be damaged.
             with damage_told(file):
                 database = Database.open(file, readonly)
                 return cls(database)

@@ -14,15 +14,14 @@ from cornercase._common.errors import InputError
 from cornercase.study.connecting import (
     connected,
     is_unreachable,
-    of_today,
     require_file,
     require_plain,
     require_study,
+    schema_version,
     sentences,
     told_by_sqlite,
 )
 from cornercase.study.damage import DamageError
-from cornercase.study.migrations import schema_version
 from cornercase.study.salvaging import holds_rows
 from cornercase.study.schema import APPLICATION, SCHEMA_VERSION, TABLES
 from cornercase.study.seals import is_sound, name_of, require_tally
@@ -30,8 +29,6 @@ from cornercase.study.store import Study
 
 # What SQLite tells of at most, and rows of a table.
 _MOST: Final = 20
-# Schema version of the first studies that have checksums.
-_WITH_CHECKSUMS: Final = 6
 
 
 @dataclass(frozen=True)
@@ -44,7 +41,7 @@ class Verification:
     problems : tuple of str
         A part of a sentence for each thing that is not as it was written; empty where all is.
     checked : bool, default True
-        Whether the study has checksums; those of earlier schema versions have none.
+        Whether the study has checksums; all have.
     """
 
     path: Path
@@ -86,7 +83,7 @@ def verify(study: Path | str) -> Verification:
     require_file(path)
     _require_own(path)
     problems = list(dict.fromkeys(_problems(path)))
-    return Verification(path, tuple(problems), _has_checksums(path))
+    return Verification(path, tuple(problems))
 
 
 def _require_own(path: Path) -> None:
@@ -109,14 +106,6 @@ def _require_own(path: Path) -> None:
         raise InputError(f"{path}: cannot be read ({error.strerror}).") from error
     if not found:
         raise InputError(f"{path}: is not a cornercase study, or nothing is left of one.")
-
-
-def _has_checksums(path: Path) -> bool:
-    try:
-        with closing(connected(path)) as connection:
-            return schema_version(connection) >= _WITH_CHECKSUMS
-    except (sqlite3.Error, UnicodeDecodeError):
-        return True
 
 
 def _problems(path: Path) -> Iterator[str]:
@@ -147,8 +136,7 @@ def _problems(path: Path) -> Iterator[str]:
 
 def _of_file(path: Path) -> Iterator[str]:
     try:
-        connection = connected(path)
-        with closing(connection):
+        with closing(connected(path)) as connection:
             connection.execute("PRAGMA trusted_schema = OFF")
             connection.execute("PRAGMA cell_size_check = ON")
             require_study(path, connection)
@@ -158,12 +146,7 @@ def _of_file(path: Path) -> Iterator[str]:
     except (sqlite3.Error, UnicodeDecodeError, InputError) as error:
         yield _words(path, error)
         return
-    try:
-        connection = of_today(connected(path))
-    except (sqlite3.Error, UnicodeDecodeError, InputError) as error:
-        yield _words(path, error)
-        return
-    with closing(connection):
+    with closing(connected(path)) as connection:
         there = {name for (name,) in connection.execute("SELECT name FROM sqlite_master WHERE type = 'table'")}
         for table in (name for name in TABLES if name in there):
             yield from _of_table(path, connection, table)
