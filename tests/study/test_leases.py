@@ -53,10 +53,10 @@ def test_a_file_of_several_names_is_not_written(path):
     # SQLite keeps a log beside each name, and would not see what was written by another one.
     with Study.open(path, readonly=False) as study:
         os.link(path, path.with_name("another.db"))
-        with pytest.raises(InputError, match=r"another\.db: has 2 names"):
+        with pytest.raises(InputError, match=r"another\.db: has 2 hard links"):
             Study.open(path.with_name("another.db"), readonly=False)
         study.fail(1, SimulationError("as before"))
-    with pytest.raises(InputError, match="has 2 names"):
+    with pytest.raises(InputError, match="has 2 hard links"):
         Study.open(path, readonly=False)
     path.with_name("another.db").unlink()
     Study.open(path, readonly=False).close()
@@ -96,7 +96,7 @@ def test_one_on_another_machine_counts_as_dead_when_it_has_not_been_heard_of(pat
     with Study.open(path, readonly=False) as taken:
         taken.fail(1, SimulationError("of the new one"))
         # The first one had only been asleep: it notices before it writes.
-        with pytest.raises(StudyLostError, match="took this study over"):
+        with pytest.raises(StudyLostError, match="took over this study"):
             study.fail(2, SimulationError("of the old one"))
         assert [row.state for row in taken.rows()] == ["failed", "pending"]
     study.close()
@@ -119,14 +119,14 @@ def test_a_study_that_is_gone_or_another_one_ends_what_writes_to_it(path):
     before = other.read_bytes()
     study = Study.open(path, readonly=False)
     path.unlink()
-    with pytest.raises(StudyLostError, match="was removed while this command wrote to it"):
+    with pytest.raises(StudyLostError, match="was removed while this command was writing to it"):
         study.fail(1, SimulationError("nowhere"))
     assert [one.name for one in path.parent.iterdir()] == ["other.db"]
     shutil.copy(other, path)
     study = Study.open(path, readonly=False)
     study.fail(1, SimulationError("here"))
     os.replace(shutil.copy(other, path.with_name("third.db")), path)
-    with pytest.raises(StudyLostError, match="another file has taken its place"):
+    with pytest.raises(StudyLostError, match="was replaced by another file"):
         study.fail(2, SimulationError("elsewhere"))
     # What was written to the one that is gone is not taken for the log of the one that is there.
     assert path.read_bytes() == other.read_bytes() == before
@@ -139,10 +139,10 @@ def test_a_study_that_is_moved_takes_all_with_it_that_was_stored(path):
     study = Study.open(path, readonly=False)
     study.fail(1, SimulationError("here"))
     moved = path.rename(path.with_name("moved.db"))
-    with pytest.raises(StudyLostError, match="was removed while this command wrote to it"):
+    with pytest.raises(StudyLostError, match="was removed while this command was writing to it"):
         study.fail(2, SimulationError("there"))
     # Whoever cleans up afterwards is told the same.
-    with pytest.raises(StudyLostError, match="was removed while this command wrote to it"):
+    with pytest.raises(StudyLostError, match="was removed while this command was writing to it"):
         study.rows()
     with Study.open(moved) as opened:
         assert [row.state for row in opened.rows()] == ["failed", "failed"]
@@ -160,11 +160,11 @@ def test_a_study_that_is_copied_over_ends_what_writes_to_it_and_stays_as_it_is(p
     # The same file under the same name, as `cp` leaves it.
     path.write_bytes(other.read_bytes())
     end = study.close if closes else partial(study.fail, 2, SimulationError("nowhere"))
-    with pytest.raises(StudyLostError, match="another file was copied over it"):
+    with pytest.raises(StudyLostError, match="it was overwritten or truncated"):
         end()
     assert path.read_bytes() == other.read_bytes()
     assert sorted(one.name for one in path.parent.iterdir()) == ["other.db", "s.db"]
-    with pytest.raises(StudyLostError, match="another file was copied over it"):
+    with pytest.raises(StudyLostError, match="it was overwritten or truncated"):
         study.rows()
 
 
@@ -172,7 +172,7 @@ def test_a_study_that_is_copied_over_ends_what_writes_to_it_and_stays_as_it_is(p
 def test_a_study_that_is_cut_ends_what_writes_to_it(path):
     study = Study.open(path, readonly=False)
     os.truncate(path, 0)
-    with pytest.raises(StudyLostError, match="or it was cut"):
+    with pytest.raises(StudyLostError, match="overwritten or truncated"):
         study.fail(1, SimulationError("nowhere"))
     assert path.read_bytes() == b""
     with pytest.raises(InputError, match="is empty, and not a study"):

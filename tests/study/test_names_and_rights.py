@@ -69,7 +69,7 @@ def test_a_study_that_may_only_be_read_is_not_written_and_nothing_is_left_beside
         pytest.skip("whoever may do anything may write")
     with Study.open(path) as study:
         assert len(study.rows()) == 2
-    with pytest.raises(InputError, match="may only be read"):
+    with pytest.raises(InputError, match="is read-only"):
         Study.open(path, readonly=False)
     # What a reader left would be only for reading too, and keep its owner out.
     assert [one.name for one in tmp_path.iterdir()] == ["s.db"]

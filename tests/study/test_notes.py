@@ -57,9 +57,9 @@ def test_a_note_is_kept_changed_and_removed(explored):
         (-1, "x", "`scenario`"),
         (2**63, "x", "`scenario`"),
         (True, "x", "`scenario`"),
-        (1, "x" * (LONGEST_NOTE + 1), "at most 2000"),
-        (1, "half a character: \ud800", "half a character"),
-        (1, "a\0b", "character 0"),
+        (1, "x" * (LONGEST_NOTE + 1), "the limit is 2000"),
+        (1, "half a character: \ud800", "cannot be encoded"),
+        (1, "a\0b", "null character"),
         (1, 7, "not a text"),
     ],
 )

@@ -215,7 +215,7 @@ def test_42_10_the_scenario_is_taken_from_where_the_study_says(apart, tmp_path):
     done = cornercase("reduce", apart, "-o", tmp_path / "again")
     assert done.returncode == 2
     assert (
-        f"its scenario file '{X.name}' lies neither beside it nor in the current folder, nor up to two folders below nor"
+        f"its scenario file '{X.name}' was not found beside it, in the current folder, up to two folders below, or"
         f" at ../{X.name}; name it with --scenario." in done.stderr
     )
     assert sorted(one.name for one in apart.parent.iterdir()) == ["s.db", "s.db.damaged"]

@@ -1,4 +1,4 @@
-"""What a study holds, for those who read it."""
+"""Read a study."""
 
 from __future__ import annotations
 
@@ -44,40 +44,36 @@ STAGES: Final = (
 class StudyContents(ScenarioContents):
     """Everything in a study that can be read, while others write to it or not.
 
-    Parameters
-    ----------
-    database : Database
-
     Attributes
     ----------
     path : Path
         The file.
     meta : StudyMeta
-        What the study is about.
+        Description of the study.
     space : ParameterSpace
-        What is varied.
+        The parameter space.
     """
 
     @property
     def critical(self) -> float | None:
-        """Score from which a scenario is critical: that of the study, or the one that it is asked with."""
+        """Threshold: that of the study, or the one that currently replaces it."""
         return self.meta.critical if self._asked is None else self._asked
 
     def ask(self, critical: float | None) -> float | None:
-        """Count other scenarios as critical from now on; the file stays as it is.
+        """Replace the threshold from now on; the file stays as it is.
 
         Parameters
         ----------
         critical : float or None
-            Score from which a scenario is critical, in the unit of what is searched; None for that of the study.
+            Threshold in the unit of the objective; None for that of the study.
 
         Returns
         -------
         float or None
-            What was asked before.
+            The previous replacement.
         """
-        before, self._asked = self._asked, critical
-        return before
+        previous, self._asked = self._asked, critical
+        return previous
 
     def __enter__(self) -> Self:
         return self
@@ -98,20 +94,20 @@ class StudyContents(ScenarioContents):
             if "study" in DISPLAYS and (page := DISPLAYS.create("study", path=self.path)) is not None:
                 return page
         table = self.table()
-        # A metric of another package may not be there; then the first scenarios are shown.
+        # If the package of a metric is missing, the first scenarios are shown.
         with suppress(InputError):
             metric = METRICS.create(self.meta.metrics[0])
             table = table.sort_values(metric.name, ascending=metric.lower_is_critical, kind="stable")
         return f"<p>{escape(repr(self))}</p>{table.head(_SHOWN).to_html(index=False)}"
 
     def critical_runs(self) -> FloatArray | None:
-        """Probability that a run of each scenario is critical, where each was run several times.
+        """Probability that a run of each scenario is critical, if each was run several times.
 
         Returns
         -------
         ndarray of float64, shape (n, 3), or None
-            Share of its runs that were critical, and its 90 % interval: whether a scenario is critical is open where
-            that holds 0.5. None where each was run once, or nothing says of one score what is critical.
+            Fraction of critical runs and its 90 % interval: if that contains 0.5, it is undecided whether the scenario
+            is critical. None if each scenario has one run, or if there is no threshold of a single metric.
         """
         if self.critical is None or self.meta.weights or self.meta.pareto:
             return None
@@ -119,58 +115,60 @@ class StudyContents(ScenarioContents):
         if (runs := self._runs(metric.name)) is None:
             return None
         with damage_told(self.path):
-            scores = [[metric.oriented(float(score)) for score in one] for one in runs]
+            scores = [[metric.oriented(float(score)) for score in run_scores] for run_scores in runs]
             return shares_of_runs(scores, metric.oriented(self.critical))
 
     def elsewhere(self) -> tuple[FloatArray, FloatArray] | None:
-        """Read what the study that the search began from knew.
+        """Read the points and scores of the study that the search was warm-started from.
 
         Returns
         -------
         points : ndarray of float64, shape (n, d)
             In the unit cube of this study's space.
         scores : ndarray of float64, shape (n,)
-            Oriented. None in place of both where the search began from nothing.
+            To be minimized. None instead of both without a warm start.
 
         Raises
         ------
         InputError
-            It is not there, as after a damage.
+            They are missing, as after a damage.
         """
         if not self.meta.elsewhere:
             return None
         with damage_told(self.path):
-            found = self._database.rows("elsewhere")
-            points = np.array([np.frombuffer(point, dtype="<f8") for point, _ in found], dtype=np.float64)
-            scores = np.array([score for _, score in found], dtype=np.float64)
+            rows = self._database.rows("elsewhere")
+            points = np.array([np.frombuffer(point, dtype="<f8") for point, _ in rows], dtype=np.float64)
+            scores = np.array([score for _, score in rows], dtype=np.float64)
             digest = digest_of_scores(points, scores)
-            require(digest == self.meta.elsewhere.get("sha256"), "what the search began from is not all there")
+            require(digest == self.meta.elsewhere.get("sha256"), "the warm-start data is incomplete")
             return points, scores
 
     def analyses(self) -> list[str]:
-        """List the aspects that the study was analysed by.
+        """List the aspects that the study was analyzed by.
 
         Returns
         -------
         list of str
-            ``ego-trajectory`` first, the metrics last, the others between them in alphabetical order.
+            ``ego-trajectory`` first, then the others in alphabetical order, the metrics last.
         """
         names = {str(name) for name, _ in self._database.rows("analyses")} - {"reduction", "estimate"}
         metrics = [name for name in self.meta.metrics if name in names]
         return [*sorted(names - set(metrics), key=lambda name: (name != "ego-trajectory", name)), *metrics]
 
     def analysis(self, name: str, *arrays: str) -> tuple[dict[str, Any], dict[str, Any]]:
-        """Read a stored result.
+        """Read the stored result of an analysis.
 
         Parameters
         ----------
         name : str
+            Its aspect.
         *arrays : str
-            Arrays to read, as large ones take time; all by default.
+            Names of arrays to read, as large ones take time; all by default.
 
         Returns
         -------
-        arrays : dict of str to ndarray, of the shapes that were stored
+        arrays : dict of str to ndarray
+            In the shapes that were stored.
         info : dict
 
         Raises
@@ -178,25 +176,25 @@ class StudyContents(ScenarioContents):
         InputError
             There is no such result.
         """
-        found = self._database.rows("analyses", "name = ?", name)
-        if not found:
+        rows = self._database.rows("analyses", "name = ?", name)
+        if not rows:
             others = ", ".join(self.analyses())
-            rest = (
+            advice = (
                 f", only by {others}; choose among these, or run `analyze` by it" if others else "; run `analyze` first"
             )
-            raise InputError(f"{self.path}: holds no analysis by {name}{rest}.")
+            raise InputError(f"{self.path}: holds no analysis by {name}{advice}.")
         self._database.require_all("arrays")
         # In the order in which they were written.
-        question = "SELECT name FROM arrays WHERE analysis = ? AND part = 0 ORDER BY rowid"
-        known = [key for (key,) in self._database.found(question, name)]
-        if missing := sorted(set(arrays).difference(known)):
+        query = "SELECT name FROM arrays WHERE analysis = ? AND part = 0 ORDER BY rowid"
+        stored = [key for (key,) in self._database.found(query, name)]
+        if missing := sorted(set(arrays).difference(stored)):
             raise InputError(f"{self.path}: its analysis by {name} lacks {', '.join(missing)}; run `analyze` again.")
         with damage_told(self.path), self.snapshot():
-            read = read_arrays(self._database.rows, name, list(arrays or known), sum(self._counts().values()))
-            return read, loaded_json(found[0][1])
+            values = read_arrays(self._database.rows, name, list(arrays or stored), sum(self._counts().values()))
+            return values, loaded_json(rows[0][1])
 
     def reduction(self) -> dict[str, Any] | None:
-        """Read what is known of the reduced set, as in its manifest.
+        """Read the description of the reduced set, as in its manifest.
 
         Returns
         -------
@@ -206,46 +204,52 @@ class StudyContents(ScenarioContents):
         return self._info("reduction")
 
     def estimate(self) -> dict[str, Any] | None:
-        """Read what an estimate of probabilities found.
+        """Read the result of an estimate of probabilities.
 
         Returns
         -------
         dict or None
-            None of a study that is no estimate, and of one that has not ended.
+            None if the study is not an estimate, or has not ended.
         """
         return self._info("estimate")
 
     def _info(self, name: str) -> dict[str, Any] | None:
         self._database.require_all("analyses")
-        found = self._database.rows("analyses", "name = ?", name)
+        rows = self._database.rows("analyses", "name = ?", name)
         with damage_told(self.path):
-            return dict(loaded_json(found[0][1])) if found else None
+            return dict(loaded_json(rows[0][1])) if rows else None
 
     def results(self) -> list[tuple[int, int]]:
-        """Tell in which order the results of a search without rounds came.
+        """Read the order in which the results of an asynchronous search came.
 
         Returns
         -------
         list of (int, int)
-            Id of each scenario that has ended, and the number of the first round that was proposed when the search knew
-            of it, or will be; empty in a study of rounds.
+            Id of each scenario that has ended, and the number of the first round that was proposed, or will be, when
+            the optimizer knew the result; empty in a study with rounds.
         """
         if not self.meta.asynchronous:
             return []
         with self.snapshot():
-            found = self._database.rows("results")
+            stored = self._database.rows("results")
             rows = {row.id: row for row in self.rows()}
-        ended = {row.id for row in rows.values() if row.state != "pending"}
+        ended_ids = {row.id for row in rows.values() if row.state != "pending"}
         with damage_told(self.path):
-            turns = [turn for _, _, turn in found]
-            require(all(isinstance(turn, int) for turn in turns) and turns == sorted(turns), "the order of its results")
-            last = max((row.round for row in rows.values()), default=0)
-            require(all(rows[one].round < turn <= last + 1 for _, one, turn in found), "a result's round")
+            rounds = [round_number for _, _, round_number in stored]
             require(
-                len(found) == len(ended) and {one for _, one, _ in found} == ended,
+                all(isinstance(round_number, int) for round_number in rounds) and rounds == sorted(rounds),
+                "the order of its results",
+            )
+            last = max((row.round for row in rows.values()), default=0)
+            require(
+                all(rows[scenario_id].round < round_number <= last + 1 for _, scenario_id, round_number in stored),
+                "a result's round",
+            )
+            require(
+                len(stored) == len(ended_ids) and {scenario_id for _, scenario_id, _ in stored} == ended_ids,
                 "a result is missing, there twice, or of a scenario that has not ended",
             )
-            return [(scenario, turn) for _, scenario, turn in found]
+            return [(scenario, round_number) for _, scenario, round_number in stored]
 
     def elapsed(self) -> dict[str, float]:
         """Time spent by stage.
@@ -253,26 +257,26 @@ class StudyContents(ScenarioContents):
         Returns
         -------
         dict of str to float
-            s, in the order in which the stages come.
+            s, in the order of the stages.
         """
-        found = self._database.rows("elapsed")
+        rows = self._database.rows("elapsed")
         with damage_told(self.path):
-            known = {str(stage): float(seconds) for stage, seconds in found}
-        return {stage: known[stage] for stage in (*STAGES, *known) if stage in known}
+            seconds_of = {str(stage): float(seconds) for stage, seconds in rows}
+        return {stage: seconds_of[stage] for stage in (*STAGES, *seconds_of) if stage in seconds_of}
 
     def table(self) -> pd.DataFrame:
-        """Put everything that is known of the scenarios in a table.
+        """Make a table of all scenarios.
 
         Returns
         -------
         DataFrame
-            A row for each scenario, in the order of the ids, with the columns ``id``, ``round`` and ``state``, and
-            ``audit`` where there are audits; a column for each parameter; for each metric one of the score, and
-            ``lowest …`` and ``highest …`` of its runs where each scenario was run several times, ``critical runs`` as
-            in `critical_runs`, and ``runs``, how many did not fail, where some may have more than others; of several
-            others ``other by …`` for each metric, whom the score is against; ``cluster by …`` for each aspect that the
-            study was analysed by, -1 for noise; ``outcome`` once it was analysed; ``note`` where there are notes;
-            ``error``. Empty where there is no value. A parameter that is called like another column is found as
+            One row per scenario, in the order of the ids, with the columns ``id``, ``round`` and ``state``, and
+            ``audit`` if there are audits; a column for each parameter; for each metric one of the score, and ``lowest
+            …`` and ``highest …`` of its runs if each scenario was run several times, ``critical runs`` as in
+            `critical_run_rates`, and ``runs``, the number of runs that did not fail, if it may vary; with several
+            others ``other by …`` for each metric, the entity that the score is against; ``cluster by …`` for each
+            aspect that the study was analyzed by, -1 for noise; ``outcome`` once it was analyzed; ``note`` if there are
+            notes; ``error``. Empty if there is no value. A parameter with the name of another column becomes
             ``parameter …``.
         """
         with self.snapshot():
@@ -281,7 +285,7 @@ class StudyContents(ScenarioContents):
                 scores[name] = self.scores(name)
                 if (spread := self.spread(name)) is not None:
                     scores[f"lowest {name}"], scores[f"highest {name}"] = spread.T
-            with suppress(InputError):  # A metric of another package may not be there.
+            with suppress(InputError):  # The package of a metric may be missing.
                 if (runs := self.critical_runs()) is not None:
                     scores |= dict(zip(_CRITICAL_RUNS, runs.T, strict=True))
             clusters = {}
@@ -291,9 +295,15 @@ class StudyContents(ScenarioContents):
             rows = self.rows()
             ids = {row.id for row in rows}
             with damage_told(self.path):
-                for name, each in clusters.items():
-                    whole = all(one.ndim == 1 and one.dtype.kind == "i" and len(one) == len(each[0]) for one in each)
-                    require(whole and set(each[0].tolist()) <= ids, f"its clusters by {name} are of other scenarios")
+                for name, ids_and_labels in clusters.items():
+                    is_valid = all(
+                        array.ndim == 1 and array.dtype.kind == "i" and len(array) == len(ids_and_labels[0])
+                        for array in ids_and_labels
+                    )
+                    require(
+                        is_valid and set(ids_and_labels[0].tolist()) <= ids,
+                        f"its clusters by {name} are of other scenarios",
+                    )
                 audits = [self.meta.is_audit(row.id) for row in rows] if self.meta.audit else None
                 against = {name: self.against(name) for name in self.meta.metrics if len(self.meta.others) > 1}
                 counts = self._counts_of_runs() if self.meta.most_repeats is not None else None
@@ -302,9 +312,9 @@ class StudyContents(ScenarioContents):
                 )
 
     def _counts_of_runs(self) -> dict[int, int]:
-        """Count the runs of each scenario that was run, without those that failed."""
+        """Number of runs that did not fail, by id of each scenario that ran."""
         runs = self._runs(self.meta.metrics[0]) or []
-        return {row.id: len(each) for row, each in zip(self.done(), runs, strict=True)}
+        return {row.id: len(scores) for row, scores in zip(self.done(), runs, strict=True)}
 
     def export(self, folder: Path | str, parquet: bool = False) -> None:
         """Write everything as CSV: one table of scenarios, and recording and courses of each.
@@ -315,18 +325,17 @@ class StudyContents(ScenarioContents):
             Gets ``scenarios.csv`` as in `table`, with underscores for spaces in names of columns, and for each scenario
             ``recordings/ID.csv`` and ``courses/ID.csv``.
         parquet : bool, default False
-            Write ``scenarios.parquet``, ``recordings.parquet`` and ``courses.parquet`` too: those of all scenarios,
-            with their ids in the column ``scenario``.
+            Also write ``scenarios.parquet``, ``recordings.parquet`` and ``courses.parquet`` of all scenarios; the last
+            two have their ids in the column ``scenario``.
 
         Raises
         ------
         InputError
-            The folder cannot be written, or the package that writes Parquet is not installed; no file of it has
-            changed then.
+            The folder cannot be written, or the package that writes Parquet is not installed; no file has changed then.
         """
         folder = require_folder("folder", folder)
         table = self.table()
-        # A damaged study leaves no part of an export behind: nothing has its name before all is read.
+        # All files appear at the end, so that a damaged study leaves no partial export.
         with written_together():
             write_table(folder, table, parquet)
             write_scenarios(folder, self.recorded(), parquet)
@@ -339,7 +348,7 @@ class StudyContents(ScenarioContents):
         scenario : int
             Id in this study.
         other : Study
-        its : int
+        other_scenario : int
             Id in the other study.
 
         Returns
@@ -347,19 +356,19 @@ class StudyContents(ScenarioContents):
         Recording
             Of this study.
         Recording
-            Of the other one; the same object where the files hold the same bytes, which are unpacked once.
+            Of the other one; the same object if the stored bytes are equal, so that they are unpacked once.
 
         Raises
         ------
         InputError
             As by `recording`.
         """
-        mine, theirs = self._packed(scenario), other._packed(its)
-        recording = self._unpacked(mine)
-        return recording, recording if mine == theirs else other._unpacked(theirs)
+        packed, other_packed = self._packed(scenario), other._packed(its)
+        recording = self._unpacked(packed)
+        return recording, recording if packed == other_packed else other._unpacked(other_packed)
 
     def recorded(self) -> Iterator[tuple[int, Recording, dict[str, FloatArray]]]:
-        """Read what is known over time of each scenario that was run.
+        """Yield recording and courses of each scenario that ran.
 
         Yields
         ------
@@ -372,7 +381,7 @@ class StudyContents(ScenarioContents):
         Raises
         ------
         InputError
-            A course is shorter or longer than its recording.
+            A course has another length than its recording.
         """
         for row in self.done():
             recording = self.recording(row.id)
@@ -387,30 +396,30 @@ class StudyContents(ScenarioContents):
             yield row.id, recording, courses
 
     def require_sound(self) -> None:
-        """Refuse a study in which anything is not as it was written, without unpacking it.
+        """Check all checksums without unpacking anything.
 
         Raises
         ------
         InputError
             Something is damaged.
         """
-        there = {name for (name,) in self._database.found("SELECT name FROM sqlite_master WHERE type = 'table'")}
-        for table in (name for name in TABLES if name in there):
+        tables = {name for (name,) in self._database.found("SELECT name FROM sqlite_master WHERE type = 'table'")}
+        for table in (name for name in TABLES if name in tables):
             self._database.require_all(table)
-            with closing(self._database.each_row(table, blob=True)) as found:
-                for _ in found:
+            with closing(self._database.each_row(table, blob=True)) as rows:
+                for _ in rows:
                     pass
 
     def tallies(self) -> dict[str, tuple[int, int]]:
-        """Tell what each table holds in short, to compare studies by.
+        """Row counts and checksums of all tables, to compare studies by.
 
         Returns
         -------
         dict of str to (int, int)
-            Number of rows, and the exclusive or of their checksums, by table.
+            Number of rows, and the XOR of their checksums, by table.
         """
         return {name: (rows, sums) for name, rows, sums in self._database.rows("tallies")}
 
     def _counts(self) -> dict[str, int]:
-        """Count the scenarios in each state."""
+        """Number of scenarios by state."""
         return Counter(row.state for row in self.rows())

@@ -1,4 +1,4 @@
-"""A study, or the path of one, as what functions take for a study, and studies that are begun."""
+"""Open a study for as long as a block lasts."""
 
 from __future__ import annotations
 
@@ -16,26 +16,10 @@ from cornercase.study.store import Study
 
 @contextmanager
 def open_study(study: Study | Path | str, readonly: bool = False, critical: float | None = None) -> Iterator[Study]:
-    """Give a study that is open already, or open the one at a path for as long as the block lasts.
+    """Give an open study, or open the one at a path for as long as the block lasts.
 
-    Parameters
-    ----------
-    study : Study or path
-    readonly : bool, default False
-        Whether reading is enough.
-    critical : float, optional
-        Score from which a scenario is critical as long as the block lasts, in place of the one that the study holds,
-        which stays as it is.
-
-    Yields
-    ------
-    Study
-
-    Raises
-    ------
-    InputError
-        As `Study.open`; a study that is to be written is open for reading only; or what is critical cannot be asked of
-        it by a score.
+    `critical` replaces the threshold of the study within the block; the file stays as it is. Raises `InputError` if an
+    open study cannot be written but should be, or if the study has no single score that a threshold could apply to.
     """
     threshold = None if critical is None else number("critical", critical)
     if isinstance(study, Study):
@@ -50,46 +34,31 @@ def open_study(study: Study | Path | str, readonly: bool = False, critical: floa
 
 @contextmanager
 def _asked(study: Study, threshold: float | None) -> Iterator[None]:
-    """Let a study answer with another threshold."""
+    """Replace the threshold of a study within the block."""
     if threshold is None:
         yield
         return
     meta = study.meta
     if condition := condition_of(meta.metrics):
-        raise InputError(f"{study.path}: the condition '{condition}' says what is critical; leave `critical` out.")
+        raise InputError(f"{study.path}: the condition '{condition}' replaces a threshold; leave out `critical`.")
     if meta.pareto:
-        raise InputError(f"{study.path}: no one score of a Pareto front says what is critical; leave `critical` out.")
+        raise InputError(f"{study.path}: a Pareto front has no threshold; leave out `critical`.")
     if study.estimate() is not None:
         raise InputError(
-            f"{study.path}: holds a probability for the threshold it was made with; give `critical` to `estimate`."
+            f"{study.path}: its probabilities are for the threshold of the estimate; give `critical` to `estimate`."
         )
-    before = study.ask(threshold)
+    previous = study.ask(threshold)
     try:
         yield
     finally:
-        study.ask(before)
+        study.ask(previous)
 
 
 @contextmanager
 def begun_study(path: Path, meta: StudyMeta) -> Iterator[Study]:
-    """Open a study for writing for as long as the block lasts; where there is none, make it.
+    """Open a study for writing for as long as the block lasts; create it if there is none.
 
-    One that was made is removed again where the block ends by `InputError` and no scenario of it was run.
-
-    Parameters
-    ----------
-    path : Path
-    meta : StudyMeta
-        What one that is made is about.
-
-    Yields
-    ------
-    Study
-
-    Raises
-    ------
-    InputError
-        As `Study.open` and `Study.create`.
+    A study that was created is removed again if the block raises `InputError` and no scenario has run.
     """
     if path.exists():
         with Study.open(path, readonly=False) as study:
@@ -99,7 +68,7 @@ def begun_study(path: Path, meta: StudyMeta) -> Iterator[Study]:
         try:
             yield study
         except InputError:
-            # Whatever keeps it from being removed is not what the command failed of.
+            # The error of the block matters more than that of removing the file.
             with suppress(InputError, OSError):
                 if not study.done() and not study.notes():
                     study.close()

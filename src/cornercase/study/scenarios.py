@@ -1,4 +1,4 @@
-"""What a study holds of its scenarios one by one."""
+"""The scenarios of a study."""
 
 from __future__ import annotations
 
@@ -22,25 +22,21 @@ from cornercase.study.notes import LONGEST_NOTE
 from cornercase.study.second_runs import read_reference, row_name
 from cornercase.study.table import Row
 
-# SQLite counts no further.
+# Largest integer of SQLite.
 _LARGEST_ID: Final = 2**63 - 1
 
 
 class ScenarioContents:
-    """What a study holds of its scenarios, while others write to it or not.
-
-    Parameters
-    ----------
-    database : Database
+    """Everything that a study holds of its scenarios, while others write to it or not.
 
     Attributes
     ----------
     path : Path
         The file.
     meta : StudyMeta
-        What the study is about.
+        Description of the study.
     space : ParameterSpace
-        What is varied.
+        The parameter space.
     """
 
     def __init__(self, database: Database) -> None:
@@ -61,65 +57,65 @@ class ScenarioContents:
         self._database.close()
 
     def snapshot(self) -> AbstractContextManager[None]:
-        """Read what the study holds at one moment, while an explorer goes on writing.
+        """Read the study at one moment, while an exploration goes on writing.
 
         Returns
         -------
         context manager
-            What is read within it is of one moment.
+            Everything that is read within it is of one moment.
         """
         return self._database.snapshot()
 
     def changes(self) -> int | None:
-        """Count what others wrote, so that a reader knows when to look again.
+        """Count writes of other connections, so that a reader knows when to read again.
 
         Returns
         -------
         int or None
-            Another number than before where another connection wrote since; None where a reader of this study does not
-            see what others write: it lay where nobody could write when it was opened.
+            It differs from the last value if another connection has written since. None if this reader cannot see what
+            others write, since nobody could write to the file when it was opened.
         """
         return self._database.changes()
 
     def stored_meta(self) -> StudyMeta:
-        """Read what the study is about by now: an explorer that goes on with it may change its budget.
+        """Read the description of the study anew: an exploration that continues it may change the budget.
 
         Returns
         -------
         StudyMeta
         """
-        found = self._database.rows("meta")
-        return StudyMeta.from_json({key: loaded_json(value) for key, value in found})
+        pairs = self._database.rows("meta")
+        return StudyMeta.from_json({key: loaded_json(value) for key, value in pairs})
 
     def rows(self) -> list[Row]:
         """List all scenarios.
 
         Returns
         -------
-        list of Row
+        list of ScenarioRecord
             In the order in which they were proposed.
         """
-        # Checking each of 50,000 takes seconds: it is done again only where somebody has written since.
-        written = self._database.written()
-        if self._known is None or self._known[0] != written:
-            found = self._database.rows("scenarios")
+        # Checking 50,000 rows takes seconds, so it is repeated only after a write.
+        version = self._database.written()
+        if self._known is None or self._known[0] != version:
+            stored = self._database.rows("scenarios")
             with damage_told(self.path):
-                rows = [self._row(*one) for one in found]
-            self._known = written, rows
+                rows = [self._row(*columns) for columns in stored]
+            self._known = version, rows
         return list(self._known[1])
 
     def _row(self, number: int, turn: int, point: bytes, values: str, state: str, error: str | None) -> Row:
         require(isinstance(number, int) and number > 0, f"a scenario is numbered {str(number)[:60]!r}")
         row = Row(number, turn, np.frombuffer(point, "<f8"), loaded_json(values), state, error)
         require(row.point.shape == (self.space.dimension,), f"the scenario {number} has another number of parameters")
-        require(bool(np.isfinite(row.point).all()), f"the scenario {number} lies nowhere in the space")
-        plain = all(isinstance(one, str | int | float) for one in row.values.values())
-        require(plain, f"the scenario {number} has values that are neither numbers nor texts")
+        require(bool(np.isfinite(row.point).all()), f"the point of the scenario {number} is not finite")
+        is_plain = all(isinstance(item, str | int | float) for item in row.values.values())
+        require(is_plain, f"the scenario {number} has values that are neither numbers nor texts")
         for parameter in self.space.parameters:
             value = parameter.read(row.values)
             if parameter.choices:
                 require(
-                    str(value) in parameter.choices, f"the scenario {number} has none of {parameter.name}'s choices"
+                    str(value) in parameter.choices, f"the scenario {number} has an unknown choice of {parameter.name}"
                 )
             else:
                 require(np.isfinite(float(value)), f"the scenario {number} has no number for {parameter.name}")
@@ -131,60 +127,58 @@ class ScenarioContents:
 
         Parameters
         ----------
-        turn : int
-            Number of the round.
+        round_number : int
 
         Returns
         -------
-        list of Row
+        list of ScenarioRecord
             In the order in which they were proposed.
         """
         self._database.require_all("scenarios")
-        found = self._database.rows("scenarios", "round = ?", turn)
+        stored = self._database.rows("scenarios", "round = ?", turn)
         with damage_told(self.path):
-            return [self._row(*one) for one in found]
+            return [self._row(*columns) for columns in stored]
 
     def rows_from(self, first: int) -> list[Row]:
-        """List the scenarios from one on.
+        """List the scenarios from an id on.
 
         Parameters
         ----------
-        first : int
-            Id of the first one that is listed, where there is such a scenario.
+        first_id : int
 
         Returns
         -------
-        list of Row
+        list of ScenarioRecord
             In the order in which they were proposed.
         """
         self._database.require_all("scenarios")
-        found = self._database.rows("scenarios", "id >= ?", first)
+        stored = self._database.rows("scenarios", "id >= ?", first)
         with damage_told(self.path):
-            return [self._row(*one) for one in found]
+            return [self._row(*columns) for columns in stored]
 
     def done(self) -> list[Row]:
-        """List the scenarios that were run.
+        """List the scenarios that ran successfully.
 
         Returns
         -------
-        list of Row
+        list of ScenarioRecord
         """
         return [row for row in self.rows() if row.state == "done"]
 
     def failed(self) -> list[Row]:
-        """List the scenarios that could not be run.
+        """List the scenarios that failed.
 
         Returns
         -------
-        list of Row
+        list of ScenarioRecord
         """
         self._database.require_all("scenarios")
-        found = self._database.rows("scenarios", "state = ?", "failed")
+        stored = self._database.rows("scenarios", "state = ?", "failed")
         with damage_told(self.path):
-            return [self._row(*one) for one in found]
+            return [self._row(*columns) for columns in stored]
 
     def points(self) -> FloatArray:
-        """Points of the scenarios that were run.
+        """Points of the scenarios that ran.
 
         Returns
         -------
@@ -194,7 +188,7 @@ class ScenarioContents:
         return np.array([row.point for row in self.done()]).reshape(-1, self.space.dimension)
 
     def audits(self) -> BoolArray:
-        """Tell which of the scenarios that were run are audits: drawn at random, and never told to the search.
+        """Mask of the scenarios that ran which are audits: drawn at random, and hidden from the search.
 
         Returns
         -------
@@ -203,7 +197,7 @@ class ScenarioContents:
         return np.array([self.meta.is_audit(row.id) for row in self.done()], dtype=np.bool_)
 
     def scores(self, metric: str) -> FloatArray:
-        """Scores of the scenarios that were run.
+        """Scores of the scenarios that ran.
 
         Parameters
         ----------
@@ -223,9 +217,9 @@ class ScenarioContents:
         with self.snapshot():
             self._database.require_all("courses")
             done = self.done()
-            found = {one: score for one, _, score in self._database.rows("courses", "metric = ?", metric)}
+            score_of = {scenario: score for scenario, _, score in self._database.rows("courses", "metric = ?", metric)}
         with damage_told(self.path):
-            return np.array([float(found[row.id]) for row in done], dtype=np.float64)
+            return np.array([float(score_of[row.id]) for row in done], dtype=np.float64)
 
     def scores_of(self, scenario: int) -> dict[str, float]:
         """Scores of one scenario.
@@ -238,19 +232,19 @@ class ScenarioContents:
         Returns
         -------
         dict of str to float
-            By metric, in the metric's unit; empty where it was not run.
+            By metric, in the metric's unit; empty if it has not run.
         """
-        found = {name: score for _, name, score in self._database.rows("courses", "scenario = ?", scenario)}
+        scores = {name: score for _, name, score in self._database.rows("courses", "scenario = ?", scenario)}
         with damage_told(self.path):
-            return {name: float(found[name]) for name in self.meta.metrics if name in found}
+            return {name: float(scores[name]) for name in self.meta.metrics if name in scores}
 
     def references(self, driver: str) -> dict[int, ReferenceOutcome]:
-        """What came of the scenarios that were run again with a reference at the wheel of the ego.
+        """Outcomes of the scenarios that were run again with a reference driver in the ego.
 
         Parameters
         ----------
         driver : str
-            Name of the reference.
+            Name of the reference driver.
 
         Returns
         -------
@@ -258,12 +252,12 @@ class ScenarioContents:
             By id of each scenario that was run with it.
         """
         self._database.require_all("courses")
-        found = self._database.rows("courses", "metric = ?", row_name(driver), blob=True)
+        stored = self._database.rows("courses", "metric = ?", row_name(driver), blob=True)
         with damage_told(self.path):
-            return {scenario: read_reference(score, packed) for scenario, _, score, packed in found}
+            return {scenario: read_reference(score, packed) for scenario, _, score, packed in stored}
 
     def against(self, metric: str) -> dict[int, str | None]:
-        """Tell whom the scores of the scenarios that were run are against, in a study of several others.
+        """Name the entity that each score is against, in a study of several others.
 
         Parameters
         ----------
@@ -272,8 +266,8 @@ class ScenarioContents:
         Returns
         -------
         dict of int to (str or None)
-            By id the one of the others, or None where the score is not of one rather than of another, as of
-            `cornercase.metrics.Measured`. Empty in a study of one other.
+            By id of each scenario that ran; None if the score is not against a single entity, see
+            `cornercase.metrics.MetricResult`. Empty in a study of one other.
 
         Raises
         ------
@@ -287,13 +281,16 @@ class ScenarioContents:
         with self.snapshot():
             self._database.require_all("against")
             done = self.done()
-            found = {one: whom for one, _, whom in self._database.rows("against", "metric = ?", metric)}
+            sources = {scenario: other for scenario, _, other in self._database.rows("against", "metric = ?", metric)}
         with damage_told(self.path):
-            require(all(one is None or one in others for one in found.values()), f"{metric} is against somebody else")
-            return {row.id: found[row.id] for row in done}
+            require(
+                all(scenario is None or scenario in others for scenario in sources.values()),
+                f"a score of {metric} is against an unknown entity",
+            )
+            return {row.id: sources[row.id] for row in done}
 
     def against_of(self, scenario: int) -> dict[str, str | None]:
-        """Tell whom the scores of one scenario are against, in a study of several others.
+        """Name the entity that each score of one scenario is against, in a study of several others.
 
         Parameters
         ----------
@@ -303,55 +300,60 @@ class ScenarioContents:
         Returns
         -------
         dict of str to (str or None)
-            By metric, as `against`; empty in a study of one other, and where the scenario was not run.
+            By metric; empty in a study of one other, and if the scenario has not run.
         """
         if len(self.meta.others) == 1:
             return {}
-        found = {name: whom for _, name, whom in self._database.rows("against", "scenario = ?", scenario)}
+        sources = {name: other for _, name, other in self._database.rows("against", "scenario = ?", scenario)}
         with damage_told(self.path):
-            require(all(one is None or one in self.meta.others for one in found.values()), "a score against somebody")
-            return {name: found[name] for name in self.meta.metrics if name in found}
+            require(
+                all(source is None or source in self.meta.others for source in sources.values()),
+                "a score is against an unknown entity",
+            )
+            return {name: sources[name] for name in self.meta.metrics if name in sources}
 
     def main_other(self) -> str:
-        """Find the one of several others that the study is told of: how scenarios end, and what aspects compare.
+        """Choose the one of several others that describes how scenarios end, and that aspects compare.
 
         Returns
         -------
         str
-            The one that most scores of the first round are against, by the first metric: a search does not choose that
-            round by scores, and the study may grow. Of a search without rounds it is as many scenarios. Of equal ones,
-            and where there is none, the first of the others.
+            The one that most scores of the first round are against, by the first metric: that round does not depend on
+            scores, and the study may grow. Without rounds, as many scenarios count. In a tie, or if no score is against
+            a single entity, it is the first of the others.
         """
         others = self.meta.others
         if len(others) == 1:
             return others[0]
-        rounds = not self.meta.asynchronous
-        first = {row.id for row in self.rows() if (row.round == 1 if rounds else row.id <= self.meta.batch)}
-        counts = Counter(whom for one, whom in self.against(self.meta.metrics[0]).items() if one in first)
+        has_rounds = not self.meta.asynchronous
+        first_ids = {row.id for row in self.rows() if (row.round == 1 if has_rounds else row.id <= self.meta.batch)}
+        counts = Counter(
+            source for scenario, source in self.against(self.meta.metrics[0]).items() if scenario in first_ids
+        )
         return max(others, key=counts.__getitem__)
 
     def reference_of(self, scenario: int, driver: str) -> ReferenceOutcome | None:
-        """What came of one scenario that was run again with a reference at the wheel of the ego.
+        """Outcome of one scenario that was run again with a reference driver in the ego.
 
         Parameters
         ----------
         scenario : int
             Its id.
         driver : str
-            Name of the reference.
+            Name of the reference driver.
 
         Returns
         -------
         ReferenceOutcome or None
-            None where it was not run with it.
+            None if it was not run with this driver.
         """
-        wanted = "scenario = ? AND metric = ?"
-        found = self._database.rows("courses", wanted, scenario, row_name(driver), blob=True)
+        condition = "scenario = ? AND metric = ?"
+        stored = self._database.rows("courses", condition, scenario, row_name(driver), blob=True)
         with damage_told(self.path):
-            return read_reference(*found[0][2:]) if found else None
+            return read_reference(*stored[0][2:]) if stored else None
 
     def spread(self, metric: str) -> FloatArray | None:
-        """Lowest and highest score of the runs of each scenario that was run.
+        """Lowest and highest score among the runs of each scenario that ran.
 
         Parameters
         ----------
@@ -360,7 +362,7 @@ class ScenarioContents:
         Returns
         -------
         ndarray of float64, shape (n, 2), or None
-            None where each scenario was run once.
+            None if each scenario has one run.
 
         Raises
         ------
@@ -371,18 +373,18 @@ class ScenarioContents:
         if (scores := self._runs(metric)) is None:
             return None
         with damage_told(self.path):
-            return np.array([[min(one), max(one)] for one in scores], dtype=np.float64)
+            return np.array([[min(run_scores), max(run_scores)] for run_scores in scores], dtype=np.float64)
 
     def _runs(self, metric: str) -> list[Any] | None:
-        """Read the scores of the runs of each scenario that was run; None where each was run once."""
+        """Scores of all runs of each scenario that ran; None if each has one run."""
         with self.snapshot():
             self._database.require_all("repeats")
             done = self.done()
-            found = {one: text for one, _, text in self._database.rows("repeats", "metric = ?", metric)}
-        if not found:
+            texts = {scenario: text for scenario, _, text in self._database.rows("repeats", "metric = ?", metric)}
+        if not texts:
             return None
         with damage_told(self.path):
-            return [loaded_json(found[row.id]) for row in done]
+            return [loaded_json(texts[row.id]) for row in done]
 
     def course(self, scenario: int, metric: str) -> FloatArray:
         """Course of a metric in one scenario.
@@ -401,16 +403,18 @@ class ScenarioContents:
         Raises
         ------
         InputError
-            The scenario was not run, its id is no whole number, or the study has no such metric.
+            The scenario has not run, its id is not an integer, or the study has no such metric.
         """
         self._require_metric(metric)
-        one = whole_number("scenario", scenario, most=_LARGEST_ID)
-        found = self._database.rows("courses", "scenario = ? AND metric = ?", one, metric, blob=True)
-        if not found:
-            raise InputError(f"{self.path}: the scenario {one} was not run.")
+        scenario_id = whole_number("scenario", scenario, most=_LARGEST_ID)
+        rows = self._database.rows("courses", "scenario = ? AND metric = ?", scenario_id, metric, blob=True)
+        if not rows:
+            raise InputError(f"{self.path}: the scenario {scenario_id} was not run.")
         with damage_told(self.path):
-            course = np.asarray(unpack_arrays(found[0][-1])["course"])
-            require(course.ndim == 1 and course.dtype.kind in "fiu", f"the course of {metric} in the scenario {one}")
+            course = np.asarray(unpack_arrays(rows[0][-1])["course"])
+            require(
+                course.ndim == 1 and course.dtype.kind in "fiu", f"the course of {metric} in the scenario {scenario_id}"
+            )
             return course
 
     def recording(self, scenario: int) -> Recording:
@@ -428,16 +432,16 @@ class ScenarioContents:
         Raises
         ------
         InputError
-            The scenario was not run, or its id is no whole number.
+            The scenario has not run, or its id is not an integer.
         """
         return self._unpacked(self._packed(scenario))
 
     def _packed(self, scenario: int) -> bytes:
-        one = whole_number("scenario", scenario, most=_LARGEST_ID)
-        found = self._database.rows("scenarios", "id = ?", one, blob=True)
-        if not found or found[0][-1] is None:
-            raise InputError(f"{self.path}: the scenario {one} was not run.")
-        packed: bytes = found[0][-1]
+        scenario_id = whole_number("scenario", scenario, most=_LARGEST_ID)
+        rows = self._database.rows("scenarios", "id = ?", scenario_id, blob=True)
+        if not rows or rows[0][-1] is None:
+            raise InputError(f"{self.path}: the scenario {scenario_id} was not run.")
+        packed: bytes = rows[0][-1]
         return packed
 
     def _unpacked(self, packed: bytes) -> Recording:
@@ -445,7 +449,7 @@ class ScenarioContents:
             return unpack_recording(packed)
 
     def collisions(self) -> dict[int, tuple[Collision, ...]]:
-        """Find who collides in the scenarios that were run, without reading the rest of their recordings.
+        """Collisions in the scenarios that ran, without reading the rest of their recordings.
 
         Returns
         -------
@@ -453,34 +457,34 @@ class ScenarioContents:
             By id, in the order in which they were proposed.
         """
         self._database.require_all("scenarios")
-        done = self._database.each_row("scenarios", "state = 'done'", blob=True)
-        with damage_told(self.path), closing(done) as found:
-            return {row[0]: unpack_collisions(row[-1]) for row in found}
+        iterator = self._database.each_row("scenarios", "state = 'done'", blob=True)
+        with damage_told(self.path), closing(iterator) as rows:
+            return {row[0]: unpack_collisions(row[-1]) for row in rows}
 
     def outcomes(self) -> dict[int, str]:
-        """How scenarios ended, in words.
+        """Describe how scenarios ended.
 
         Returns
         -------
         dict of int to str
-            By id; those of all scenarios that had been run when the study was analysed.
+            By id of each scenario that had run when the study was analyzed.
         """
-        found = self._database.rows("outcomes")
-        return {scenario: str(outcome) for scenario, outcome in found}
+        rows = self._database.rows("outcomes")
+        return {scenario: str(outcome) for scenario, outcome in rows}
 
     def notes(self) -> dict[int, str]:
-        """What people wrote about scenarios.
+        """Read the notes about scenarios.
 
         Returns
         -------
         dict of int to str
-            By id; only those that have a note.
+            By id of each scenario that has a note.
         """
-        found = self._database.rows("notes")
+        rows = self._database.rows("notes")
         with damage_told(self.path):
-            for scenario, note in found:
+            for scenario, note in rows:
                 require(isinstance(note, str) and len(note) <= LONGEST_NOTE, f"the note on the scenario {scenario}")
-            return dict(found)
+            return dict(rows)
 
     def _require_metric(self, metric: str) -> None:
         if metric not in self.meta.metrics:

@@ -1,4 +1,4 @@
-"""Everything that was run, in one SQLite file; its schema is in ``docs/study-format.md``."""
+"""Create, open and write a study: one SQLite file whose schema is described in ``docs/study-format.md``."""
 
 from __future__ import annotations
 
@@ -30,9 +30,9 @@ from cornercase.study.seals import put, remove
 from cornercase.study.second_runs import write_references
 from cornercase.study.table import Row
 
-# Tables that hold something of scenarios; those that refer to others come first.
+# Tables with content, each before those that it refers to.
 _CONTENT: Final = tuple(table for table in reversed(TABLES) if table not in ("meta", "tallies"))
-# What of a study may change while it goes on.
+# Fields that may change when a study is continued.
 _CHANGING: Final = ("space", "critical", "budget", "kinds", "requirements", "origin")
 
 
@@ -57,13 +57,13 @@ class Study(StudyContents):
 
     @classmethod
     def create(cls, path: Path | str, meta: StudyMeta) -> Study:
-        """Make a study in a new file, and open it for writing.
+        """Create a study in a new file, and open it for writing.
 
         Parameters
         ----------
         path : path
         meta : StudyMeta
-            What it is about.
+            Its description.
 
         Returns
         -------
@@ -79,7 +79,7 @@ class Study(StudyContents):
         try:
             require_whole(json.dumps(plain, ensure_ascii=False))
         except ValueError as error:
-            raise InputError(f"{path}: cannot be made, since {error}, which no file can hold; rename it.") from error
+            raise InputError(f"{path}: cannot be created, since {error}; rename it.") from error
         return cls(Database.create(Path(path), rows, *_more_tables(meta)))
 
     @classmethod
@@ -90,8 +90,8 @@ class Study(StudyContents):
         ----------
         path : path
         readonly : bool, default True
-            Whether it is only read, which any number do at a time, and which keeps nobody from writing. One at a time
-            has it open for writing.
+            Open it for reading only. Any number of processes can read at a time, also while one writes; only one at a
+            time can have it open for writing.
 
         Returns
         -------
@@ -100,8 +100,8 @@ class Study(StudyContents):
         Raises
         ------
         InputError
-            There is none, it is none, it is damaged, another process is to write to it too, or it is of another schema
-            version.
+            There is no such file, it is not a study or of another schema version, it is damaged, or another process has
+            it open for writing.
         """
         database: Database | None = None
         try:
@@ -116,23 +116,22 @@ class Study(StudyContents):
             raise
 
     def continue_with(self, meta: StudyMeta, *, same_budget: bool = False) -> None:
-        """Refuse to go on with a study of something else, and note what has changed.
+        """Check that the study matches a description, and update what may change.
 
-        That is the budget, the requirements and kinds of a suite, and what an earlier version did not write: the
-        constraints of the space, which follow from the same scenario file, and a threshold. A study in which no
-        scenario has ended yet becomes one of `meta`.
+        That is the budget, the requirements and kinds of a suite, constraints of the space, and a threshold if there
+        was none. A study in which no scenario has ended yet takes over `meta` completely.
 
         Parameters
         ----------
         meta : StudyMeta
-            What one wants to go on with.
+            Description to continue with.
         same_budget : bool, default False
-            Whether the budget may not grow, because the search depends on it.
+            Whether the budget has to stay, because the optimizer depends on it.
 
         Raises
         ------
         InputError
-            The study is of something else, or damaged.
+            The study belongs to something else, or is damaged.
         """
         self.require_sound()
         try:
@@ -141,64 +140,66 @@ class Study(StudyContents):
             if any(row.state != "pending" for row in self.rows()):
                 raise
             self._begin_anew(meta)
-        known = replace(
+        updated = replace(
             self.meta,
             space=self.space if self.space.declarations else meta.space,
             critical=meta.critical if self.meta.critical is None else self.meta.critical,
-            # Scenarios that are there already stay, also where the new budget is smaller.
+            # Existing scenarios stay, even if the new budget is smaller.
             budget=max(meta.budget, min(self.meta.budget, len(self.rows()))),
-            # What ran stays; it is only judged by something else.
+            # These only affect how results are judged.
             kinds=meta.kinds,
             requirements=meta.requirements,
             origin=meta.origin,
         )
-        if known == self.meta:
+        if updated == self.meta:
             return
         with self._database.writing() as connection:
-            plain = known.to_json()
+            plain = updated.to_json()
             put(connection, "meta", [(key, json.dumps(plain[key], sort_keys=True)) for key in _CHANGING])
-        self.meta, self.space = known, known.space
+        self.meta, self.space = updated, updated.space
 
     def keep_elsewhere(self, points: FloatArray, scores: FloatArray) -> None:
-        """Keep what another study knows, so that the search goes on from it without that study.
+        """Store points and scores of another study, so that the warm-started search no longer needs that study.
+
+        Nothing is written if they are stored already.
 
         Parameters
         ----------
         points : ndarray of float64, shape (n, d)
             In the unit cube of this study's space.
         scores : ndarray of float64, shape (n,)
-            Oriented. Nothing is written where they are kept already.
+            To be minimized.
         """
-        rows = [(one.astype("<f8").tobytes(), score) for one, score in zip(points, scores.tolist(), strict=True)]
+        rows = [(point.astype("<f8").tobytes(), score) for point, score in zip(points, scores.tolist(), strict=True)]
         with self._database.writing() as connection:
             if connection.execute("SELECT 1 FROM elsewhere LIMIT 1").fetchone() is not None:
                 return
             put(connection, "elsewhere", rows)
 
     def save_repeatability(self, scenario: int, same: bool, apart: float | None) -> None:
-        """Store what came of running a scenario a second time.
+        """Store the result of running a scenario a second time.
 
         Parameters
         ----------
         scenario : int
             Its id.
         same : bool
-            Whether both recordings are the same bytes.
-        apart : float or None
-            By how many m entities are apart at most.
+            Whether both recordings have the same bytes.
+        max_distance : float or None
+            Largest distance of an entity between both recordings, in m.
         """
-        found = {"scenario": scenario, "same": same, "apart": apart}
+        result = {"scenario": scenario, "same": same, "apart": apart}
         with self._database.writing() as connection:
-            put(connection, "meta", [("repeatability", json.dumps(found, sort_keys=True))])
-        self.meta = replace(self.meta, repeatability=found)
+            put(connection, "meta", [("repeatability", json.dumps(result, sort_keys=True))])
+        self.meta = replace(self.meta, repeatability=result)
 
     def clear(self) -> None:
-        """Remove all scenarios, and what is known of them."""
+        """Remove all scenarios, and everything about them."""
         with self._database.writing() as connection:
             _remove_content(connection)
 
     def _begin_anew(self, meta: StudyMeta) -> None:
-        """Make an empty study of something else of this one."""
+        """Turn this study into an empty one with another description."""
         with self._database.writing() as connection:
             _remove_content(connection)
             for name in _more_tables(meta):
@@ -215,29 +216,29 @@ class Study(StudyContents):
         values: Sequence[Mapping[str, Value]],
         ids: Sequence[int] | None = None,
     ) -> list[Row]:
-        """Store a round of proposals as pending, all or none.
+        """Store a round of proposed scenarios as pending, all or none.
 
         Parameters
         ----------
-        number : int
-            Of the round, from 1 on.
+        round_number : int
+            From 1 on.
         points : ndarray of float64, shape (n, d)
             In the unit cube.
         values : sequence of mapping, length n
-            Values of the scenario's parameters.
+            Parameter values of each scenario.
         ids : sequence of int, length n, optional
             Ids of scenarios that were lost; by default the next ones.
 
         Returns
         -------
-        list of Row
+        list of ScenarioRecord
         """
         with self._database.writing() as connection:
             ((last,),) = connection.execute("SELECT COALESCE(MAX(id), 0) FROM scenarios")
             numbers = range(last + 1, last + 1 + len(points)) if ids is None else ids
             rows = [
-                Row(one, number, point, dict(found), "pending", None)
-                for one, point, found in zip(numbers, points, values, strict=True)
+                Row(scenario_id, number, point, dict(parameters), "pending", None)
+                for scenario_id, point, parameters in zip(numbers, points, values, strict=True)
             ]
             put(connection, "scenarios", [_plain_row(row) for row in rows])
         return rows
@@ -250,47 +251,51 @@ class Study(StudyContents):
         repeats: Mapping[str, Sequence[float]] | None = None,
         references: Mapping[str, ReferenceOutcome] | None = None,
     ) -> None:
-        """Store what came out of a scenario: its recording, and course and score of each metric.
+        """Store the result of a scenario: its recording, and course and score of each metric.
 
         Parameters
         ----------
         scenario : int
             Its id.
         recording : Recording
-        courses : mapping of str to (ndarray of float64, shape (T,), float) or Measured
-            Course and score by metric, and in a study of several others whom the score is against.
+        courses : mapping of str to (ndarray of float64, shape (T,), float) or MetricResult
+            Course and score by metric, and in a study of several others the entity that the score is against.
         repeats : mapping of str to sequence of float, optional
-            Where the scenario was run several times, the scores of all runs by metric.
+            Scores of all runs by metric, if the scenario was run several times.
         references : mapping of str to ReferenceOutcome, optional
-            Where it was run again with references at the wheel of the ego, what came of it, by the name of each.
+            Outcomes by reference driver, if the scenario was run again with reference drivers in the ego.
         """
         with self._database.writing() as connection:
             write_references(connection, scenario, references or {})
             runs = [(scenario, name, json.dumps(list(scores))) for name, scores in (repeats or {}).items()]
             put(connection, "repeats", runs)
-            packed = [(scenario, name, one[1], pack_arrays({"course": one[0]})) for name, one in courses.items()]
+            packed = [
+                (scenario, name, result[1], pack_arrays({"course": result[0]})) for name, result in courses.items()
+            ]
             put(connection, "courses", packed)
             if len(self.meta.others) > 1:
-                whom = [(scenario, name, one.against) for name, one in courses.items() if isinstance(one, Measured)]
-                put(connection, "against", whom)
+                sources = [
+                    (scenario, name, result.against) for name, result in courses.items() if isinstance(result, Measured)
+                ]
+                put(connection, "against", sources)
             self._end(connection, scenario, "done", None, pack_recording(recording))
 
     def save_reference(self, scenario: int, driver: str, outcome: ReferenceOutcome) -> None:
-        """Store what came of a scenario that was run again with a reference at the wheel of the ego.
+        """Store the outcome of a scenario that was run again with a reference driver in the ego.
 
         Parameters
         ----------
         scenario : int
             Its id.
         driver : str
-            Name of the reference.
+            Name of the reference driver.
         outcome : ReferenceOutcome
         """
         with self._database.writing() as connection:
             write_references(connection, scenario, {driver: outcome})
 
     def fail(self, scenario: int, error: SimulationError) -> None:
-        """Store why a scenario could not be run.
+        """Store why a scenario failed.
 
         Parameters
         ----------
@@ -302,45 +307,46 @@ class Study(StudyContents):
             self._end(connection, scenario, "failed", without_folders(str(error)), None)
 
     def retry_failed(self) -> int:
-        """Make scenarios that failed pending again.
+        """Make failed scenarios pending again.
 
         Returns
         -------
         int
-            How many.
+            Their number.
         """
         failed = self.failed()
         with self._database.writing() as connection:
             put(connection, "scenarios", [_plain_row(replace(row, state="pending", error=None)) for row in failed])
             for row in failed if self.meta.asynchronous else ():
-                # Its result comes anew.
+                # It will get a new result.
                 remove(connection, "results", "scenario = ?", row.id)
         return len(failed)
 
     def _end(
         self, connection: Connection, scenario: int, state: str, error: str | None, recording: bytes | None
     ) -> None:
-        """Note that a scenario has ended, and without rounds that its result has come."""
-        found = self._database.rows("scenarios", "id = ?", scenario)
-        if not found:
+        """Store that a scenario has ended, and in an asynchronous search that its result has come."""
+        stored = self._database.rows("scenarios", "id = ?", scenario)
+        if not stored:
             return
-        put(connection, "scenarios", [(*found[0][:4], state, error, recording)])
+        put(connection, "scenarios", [(*stored[0][:4], state, error, recording)])
         if self.meta.asynchronous and not self._database.rows("results", "scenario = ?", scenario):
-            # The first round that may know of it is the next one.
+            # The next round is the first that can use this result.
             ((last,),) = connection.execute("SELECT round FROM scenarios ORDER BY id DESC LIMIT 1")
             ((number,),) = connection.execute("SELECT COALESCE(MAX(number), 0) FROM results")
             put(connection, "results", [(number + 1, scenario, last + 1)])
 
     def save_analysis(self, name: str, arrays: Mapping[str, npt.ArrayLike], info: Mapping[str, Any]) -> None:
-        """Store a result under a name, instead of the one that was there.
+        """Store a result under a name, replacing an earlier one.
 
         Parameters
         ----------
         name : str
-        arrays : mapping of str to array_like of any shape
-            ``"distances"`` are those between all scenarios in ``"ids"``: square, symmetric, and 0 on the diagonal.
+        arrays : mapping of str to array_like
+            Of any shape. ``"distances"`` are those between all scenarios in ``"ids"``: square, symmetric, and 0 on the
+            diagonal.
         info : mapping of str to object
-            Further facts, plain values.
+            Further facts as plain values.
         """
         self.save_analyses({name: (arrays, info)})
 
@@ -349,22 +355,22 @@ class Study(StudyContents):
         results: Mapping[str, tuple[Mapping[str, npt.ArrayLike], Mapping[str, Any]] | None],
         outcomes: Mapping[int, str] | None = None,
     ) -> None:
-        """Store results under their names, instead of those that were there: all of them or none.
+        """Store several results under their names, replacing earlier ones, all of them or none.
 
         Parameters
         ----------
-        results : mapping of str to (tuple or None), arrays of any shape
-            Arrays and further facts by name, as `save_analysis` takes them; None removes what is there.
+        results : mapping of str to (tuple or None)
+            Arrays and further facts by name, as for `save_analysis`; None removes an earlier result.
         outcomes : mapping of int to str, optional
             How scenarios ended, in words, by id; stored with them.
         """
         with self._database.writing() as connection:
             put(connection, "outcomes", sorted((outcomes or {}).items()))
-            for name, result in results.items():
+            for name, value in results.items():
                 remove(connection, "analyses", "name = ?", name)
                 remove(connection, "arrays", "analysis = ?", name)
-                if result is not None:
-                    arrays, info = result
+                if value is not None:
+                    arrays, info = value
                     put(connection, "analyses", [(name, json.dumps(dict(info)))])
                     write_arrays(connection, name, arrays)
 
@@ -380,7 +386,7 @@ class Study(StudyContents):
         self.add_all_elapsed({stage: seconds})
 
     def add_all_elapsed(self, seconds: Mapping[str, float]) -> None:
-        """Add to the times spent in stages, which takes no longer than for one.
+        """Add to the times spent in several stages, in one transaction.
 
         Parameters
         ----------
@@ -388,23 +394,23 @@ class Study(StudyContents):
             s, by stage.
         """
         with self._database.writing() as connection:
-            known = dict(self._database.rows("elapsed"))
-            put(connection, "elapsed", [(stage, known.get(stage, 0.0) + spent) for stage, spent in seconds.items()])
+            stored = dict(self._database.rows("elapsed"))
+            put(connection, "elapsed", [(stage, stored.get(stage, 0.0) + spent) for stage, spent in seconds.items()])
 
 
 def _plain_row(row: Row) -> tuple[Any, ...]:
-    """Give a scenario that has not ended as it is stored."""
+    """Columns of a scenario that has not ended."""
     return row.id, row.round, row.point.astype("<f8").tobytes(), json.dumps(row.values), row.state, row.error, None
 
 
 def _more_tables(meta: StudyMeta) -> tuple[str, ...]:
-    """Name the tables that it has and not every study."""
-    wanted = {"against": len(meta.others) > 1, "results": meta.asynchronous, "elsewhere": bool(meta.elsewhere)}
-    return tuple(name for name, there in wanted.items() if there)
+    """Names of the optional tables that the study has."""
+    is_present = {"against": len(meta.others) > 1, "results": meta.asynchronous, "elsewhere": bool(meta.elsewhere)}
+    return tuple(name for name, present in is_present.items() if present)
 
 
 def _remove_content(connection: Connection) -> None:
-    there = {name for (name,) in connection.execute("SELECT name FROM sqlite_master WHERE type = 'table'")}
+    tables = {name for (name,) in connection.execute("SELECT name FROM sqlite_master WHERE type = 'table'")}
     for table in _CONTENT:
-        if table in there:
+        if table in tables:
             remove(connection, table)
