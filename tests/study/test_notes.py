@@ -26,7 +26,7 @@ def explored(tmp_path):
     """A study that an explorer has open, with ten scenarios that were not run yet."""
     points = np.linspace(0.0, 1.0, 10)[:, None]
     with Study.create(tmp_path / "study.db", about(SPACE, "distance")) as study:
-        study.propose(1, points, SPACE.values(points))
+        study.writer.propose(1, points, SPACE.values(points))
         yield study
 
 
@@ -46,7 +46,7 @@ def test_a_note_is_kept_changed_and_removed(explored):
     write_note(explored.path, 1, " ")
     write_note(explored.path, 2, "")
     assert notes(explored.path) == {3: "brakes"}
-    explored.clear()
+    explored.writer.clear()
     assert notes(explored.path) == {}
 
 
@@ -87,9 +87,9 @@ def test_notes_and_the_scenarios_of_an_explorer_do_not_disturb_each_other(explor
         for scenario in range(1, 11):
             change_of = {"distance": (course * rounds, float(rounds))}
             if rounds == 0:
-                explored.finish(scenario, small_recording, change_of)
+                explored.writer.finish(scenario, small_recording, change_of)
             else:
-                explored.add_elapsed("simulate", 0.0)
+                explored.writer.add_elapsed("simulate", 0.0)
         rounds += 1
     taking.join()
     assert not failures

@@ -176,7 +176,7 @@ def test_42_s6_messages_are_stored_without_folders(tmp_path, written):
     shutil.copy(written / "studies" / "s.db", tmp_path / "s.db")
     (tmp_path / "secret name").mkdir()
     with Study.open(tmp_path / "s.db", readonly=False) as study:
-        study.fail(1, SimulationError(f"{tmp_path}/secret name/x.xosc, line 5: no lane at 3 m/s, see {tmp_path}/a.log"))
+        study.writer.fail(1, SimulationError(f"{tmp_path}/secret name/x.xosc, line 5: no lane at 3 m/s, see {tmp_path}/a.log"))
         assert study.failed()[0].error == "x.xosc, line 5: no lane at 3 m/s, see a.log"
     for text in ("1 / 2 m/s", "https://a.b/c/d", "a/b/c", "/", "carmaker:project=acc"):
         assert without_folders(text) == text

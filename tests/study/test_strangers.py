@@ -401,7 +401,7 @@ def oddly_named(tmp_path_factory):
     rng = np.random.default_rng(1)
     with Study.create(path, about_it) as study:
         points = rng.random((12, 2))
-        rows = study.propose(1, points, space.values(points))
+        rows = study.writer.propose(1, points, space.values(points))
         for row in rows[:-1]:
             x = np.stack([np.zeros(5), 20 * row.point[0] + np.arange(5.0)])
             still = np.zeros((2, 5))
@@ -410,8 +410,8 @@ def oddly_named(tmp_path_factory):
                 speed=still, acceleration=still, length=np.full(2, 4.0), width=np.full(2, 2.0), center_x=np.zeros(2),
                 collisions=(cc.recordings.Collision(1.0, (names["ego"], names["other"])),),
             )  # fmt: skip
-            study.finish(row.id, recording, {"distance": (x[1], float(x[1].min()))})
-        study.fail(rows[-1].id, cc.SimulationError("".join(ODD)))
+            study.writer.finish(row.id, recording, {"distance": (x[1], float(x[1].min()))})
+        study.writer.fail(rows[-1].id, cc.SimulationError("".join(ODD)))
     cc.analyze(path)
     return path
 

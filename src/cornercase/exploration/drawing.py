@@ -128,7 +128,7 @@ class ProbabilityEstimator:
             if self._whole:
                 once = self._once(rows)
                 ids, weights = ids[once], weights[once]
-            self._study.save_analysis("estimate", {"ids": ids, "weights": weights}, found.to_json())
+            self._study.writer.save_analysis("estimate", {"ids": ids, "weights": weights}, found.to_json())
 
     def _once(self, rows: Sequence[Row]) -> IntArray:
         """Where each scenario is for the first time: what was drawn before all were run may have come again."""
@@ -149,7 +149,7 @@ class ProbabilityEstimator:
                 return
             number += 1
             with self._clock("store"):
-                new = self._study.propose(number, points, self._space.values(points))
+                new = self._study.writer.propose(number, points, self._space.values(points))
             self._take(new, bar)
             done += len(new)
             self._clock.note()

@@ -140,8 +140,8 @@ def estimate(
         guess = guessed_proposal(about.logical.space, points, scores, threshold, seed)
         sampling = ImportanceSampling(about.logical.space, _EVENTS, learn, seed, guess)
         with begun_study(made, meta) as opened:
-            opened.continue_with(meta)
-            opened.add_elapsed("files", time.monotonic() - begun)
+            opened.writer.continue_with(meta)
+            opened.writer.add_elapsed("files", time.monotonic() - begun)
             found = ProbabilityEstimator(about, running, sampling, opened, encounter).run(progress)
     return found
 

@@ -310,20 +310,20 @@ def _explore(one: Configuration, path: Path, progress: bool, retry_failed: bool)
             if known is None:
                 # What it began from is in the study.
                 meta = replace(meta, elsewhere=study.meta.elsewhere)
-            study.continue_with(meta, same_budget="budget" in optimizer_needs(one.optimizer))
+            study.writer.continue_with(meta, same_budget="budget" in optimizer_needs(one.optimizer))
             if known is not None:
-                study.keep_elsewhere(known.points, known.scores)
+                study.writer.keep_elsewhere(known.points, known.scores)
             had_ended = any(row.state != "pending" for row in study.rows())
             if retry_failed:
-                study.retry_failed()
-            study.add_elapsed("files", time.monotonic() - begun)
+                study.writer.retry_failed()
+            study.writer.add_elapsed("files", time.monotonic() - begun)
             kind = AsynchronousExplorer if one.asynchronous else ScenarioExplorer
             try:
                 return kind(one, simulator, optimizer, study, objective, references).run(progress)
             except InputError:
                 # What nothing could be run with must not keep out the corrected command. What had failed before stays.
                 if not had_ended and not study.done():
-                    study.clear()
+                    study.writer.clear()
                 raise
 
 

@@ -314,7 +314,7 @@ class _Repairer(ScenarioExplorer):
                 " of cornercase; run `explore` again, into another study."
             )
         wanted = [ids.index(one) for one in missing]
-        rows = self._study.propose(number, points[wanted], self._space.values(points[wanted]), missing)
+        rows = self._study.writer.propose(number, points[wanted], self._space.values(points[wanted]), missing)
         return {row.id: row for row in rows}
 
 

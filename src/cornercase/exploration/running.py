@@ -47,7 +47,7 @@ class StageClock:
     def note(self) -> None:
         """Write down what was taken since the last time."""
         if self._spent:
-            self._study.add_all_elapsed(self._spent)
+            self._study.writer.add_all_elapsed(self._spent)
         self._spent.clear()
 
 
@@ -228,7 +228,7 @@ class ScenarioRunner:
             repeats = {name: [run[name].score for _, run in one.runs] for name in courses}
         if self._second is None:
             with self._clock("store"):
-                self._study.finish(row.id, recording, courses, repeats)
+                self._study.writer.finish(row.id, recording, courses, repeats)
             return scores[middle]
         with self._clock("measure"):
             looked = self._second.look(row, recording, courses)
@@ -262,11 +262,11 @@ class ScenarioRunner:
             return None
         courses = one.decided()
         with self._clock("store"):
-            self._study.finish(one.row.id, one.recording, courses, references=one.outcomes)
+            self._study.writer.finish(one.row.id, one.recording, courses, references=one.outcomes)
         return self._objective.oriented(np.array([[each.score for each in courses.values()]]))[0]
 
     def _fail(self, row: Row, error: SimulationError) -> None:
-        self._study.fail(row.id, error)
+        self._study.writer.fail(row.id, error)
         if isinstance(error, PartError):
             self._raised, self._last = self._raised + 1, error
 

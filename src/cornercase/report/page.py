@@ -162,7 +162,7 @@ def write_report(
         rerun = tell_rerun(opened, scenario)
         if not opened.readonly:
             # Kept in the study, so that the page of a study that is only read is the same each time.
-            opened.add_elapsed("draw", time.monotonic() - begun)
+            opened.writer.add_elapsed("draw", time.monotonic() - begun)
             data = replace(data, summary=replace(data.summary, seconds=opened.elapsed()))
     roads = {"roads": None if sketch is None else pack_roads(sketch), "roads_missing": missing, "rerun": rerun}
     # The page and its figures tell the same.

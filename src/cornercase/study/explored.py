@@ -6,8 +6,8 @@ from pathlib import Path
 
 from cornercase._common.errors import InputError
 from cornercase.scenario import Scenario, find_scenario, scenario_of, with_roads
+from cornercase.study._study import Study
 from cornercase.study.importing import IMPORTED
-from cornercase.study.store import Study
 from cornercase.study.stored_paths import file_named
 
 

@@ -23,9 +23,8 @@ from cornercase._common.texts import require_commas, text_of_cell
 from cornercase.metrics import EVERYBODY, METRICS, Metric, measured, name_others
 from cornercase.recordings import read_recording
 from cornercase.scenario import Parameter, ParameterSpace, Value
+from cornercase.study._study import Study, begun_study
 from cornercase.study.meta import StudyMeta
-from cornercase.study.opening import begun_study
-from cornercase.study.store import Study
 from cornercase.study.stored_paths import stored_path
 from cornercase.study.table import Row
 
@@ -142,14 +141,14 @@ def import_recordings(
         _require_measurable([folder / file for file in files], instances, ego, others)
     with begun_study(path, meta) as opened:
         # The table may have moved; the fingerprint identifies it.
-        opened.continue_with(replace(meta, settings=opened.meta.settings))
-        rows = opened.rows() or opened.propose(1, meta.space.points(values), values)
+        opened.writer.continue_with(replace(meta, settings=opened.meta.settings))
+        rows = opened.rows() or opened.writer.propose(1, meta.space.points(values), values)
         pending = [row for row in rows if row.state == "pending"]
         bar = track(pending, "Recordings", console=Console(stderr=True), disable=not progress)
         start = time.monotonic()
         for row in bar:
             _measure(opened, row, folder / files[row.id - 1], instances)
-        opened.add_elapsed("measure", time.monotonic() - start)
+        opened.writer.add_elapsed("measure", time.monotonic() - start)
         failed = opened.failed()
         return ImportResult(path, len(opened.done()), len(failed), failed[0].error or "" if failed else "")
 
@@ -199,9 +198,9 @@ def _measure(study: Study, row: Row, file: Path, metrics: Sequence[Metric]) -> N
         # A disk error is not the recording's fault; the same command can be run again.
         if is_of_the_machine(error):
             raise
-        study.fail(row.id, SimulationError(_said_of(file, error)))
+        study.writer.fail(row.id, SimulationError(_said_of(file, error)))
         return
-    study.finish(row.id, recording, courses)
+    study.writer.finish(row.id, recording, courses)
 
 
 def _read_table(folder: Path, table: Path) -> tuple[list[str], list[dict[str, Value]]]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import math
 import re
 from collections.abc import Mapping
@@ -11,6 +12,7 @@ from typing import Any, Final
 
 from cornercase._common.errors import InputError
 from cornercase._common.texts import plain_text, shorten
+from cornercase._common.typing import FloatArray
 from cornercase._common.version import __version__
 from cornercase.drivers import driver_changes
 from cornercase.metrics import condition_of
@@ -62,6 +64,11 @@ MOST_AUDITS: Final = 0.5
 def count_audits(share: float, scenarios: int) -> int:
     """Number of audits among the first `n_scenarios` of a study, for a given fraction of audits."""
     return math.floor(share * scenarios + 1e-9)
+
+
+def digest_of_scores(points: FloatArray, scores: FloatArray) -> str:
+    """SHA-256 of points, shape (n, d), and their scores, shape (n,)."""
+    return hashlib.sha256(points.astype("<f8").tobytes() + scores.astype("<f8").tobytes()).hexdigest()
 
 
 @dataclass(frozen=True)

@@ -11,6 +11,7 @@ from typing import Final
 
 from cornercase._common import arguments
 from cornercase._common.errors import InputError
+from cornercase.study._study import Study
 from cornercase.study.connecting import (
     connected,
     is_unreachable,
@@ -25,7 +26,6 @@ from cornercase.study.damage import DamageError
 from cornercase.study.salvaging import holds_rows
 from cornercase.study.schema import APPLICATION, SCHEMA_VERSION, TABLES
 from cornercase.study.seals import is_sound, name_of, require_tally
-from cornercase.study.store import Study
 
 # Largest number of listed problems, from SQLite and per table.
 _MOST: Final = 20

@@ -28,7 +28,7 @@ def ask_references(
         for row, run in zip(rows, outcomes, strict=False):
             if not isinstance(run, SimulationError):
                 outcome = judge_reference(name, run, study.recording(row.id), ego, others)
-                study.save_reference(row.id, name, outcome)
+                study.writer.save_reference(row.id, name, outcome)
 
 
 def _is_asked(suite: SuiteContents, study: Study, row: Row, asking: Sequence[Requirement]) -> bool:

@@ -59,9 +59,9 @@ def run_suite(
     _warn(suite, simulator, meta.ego)
     metrics = [METRICS.create(name) for name in meta.metrics]
     with begun_study(path, meta) as study:
-        study.continue_with(meta)
+        study.writer.continue_with(meta)
         values = [dict(scenario.values) for scenario in suite.scenarios]
-        rows = study.rows() or study.propose(1, meta.space.points(values), values)
+        rows = study.rows() or study.writer.propose(1, meta.space.points(values), values)
         n_before = sum(row.state != "pending" for row in rows)
         notices = RunNotices(simulator)
         bar = ProgressBar(len(rows), "testing", "scenarios") if progress else None
@@ -80,7 +80,7 @@ def run_suite(
         if not study.done():
             # What nothing could be run with must not keep out the corrected command.
             reason = failed[0].error if failed else "there is none"
-            study.clear()
+            study.writer.clear()
             raise InputError(f"None of the {len(rows)} scenarios of {suite.place} could be run; the first: {reason}.")
         return n_before
 
@@ -111,7 +111,7 @@ def _run(
     yield done
     for row in pending:
         if reason := scenarios[row.id - 1].wrong:
-            study.fail(row.id, SimulationError(reason))
+            study.writer.fail(row.id, SimulationError(reason))
             done += 1
             yield done
     pending = [row for row in pending if not scenarios[row.id - 1].wrong]
@@ -130,11 +130,11 @@ def _run(
                     raise outcome
                 courses = measured(metrics, outcome, study.meta.ego, study.meta.others)
             except SimulationError as error:
-                study.fail(row.id, error)
+                study.writer.fail(row.id, error)
             else:
-                study.finish(row.id, outcome, courses)
+                study.writer.finish(row.id, outcome, courses)
                 said.look(outcome, partial(getattr, scenarios[row.id - 1], "scenario"))
-            study.add_all_elapsed({"simulate": end - start, "store": time.monotonic() - end})
+            study.writer.add_all_elapsed({"simulate": end - start, "store": time.monotonic() - end})
             done += 1
             yield done
         # Lets the simulator clear up.
