@@ -36,13 +36,13 @@ def explored_scenario(
             f"{study.path}: its scenario file '{meta.file_name}' was not found beside it, in the current folder, up to"
             f" two folders below{stored}; name it with `scenario`."
         )
-    scenario = with_roads(file if isinstance(file, Scenario) else Scenario.read(file), meta.space)
-    if scenario.fingerprint() != meta.fingerprint:
-        missing = scenario.missing_road()
+    result = with_roads(file if isinstance(file, Scenario) else Scenario.read(file), meta.space)
+    if result.fingerprint() != meta.fingerprint:
+        missing = result.missing_road()
         if missing:
-            raise InputError(f"{scenario.path}: differs from what {study.path} was explored with: {missing}.")
+            raise InputError(f"{result.path}: differs from what {study.path} was explored with: {missing}.")
         raise InputError(
-            f"{scenario.path}: it, its road or its catalogs have changed since {study.path} was explored; restore"
+            f"{result.path}: it, its road or its catalogs have changed since {study.path} was explored; restore"
             " them, name the file that was explored with `scenario`, or run `explore` again, into another study."
         )
-    return scenario
+    return result

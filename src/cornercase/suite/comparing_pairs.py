@@ -49,10 +49,10 @@ class Side:
                 first_rows.setdefault(key_of(study, row), row)
         columns = {name: study.scores(name).tolist() for name in metrics}
         scores = {scenario: {name: columns[name][k] for name in metrics} for k, scenario in enumerate(done)}
-        has_threshold = knows_critical(study)
+        is_known = knows_critical(study)
         critical = (
             dict(zip(done, Objective.of_study(study.meta).critical_of(study).tolist(), strict=True))
-            if has_threshold
+            if is_known
             else {}
         )
         searched = study.meta.optimizer.partition(":")[0] != "none"
