@@ -34,17 +34,3 @@ def changed(path: Path, *statements: str | tuple[str, tuple[object, ...]]) -> No
         for one in statements:
             connection.execute(*((one,) if isinstance(one, str) else one))
     reseal(path)
-
-
-def as_version_5(path: Path) -> None:
-    """Take a study back to the last version without checksums."""
-    with closing(sqlite3.connect(path)) as connection, connection:
-        there = {name for (name,) in connection.execute("SELECT name FROM sqlite_master WHERE type = 'table'")}
-        for name, table in TABLES.items():
-            if name in there and name != "tallies":
-                connection.execute(f"ALTER TABLE {name} DROP COLUMN checksum")
-                if table.blob:
-                    connection.execute(f"ALTER TABLE {name} DROP COLUMN {table.columns[-1]}_checksum")
-        connection.execute("DROP TABLE tallies")
-        connection.execute("DROP TABLE lease")
-        connection.execute("PRAGMA user_version = 5")

@@ -28,7 +28,7 @@ def report(tmp_path_factory):
     meta = about(space, "distance", "clearance", other=("A", "B"), simulator="builtin")
     points, still, one = np.array([[0.3], [0.7]]), np.zeros((4, 5)), np.full(4, 0.1)
     with Study.create(folder / "study.db", meta) as study:
-        for row in study.propose(1, points, space.values(points)):
+        for row in study.writer.propose(1, points, space.values(points)):
             places = np.array([0.0, 4.0, -float(row.values["b"]), 1.0])
             recording = Recording(
                 time=np.arange(5.0), names=("Ego", "A", "B", "C"), kinds=("car",) * 4,
@@ -36,7 +36,7 @@ def report(tmp_path_factory):
                 length=one, width=one, center_x=0.0 * one,
             )  # fmt: skip
             metrics = [METRICS.create(name) for name in meta.metrics]
-            study.finish(row.id, recording, measured(metrics, recording, "Ego", meta.others))
+            study.writer.finish(row.id, recording, measured(metrics, recording, "Ego", meta.others))
     return cc.write_report(folder / "study.db", folder / "report.html").as_uri()
 
 

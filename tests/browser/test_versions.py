@@ -30,9 +30,9 @@ def versions(tmp_path_factory):
     for version in (0, 1):
         path = folder / f"{version} {HOSTILE}.db"
         with Study.create(path, meta) as study:
-            for k, row in enumerate(study.propose(1, POINTS, space.values(POINTS))):
+            for k, row in enumerate(study.writer.propose(1, POINTS, space.values(POINTS))):
                 if version and k == 1:
-                    study.fail(row.id, SimulationError(HOSTILE))
+                    study.writer.fail(row.id, SimulationError(HOSTILE))
                     continue
                 gap = 10.0 - 3.0 * k * version
                 hit = (Collision(2.0, ("Ego", ENTITY)),) if version and k == 2 else ()
@@ -41,7 +41,7 @@ def versions(tmp_path_factory):
                     x=np.stack([np.zeros(5), np.full(5, gap)]), y=still, heading=still, speed=still, acceleration=still,
                     length=one, width=one, center_x=0.0 * one, collisions=hit,
                 )  # fmt: skip
-                study.finish(row.id, recording, {"distance": (np.full(5, gap), gap)})
+                study.writer.finish(row.id, recording, {"distance": (np.full(5, gap), gap)})
         found.append(path)
     return found
 

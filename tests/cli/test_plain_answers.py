@@ -39,7 +39,7 @@ def test_a_folder_that_cannot_be_imported_is_named_with_what_it_lacks(tmp_path):
     for folder, words in (
         (tmp_path / "nowhere", "there is no such folder; name the folder that holds the recordings"),
         (X, "is a file; name the folder that holds the recordings"),
-        (tmp_path, "has no parameters.csv, which says with which values each recording was run"),
+        (tmp_path, "has no parameters.csv with the parameter values of each recording"),
     ):
         done = cornercase("import", folder, *given)
         assert done.returncode == 2

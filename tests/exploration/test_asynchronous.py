@@ -104,7 +104,7 @@ def explored(path, one, simulator=None, optimizer=None):
     """Explore without rounds, or go on so."""
     objective = Objective([METRICS.create("distance")])
     with Study.open(path, readonly=False) if path.exists() else Study.create(path, one.meta(objective, {})) as study:
-        study.continue_with(one.meta(objective, {}))
+        study.writer.continue_with(one.meta(objective, {}))
         searching = fresh(one) if optimizer is None else optimizer
         return AsynchronousExplorer(one, simulator or Synthetic(), searching, study, objective).run()
 

@@ -77,7 +77,7 @@ def test_an_interrupted_study_with_audits_goes_on_the_same(tmp_path):
     with Study.open(tmp_path / "parts.db", readonly=False) as study:
         other = replace(study.meta, audit=0.1)
         with pytest.raises(InputError, match="another share of audits"):
-            study.continue_with(other)
+            study.writer.continue_with(other)
 
 
 def test_what_audits_say_is_told(tmp_path):

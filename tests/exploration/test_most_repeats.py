@@ -89,7 +89,7 @@ def explored(path, one, simulator):
     optimizer = create_optimizer("sobol", SPACE, 3, threshold=THRESHOLD, budget=one.budget)
     kind = AsynchronousExplorer if one.asynchronous else ScenarioExplorer
     with Study.open(path, readonly=False) if path.exists() else Study.create(path, meta) as study:
-        study.continue_with(meta)
+        study.writer.continue_with(meta)
         return kind(one, simulator, optimizer, study).run()
 
 

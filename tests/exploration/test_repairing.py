@@ -140,7 +140,7 @@ def test_42_s3_nobody_writes_to_a_study_while_it_is_repaired(whole, damaged, mea
 
     meanwhile(write)
     assert repaired(damaged).returncode == 0
-    assert "keeps it to itself, as `verify --repair` does" in said[0]
+    assert "another program has locked it (such as `verify --repair`)" in said[0]
     assert contents(damaged) == contents(whole)
     write_note(damaged, 1, "brakes late")
     assert sorted(one.name for one in damaged.parent.iterdir()) == ["s.db", "s.db.damaged"]
@@ -163,7 +163,7 @@ def test_42_s3_a_note_that_is_written_while_a_damaged_study_is_read_stays(damage
     assert written
     if step == "rebuild":
         assert result.returncode == 2
-        assert f"{damaged}: was written to while it was repaired, so nothing was replaced" in result.stderr
+        assert f"{damaged}: was written to during the repair, so nothing was replaced" in result.stderr
         with Study.open(damaged) as study:
             assert study.notes() == {1: "brakes late"}
         assert [one.name for one in damaged.parent.iterdir()] == ["s.db"]
@@ -206,8 +206,8 @@ def test_42_s3_what_is_put_in_place_of_a_study_while_it_is_repaired_stays(whole,
     meanwhile(put)
     result = repaired(damaged)
     assert result.returncode == 2
-    told = {"copied over": "was written to", "removed": "was removed"}.get(how, "another file has taken its place")
-    assert f"s.db: {told} while it was repaired, so nothing was replaced" in result.stderr
+    told = {"copied over": "was written to", "removed": "was removed"}.get(how, "was replaced by another file")
+    assert f"s.db: {told} during the repair, so nothing was replaced" in result.stderr
     assert not damaged.with_name("s.db.damaged").exists()
     if how == "removed":
         assert not damaged.exists()
@@ -246,7 +246,7 @@ def test_42_s3_who_waited_for_a_study_that_was_replaced_does_not_write_to_the_ea
         return plain(path, connection)
 
     monkeypatch.setattr(Lease, "take", replaced_before)
-    with pytest.raises(InputError, match="another file has taken its place just now"):
+    with pytest.raises(InputError, match="was replaced by another file just now"):
         Study.open(damaged, readonly=False)
     with closing(sqlite3.connect(damaged.with_name("s.db.damaged"))) as connection:
         assert connection.execute("SELECT count(*) FROM lease").fetchone() == (0,)
@@ -257,4 +257,4 @@ def test_42_10_a_repair_names_the_study_where_its_scenario_is_not_found(damaged,
     monkeypatch.chdir(tmp_path / "elsewhere")
     result = cornercase("verify", damaged, "--repair")
     assert result.returncode == 2
-    assert f"{damaged}: its scenario file '{X.name}' lies neither beside it nor in the current folder" in result.stderr
+    assert f"{damaged}: its scenario file '{X.name}' was not found beside it, in the current folder" in result.stderr

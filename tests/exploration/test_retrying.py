@@ -38,7 +38,7 @@ def test_what_failed_is_run_once_more_when_that_is_asked(tmp_path, asynchronous)
     before = stored(path)
     with Study.open(path, readonly=False) as study:
         for one in (2, 5):
-            study.fail(one, cc.SimulationError("a worker was ended from outside"))
+            study.writer.fail(one, cc.SimulationError("a worker was ended from outside"))
     again = explored(path, asynchronous=asynchronous)
     assert (again.done, again.failed) == (4, 2)
     assert again.reasons == {"a worker was ended from outside": 2}

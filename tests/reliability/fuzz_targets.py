@@ -320,10 +320,6 @@ def study_targets(study: Path):
         copies(*beside, study.parent / "reduced")(folder)
 
     yield Target("study-goes-on", 2, with_reduced, "s.db", mutated_database, goes_on)
-    for version in (1, 2):
-        file = f"study_version_{version}.db"
-        show = (f"show {file}", f"show {file} --json")
-        yield Target(f"study-{version}", 1.5, copies(DATA / file), file, mutated_database, show)
 
     def kept(folder: Path) -> None:
         shutil.copytree(study.parent / "reduced", folder / "reduced")

@@ -54,7 +54,7 @@ def test_what_was_not_run_or_is_too_large_is_shown_as_a_table(whole, tmp_path):
     with Study.create(tmp_path / "new.db", meta) as study:
         assert "<iframe" not in study._repr_html_()
         assert "<table" in study._repr_html_()
-        study.propose(1, points, values)
+        study.writer.propose(1, points, values)
         assert "<iframe" not in study._repr_html_()
 
 

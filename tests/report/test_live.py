@@ -213,16 +213,16 @@ def test_a_page_is_told_of_each_scenario_once(tmp_path, whole):
         assert set(teller.contents()) == {"live"}
         with Study.create(tmp_path / "new.db", meta) as study:
             points = np.array([row.point for row in rows])
-            study.propose(1, points, [row.values for row in rows])
+            study.writer.propose(1, points, [row.values for row in rows])
             until(lambda: teller.state()["name"] == "live")
-            study.finish(3, recording, courses)
+            study.writer.finish(3, recording, courses)
             # What is known of all is found in the background, and told with everything when it is first there.
             until(lambda: teller.contents().get("details"))
             contents = teller.contents()
             assert contents["scenarios"]["id"] == [3]
             cursor = Cursor.of(contents["live"]["cursor"])
-            study.fail(1, cc.SimulationError("the road <ends>"))
-            study.finish(2, recording, courses)
+            study.writer.fail(1, cc.SimulationError("the road <ends>"))
+            study.writer.finish(2, recording, courses)
             until(lambda: teller.state()["run"] == 2 and teller.state()["failed"] == 1)
             events = news(teller, cursor)
             ((_, columns),) = [one for one in events if one[0] == "scenarios"]
@@ -239,8 +239,8 @@ def test_a_page_is_told_of_each_scenario_once(tmp_path, whole):
         (tmp_path / "new.db").unlink()
         until(lambda: teller.state()["name"] == "waiting")
         with Study.create(tmp_path / "new.db", meta) as study:
-            study.propose(1, points[:1], [rows[0].values])
-            study.finish(1, recording, courses)
+            study.writer.propose(1, points[:1], [rows[0].values])
+            study.writer.finish(1, recording, courses)
             until(lambda: teller.state()["run"] == 1)
         assert news(teller, again)[0][0] == "contents"
         write_note(tmp_path / "new.db", 1, "seen")
@@ -272,8 +272,8 @@ def test_42_16_what_is_told_counts_what_was_told(tmp_path, whole):
     follower = Growing(tmp_path / "s.db")
     finder = Finder(follower)
     with Study.create(tmp_path / "s.db", meta) as study:
-        study.propose(1, points, values)
-        study.finish(1, recording, courses)
+        study.writer.propose(1, points, values)
+        study.writer.finish(1, recording, courses)
         follower.start()
         finder.start()
         teller = Teller(follower, finder)
@@ -285,9 +285,9 @@ def test_42_16_what_is_told_counts_what_was_told(tmp_path, whole):
             if scenario is None:
                 return
             if scenario % 3:
-                study.finish(scenario, recording, courses)
+                study.writer.finish(scenario, recording, courses)
             else:
-                study.fail(scenario, cc.SimulationError("no"))
+                study.writer.fail(scenario, cc.SimulationError("no"))
             until(lambda: follower.state.run + follower.state.failed == scenario)
 
         follower.grow = grow
@@ -323,9 +323,9 @@ def test_42_16_nothing_is_told_of_scenarios_that_were_not_read_yet(tmp_path, who
     finder = Finder(follower)
     teller = Teller(follower, finder)
     with Study.create(tmp_path / "s.db", meta) as study:
-        study.propose(1, points, values)
+        study.writer.propose(1, points, values)
         for scenario in range(1, 6):
-            study.finish(scenario, recording, courses)
+            study.writer.finish(scenario, recording, courses)
     # As far as it has read by now; what is known of all is found in the file.
     follower.state, follower.changes = State("live", run=3), 1
     finder.start()
@@ -345,15 +345,15 @@ def test_42_16_nothing_is_told_of_scenarios_that_were_not_read_yet(tmp_path, who
 def test_42_16_scenarios_that_are_run_again_are_counted_once(tmp_path, whole):
     meta, points, values, recording, courses = parts_of(whole, 3)
     with followed(tmp_path / "s.db") as teller, Study.create(tmp_path / "s.db", meta) as study:
-        study.propose(1, points, values)
-        study.finish(1, recording, courses)
-        study.fail(2, cc.SimulationError("no road"))
-        study.finish(3, recording, courses)
+        study.writer.propose(1, points, values)
+        study.writer.finish(1, recording, courses)
+        study.writer.fail(2, cc.SimulationError("no road"))
+        study.writer.finish(3, recording, courses)
         until(lambda: teller.contents()["live"]["failed"] == 1)
         cursor = Cursor.of(teller.contents()["live"]["cursor"])
-        study.retry_failed()
+        study.writer.retry_failed()
         until(lambda: teller.state()["pending"] == 1)
-        study.finish(2, recording, courses)
+        study.writer.finish(2, recording, courses)
         until(lambda: teller.state()["run"] == 3)
         assert teller.state()["failed"] == 0
         assert sorted(teller.contents()["scenarios"]["id"]) == [1, 2, 3]

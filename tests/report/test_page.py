@@ -206,10 +206,10 @@ def test_no_name_ends_a_script_or_an_attribute(tmp_path):
         tmp_path / "s.db", replace(meta, scenario="/x/<script><script>alert(1)<script>\u2028 歩行者.xosc")
     ) as study:
         points = np.random.default_rng(1).random((12, 2))
-        for row in study.propose(1, points, space.values(points)):
+        for row in study.writer.propose(1, points, space.values(points)):
             (found,) = Synthetic().run([type("C", (), {"values": {"a": 0.5, "b": row.point[1]}})])
             course = np.full(5, 10 * abs(0.5 - row.point[1]))
-            study.finish(row.id, replace(found, names=(HOSTILE, "B")), {"distance": (course, float(course[0]))})
+            study.writer.finish(row.id, replace(found, names=(HOSTILE, "B")), {"distance": (course, float(course[0]))})
     page = page_of(tmp_path / "s.db", tmp_path, figures=True)
     contents = contents_of(page)
     assert contents["ego"] == contents["parameters"][0]["name"] == HOSTILE
@@ -241,10 +241,10 @@ def test_every_kind_of_study_has_a_page(tmp_path, kind):
         more, scores = {"repeats": 3}, {"distance": [1.0, 2.0, 3.0]}
     with Study.create(tmp_path / "s.db", about(space, "distance", "wttc", **more)) as study:
         points = np.random.default_rng(1).random((1 if kind == "one" else 30, 2))
-        for row in study.propose(1, points, space.values(points)):
+        for row in study.writer.propose(1, points, space.values(points)):
             (found,) = Synthetic().run([type("C", (), {"values": {"a": 0.5, "b": row.point[1]}})])
             course = np.append(np.full(4, 10 * abs(0.5 - row.point[1])), np.nan)
-            study.finish(row.id, found, {name: (course, float(course[0])) for name in ("distance", "wttc")}, scores)
+            study.writer.finish(row.id, found, {name: (course, float(course[0])) for name in ("distance", "wttc")}, scores)
     page = page_of(tmp_path / "s.db", tmp_path, figures=True)
     contents = contents_of(page)
     assert len(contents["scenarios"]["id"]) == len(points)
@@ -267,11 +267,11 @@ def test_where_all_failed_the_page_says_why_and_what_is_missing(of, tmp_path):
     with opened(tmp_path / "s.db") as study:
         points = np.array([[0.9 + 0.01 * k, 0.1] for k in range(len(reasons) + 1)])
         explorer(study, metrics=("distance",), optimizer="sobol", budget=len(points))
-        rows = study.propose(1, points, SPACE.values(points))
+        rows = study.writer.propose(1, points, SPACE.values(points))
         with pytest.raises(InputError, match="no scenario was run yet"):
             write_report(study, tmp_path / "r.html")
         for row, reason in zip(rows, reasons, strict=False):
-            study.fail(row.id, SimulationError(reason))
+            study.writer.fail(row.id, SimulationError(reason))
     write_report(tmp_path / "s.db", tmp_path / "r.html", figures=True)
     page = (tmp_path / "r.html").read_text()
     assert sorted(one.name for one in tmp_path.iterdir()) == ["r.html", "s.db"]

@@ -183,7 +183,7 @@ def test_43_7_what_is_written_holds_the_map_and_a_study_says_that_it_needs_it(tm
             critical=-100.0,
         )  # fmt: skip
     with Study.open(study, readonly=True) as opened:
-        with pytest.raises(InputError, match=r"is not as .*study\.db was explored with it: there is no road file 'To"):
+        with pytest.raises(InputError, match=r"differs from what .*study\.db was explored with: there is no road file 'To"):
             explored_scenario(opened)
         with looking_in([maps]):
             scenario = explored_scenario(opened)

@@ -162,13 +162,13 @@ def test_a_name_that_no_recording_has_leaves_no_study_in_the_way(exported, tmp_p
 @pytest.mark.parametrize(
     ("table", "words"),
     [
-        (None, "has no parameters.csv, which says with which values each recording was run"),
+        (None, "has no parameters.csv with the parameter values of each recording"),
         ("a,b\n1,2\n", "needs a header with 'file'"),
         ("file\na.csv\nb.csv\n", "needs a header"),
         ("file,v\na.csv,1\n", "at least 2"),
         ("file,v\na.csv,1\nz.csv,2\n", "line 3: there is no file"),
         ("file,v\na.csv,1\na.csv,2\n", "a second time"),
-        ("file,v\na.csv,1\na.csv\n", "line 3: has a field too many"),
+        ("file,v\na.csv,1\na.csv\n", "line 3: has an extra or an empty field"),
     ],
 )
 def test_tables_that_cannot_be_used(tmp_path, table, words):

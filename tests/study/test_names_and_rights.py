@@ -24,8 +24,8 @@ NO_TEXT = os.fsdecode(b"\xff\xfe.db")
 
 def made(path):
     with Study.create(path, about(SPACE, "distance")) as study:
-        study.propose(1, POINTS, SPACE.values(POINTS))
-        study.fail(1, SimulationError("told"))
+        study.writer.propose(1, POINTS, SPACE.values(POINTS))
+        study.writer.fail(1, SimulationError("told"))
     return path
 
 
@@ -69,7 +69,7 @@ def test_a_study_that_may_only_be_read_is_not_written_and_nothing_is_left_beside
         pytest.skip("whoever may do anything may write")
     with Study.open(path) as study:
         assert len(study.rows()) == 2
-    with pytest.raises(InputError, match="may only be read"):
+    with pytest.raises(InputError, match="is read-only"):
         Study.open(path, readonly=False)
     # What a reader left would be only for reading too, and keep its owner out.
     assert [one.name for one in tmp_path.iterdir()] == ["s.db"]

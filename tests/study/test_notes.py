@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import shutil
 import sqlite3
 import threading
 from contextlib import closing
@@ -14,15 +13,12 @@ import pytest
 from cornercase._common.errors import InputError
 from cornercase.recordings import read_recording
 from cornercase.scenario import ParameterSpace
-from cornercase.study import Study, migrations, write_note
+from cornercase.study import Study, write_note
 from cornercase.study.notes import LONGEST_NOTE
-from cornercase.study.schema import SCHEMA_VERSION
-from sealed import as_version_5
 from strangers import change
 from synthetic import about
 
 SPACE = ParameterSpace.from_ranges(["a=0:10"])
-OLD = Path(__file__).parents[1] / "data" / "study_version_2.db"
 
 
 @pytest.fixture
@@ -30,7 +26,7 @@ def explored(tmp_path):
     """A study that an explorer has open, with ten scenarios that were not run yet."""
     points = np.linspace(0.0, 1.0, 10)[:, None]
     with Study.create(tmp_path / "study.db", about(SPACE, "distance")) as study:
-        study.propose(1, points, SPACE.values(points))
+        study.writer.propose(1, points, SPACE.values(points))
         yield study
 
 
@@ -50,7 +46,7 @@ def test_a_note_is_kept_changed_and_removed(explored):
     write_note(explored.path, 1, " ")
     write_note(explored.path, 2, "")
     assert notes(explored.path) == {3: "brakes"}
-    explored.clear()
+    explored.writer.clear()
     assert notes(explored.path) == {}
 
 
@@ -61,9 +57,9 @@ def test_a_note_is_kept_changed_and_removed(explored):
         (-1, "x", "`scenario`"),
         (2**63, "x", "`scenario`"),
         (True, "x", "`scenario`"),
-        (1, "x" * (LONGEST_NOTE + 1), "at most 2000"),
-        (1, "half a character: \ud800", "half a character"),
-        (1, "a\0b", "character 0"),
+        (1, "x" * (LONGEST_NOTE + 1), "the limit is 2000"),
+        (1, "half a character: \ud800", "cannot be encoded"),
+        (1, "a\0b", "null character"),
         (1, 7, "not a text"),
     ],
 )
@@ -91,9 +87,9 @@ def test_notes_and_the_scenarios_of_an_explorer_do_not_disturb_each_other(explor
         for scenario in range(1, 11):
             change_of = {"distance": (course * rounds, float(rounds))}
             if rounds == 0:
-                explored.finish(scenario, small_recording, change_of)
+                explored.writer.finish(scenario, small_recording, change_of)
             else:
-                explored.add_elapsed("simulate", 0.0)
+                explored.writer.add_elapsed("simulate", 0.0)
         rounds += 1
     taking.join()
     assert not failures
@@ -115,30 +111,6 @@ def test_a_writer_that_does_not_end_is_not_waited_for_forever(explored, monkeypa
         stuck.execute("BEGIN IMMEDIATE")
         with pytest.raises(InputError, match="locked"):
             write_note(explored.path, 1, "x")
-
-
-def test_a_study_of_an_earlier_version_is_migrated_for_its_first_note(tmp_path):
-    old = Path(shutil.copy(OLD, tmp_path / "old.db"))
-    assert notes(old) == {}
-    write_note(old, 2, "seen")
-    assert notes(old) == {2: "seen"}
-    with closing(sqlite3.connect(old)) as connection:
-        assert migrations.schema_version(connection) == SCHEMA_VERSION
-    with Study.open(old, readonly=True) as study:
-        assert len(study.done()) == 10
-
-
-def test_version_4_lacks_notes_alone(explored):
-    before = explored.table()
-    explored.close()
-    as_version_5(explored.path)
-    change(explored.path, "DROP TABLE notes", "PRAGMA user_version = 4")
-    assert notes(explored.path) == {}
-    with Study.open(explored.path, readonly=False) as study:
-        assert study.notes() == {}
-        assert study.table().equals(before)
-    write_note(explored.path, 1, "seen")
-    assert notes(explored.path) == {1: "seen"}
 
 
 @pytest.mark.parametrize("value", ["zeroblob(5)", f"printf('%.{LONGEST_NOTE + 1}c', 'x')"])

@@ -176,7 +176,7 @@ def test_42_s6_messages_are_stored_without_folders(tmp_path, written):
     shutil.copy(written / "studies" / "s.db", tmp_path / "s.db")
     (tmp_path / "secret name").mkdir()
     with Study.open(tmp_path / "s.db", readonly=False) as study:
-        study.fail(1, SimulationError(f"{tmp_path}/secret name/x.xosc, line 5: no lane at 3 m/s, see {tmp_path}/a.log"))
+        study.writer.fail(1, SimulationError(f"{tmp_path}/secret name/x.xosc, line 5: no lane at 3 m/s, see {tmp_path}/a.log"))
         assert study.failed()[0].error == "x.xosc, line 5: no lane at 3 m/s, see a.log"
     for text in ("1 / 2 m/s", "https://a.b/c/d", "a/b/c", "/", "carmaker:project=acc"):
         assert without_folders(text) == text
@@ -215,7 +215,7 @@ def test_42_10_the_scenario_is_taken_from_where_the_study_says(apart, tmp_path):
     done = cornercase("reduce", apart, "-o", tmp_path / "again")
     assert done.returncode == 2
     assert (
-        f"its scenario file '{X.name}' lies neither beside it nor in the current folder, nor up to two folders below nor"
+        f"its scenario file '{X.name}' was not found beside it, in the current folder, up to two folders below, or"
         f" at ../{X.name}; name it with --scenario." in done.stderr
     )
     assert sorted(one.name for one in apart.parent.iterdir()) == ["s.db", "s.db.damaged"]

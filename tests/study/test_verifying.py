@@ -19,8 +19,8 @@ POINTS = np.array([[0.25, 0.5], [0.5, 0.25]])
 @pytest.fixture
 def path(tmp_path):
     with Study.create(tmp_path / "s.db", about(SPACE, "distance")) as study:
-        study.propose(1, POINTS, SPACE.values(POINTS))
-        study.fail(1, SimulationError("told"))
+        study.writer.propose(1, POINTS, SPACE.values(POINTS))
+        study.writer.fail(1, SimulationError("told"))
     return tmp_path / "s.db"
 
 
@@ -52,11 +52,11 @@ def test_what_is_no_study_is_bad_input(tmp_path, content, told, repair):
 @pytest.mark.parametrize(
     ("statement", "told"),
     [
-        ("PRAGMA user_version = 7", "has schema version 7, this cornercase reads up to 6"),
+        ("PRAGMA user_version = 6", "has schema version 6, but this cornercase reads version 1 only"),
         ("PRAGMA application_id = 1196444487", "is a database, but not a cornercase study"),
     ],
 )
-def test_a_study_of_a_later_version_or_of_another_program_is_left_as_it_is(path, statement, told, repair):
+def test_a_study_of_another_version_or_of_another_program_is_left_as_it_is(path, statement, told, repair):
     run(path, statement)
     before = path.read_bytes()
     result = cornercase("verify", path, *repair)
@@ -98,10 +98,10 @@ def test_a_study_that_another_program_keeps_to_itself_is_not_damaged(path, repai
     monkeypatch.setattr("cornercase.study.connecting.connected.__defaults__", (0.1,))
     with closing(sqlite3.connect(path, isolation_level=None)) as other:
         other.execute("PRAGMA locking_mode = EXCLUSIVE")
-        other.execute("PRAGMA user_version = 6")
+        other.execute("PRAGMA user_version = 1")
         result = cornercase("verify", path, *repair)
     assert result.returncode == 2
-    assert "another program keeps it to itself" in result.stderr
+    assert "another program has locked it" in result.stderr
     assert result.stdout == ""
     assert cornercase("verify", path).returncode == 0
     assert [one.name for one in path.parent.iterdir()] == ["s.db"]

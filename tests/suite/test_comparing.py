@@ -42,13 +42,13 @@ def written(path, gaps, points=GRID, hits=(), failed=(), space=SPACE, metrics=("
     """A study of scenarios in which the other stands so far away."""
     meta = about(space, *metrics, **({"critical": 1.0, "simulator": "builtin"} | more))
     with Study.create(path, meta) as study:
-        rows = study.propose(1, points, space.values(points))
+        rows = study.writer.propose(1, points, space.values(points))
         for k, row in enumerate(rows):
             if k in failed:
-                study.fail(row.id, SimulationError("it broke"))
+                study.writer.fail(row.id, SimulationError("it broke"))
                 continue
             score = float(gaps[k])
-            study.finish(row.id, recording(score, k in hits), {name: (np.full(3, score), score) for name in metrics})
+            study.writer.finish(row.id, recording(score, k in hits), {name: (np.full(3, score), score) for name in metrics})
     return path
 
 
@@ -329,8 +329,8 @@ def test_another_scenario_is_refused_and_imported_recordings_are_not(tmp_path):
                 meta = replace(study.meta, fingerprint=path.name, scenario=f"{path.stem}.xosc")
             path.unlink()
             with Study.create(path, meta) as study:
-                for row in study.propose(1, GRID, SPACE.values(GRID)):
-                    study.finish(row.id, recording(1.0), {"distance": (np.full(3, 1.0), 1.0)})
+                for row in study.writer.propose(1, GRID, SPACE.values(GRID)):
+                    study.writer.finish(row.id, recording(1.0), {"distance": (np.full(3, 1.0), 1.0)})
         if simulator == "imported":
             assert not compared(old, new)
         else:

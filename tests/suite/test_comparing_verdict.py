@@ -47,12 +47,12 @@ def written(path, gaps, hits=(), failed=(), points=POINTS, metrics=("distance",)
     """A study of scenarios in which the other stands so far away, which is the score of all metrics."""
     meta = about(SPACE, *metrics, **({"critical": 1.0, "simulator": "builtin"} | more))
     with Study.create(path, meta) as study:
-        for k, row in enumerate(study.propose(1, points, SPACE.values(points))):
+        for k, row in enumerate(study.writer.propose(1, points, SPACE.values(points))):
             if k in failed:
-                study.fail(row.id, SimulationError("it broke"))
+                study.writer.fail(row.id, SimulationError("it broke"))
                 continue
             gap = float(gaps[k])
-            study.finish(row.id, recording(gap, k in hits), {name: (np.full(3, gap), gap) for name in metrics})
+            study.writer.finish(row.id, recording(gap, k in hits), {name: (np.full(3, gap), gap) for name in metrics})
     return path
 
 
@@ -200,9 +200,9 @@ def test_a_place_that_is_missed_by_less_than_the_tolerance_is_the_same(tmp_path)
     def study(name, short):
         meta = about(SPACE, "distance", critical=1.0, simulator="builtin", requirements=("reach 20,0,2 within 2",))
         with Study.create(tmp_path / name, meta) as made:
-            for row in made.propose(1, POINTS[:3], SPACE.values(POINTS[:3])):
+            for row in made.writer.propose(1, POINTS[:3], SPACE.values(POINTS[:3])):
                 x = np.stack([np.array([0.0, 9.0, 18.0 - short[row.id - 1]]), np.full(3, 50.0)])
-                made.finish(row.id, replace(recording(50.0), x=x, speed=still), {"distance": (np.full(3, 30.0), 30.0)})
+                made.writer.finish(row.id, replace(recording(50.0), x=x, speed=still), {"distance": (np.full(3, 30.0), 30.0)})
         return tmp_path / name
 
     found = compared(study("old.db", (0.0, 0.0, 0.0)), study("new.db", (0.0, 0.05, 0.5)))

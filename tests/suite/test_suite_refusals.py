@@ -79,7 +79,7 @@ BAD = {
     "a driver of somebody's own": (
         lambda f: spoilt(f, settings={"drivers": {"Ego": {"class": "Mine"}}}), "give a driver",
     ),
-    "values of nothing": (lambda f: spoilt_value(f, {}), "do not fit the parameters of its space"),
+    "values of nothing": (lambda f: spoilt_value(f, {}), "do not fit its parameter space"),
     "values that are too large": (lambda f: spoilt_value(f, {"ego_speed_mps": 10**400}), "manifest.json: "),
     "an unknown metric": (lambda f: spoilt(f, metrics=["tcc"]), "manifest.json: There is no metric 'tcc'"),
     "no time step": (lambda f: spoilt(f, settings={"time_step": 0}), "manifest.json: time_step 0: choose"),

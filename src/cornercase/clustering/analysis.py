@@ -116,7 +116,7 @@ def stored_analysis(
     -------
     arrays : dict of str to array_like
     info : dict
-        As `cornercase.study.Study.save_analysis` takes them.
+        As `save_analysis` of a study's writer takes them.
     """
     found = analysis.clustering
     arrays: dict[str, npt.ArrayLike] = {"ids": analysis.ids, "distances": compared}

@@ -204,8 +204,8 @@ def _analyzed(
         spent["compare"] += comparing.seconds
         spent["cluster"] += time.monotonic() - begun - comparing.seconds
     outcomes = {i: one.text for i, one in zip(ids.tolist(), seen.outcomes, strict=True)}
-    study.save_analyses(to_store, outcomes)
-    study.add_all_elapsed(spent)
+    study.writer.save_analyses(to_store, outcomes)
+    study.writer.add_all_elapsed(spent)
     return results
 
 

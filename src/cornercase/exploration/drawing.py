@@ -108,7 +108,7 @@ class ProbabilityEstimator:
             if self._whole:
                 first_indices = self._once(rows)
                 ids, weights = ids[first_indices], weights[first_indices]
-            self._study.save_analysis("estimate", {"ids": ids, "weights": weights}, found.to_json())
+            self._study.writer.save_analysis("estimate", {"ids": ids, "weights": weights}, found.to_json())
 
     def _once(self, rows: Sequence[Row]) -> IntArray:
         """Indices of the first occurrence of each scenario; draws from before all were run may repeat."""
@@ -129,7 +129,7 @@ class ProbabilityEstimator:
                 return
             number += 1
             with self._clock("store"):
-                new = self._study.propose(number, points, self._space.values(points))
+                new = self._study.writer.propose(number, points, self._space.values(points))
             self._take(new, bar)
             done += len(new)
             self._clock.note()

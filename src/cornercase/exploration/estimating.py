@@ -144,8 +144,8 @@ def estimate(
         initial_proposal = guessed_proposal(config.logical.space, points, scores, threshold, seed)
         sampling = ImportanceSampling(config.logical.space, _EVENTS, learn, seed, initial_proposal)
         with begun_study(output_file, meta) as opened:
-            opened.continue_with(meta)
-            opened.add_elapsed("files", time.monotonic() - start)
+            opened.writer.continue_with(meta)
+            opened.writer.add_elapsed("files", time.monotonic() - start)
             result = ProbabilityEstimator(config, running, sampling, opened, encounter).run(progress)
     return result
 

@@ -184,7 +184,7 @@ class ScenarioExplorer:
         if len(points) == 0:
             return []
         with self._clock("store"):
-            return self._study.propose(number, points, self._space.values(points))
+            return self._study.writer.propose(number, points, self._space.values(points))
 
     def _reason(self, done: int, seconds: float) -> str | None:
         """Return the termination criterion that holds; None if none does."""

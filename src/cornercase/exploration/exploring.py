@@ -300,20 +300,20 @@ def _explore(one: Configuration, path: Path, progress: bool, retry_failed: bool)
             if warm_start is None:
                 # A resumed study holds its warm-start data itself.
                 meta = replace(meta, elsewhere=study.meta.elsewhere)
-            study.continue_with(meta, same_budget="budget" in optimizer_needs(one.optimizer))
+            study.writer.continue_with(meta, same_budget="budget" in optimizer_needs(one.optimizer))
             if warm_start is not None:
-                study.keep_elsewhere(warm_start.points, warm_start.scores)
+                study.writer.keep_elsewhere(warm_start.points, warm_start.scores)
             had_ended = any(row.state != "pending" for row in study.rows())
             if retry_failed:
-                study.retry_failed()
-            study.add_elapsed("files", time.monotonic() - start)
+                study.writer.retry_failed()
+            study.writer.add_elapsed("files", time.monotonic() - start)
             explorer_class = AsynchronousExplorer if one.asynchronous else ScenarioExplorer
             try:
                 return explorer_class(one, simulator, optimizer, study, objective, references).run(progress)
             except InputError:
                 # Remove a study in which nothing ran, so that the corrected command can start. Earlier failures stay.
                 if not had_ended and not study.done():
-                    study.clear()
+                    study.writer.clear()
                 raise
 
 

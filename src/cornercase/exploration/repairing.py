@@ -315,7 +315,7 @@ class _Repairer(ScenarioExplorer):
                 " another version of cornercase; run `explore` again with another study."
             )
         indices = [ids.index(scenario) for scenario in missing]
-        rows = self._study.propose(number, points[indices], self._space.values(points[indices]), missing)
+        rows = self._study.writer.propose(number, points[indices], self._space.values(points[indices]), missing)
         return {row.id: row for row in rows}
 
 

@@ -24,7 +24,7 @@ def try_repeatability(study: Study, again: Callable[[Row], Recording | Simulatio
     if not study.meta.repeatability and _claims_to_repeat_itself(study.meta.simulator):
         outcome = again(row)
         if isinstance(outcome, PartError):
-            study.save_repeatability(row.id, False, None)
+            study.writer.save_repeatability(row.id, False, None)
         elif isinstance(outcome, SimulationError):
             # The cause may be external, such as a time-out on a busy machine.
             warn(
@@ -34,7 +34,7 @@ def try_repeatability(study: Study, again: Callable[[Row], Recording | Simulatio
         else:
             first = study.recording(row.id)
             same = same_bytes(first, outcome)
-            study.save_repeatability(row.id, same, None if same else farthest_apart(first, outcome))
+            study.writer.save_repeatability(row.id, same, None if same else farthest_apart(first, outcome))
     if advice and study.meta.runs_differ:
         warn(f"runs differ: {study.meta.runs_differ}; {advice}")
     return True

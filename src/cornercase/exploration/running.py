@@ -42,7 +42,7 @@ class StageClock:
     def note(self) -> None:
         """Store and reset the measured times."""
         if self._spent:
-            self._study.add_all_elapsed(self._spent)
+            self._study.writer.add_all_elapsed(self._spent)
         self._spent.clear()
 
 
@@ -170,7 +170,7 @@ class ScenarioRunner:
             repeats = {name: [run[name].score for _, run in one.runs] for name in courses}
         if self._second is None:
             with self._clock("store"):
-                self._study.finish(row.id, recording, courses, repeats)
+                self._study.writer.finish(row.id, recording, courses, repeats)
             return scores[middle]
         with self._clock("measure"):
             pending = self._second.look(row, recording, courses)
@@ -188,11 +188,11 @@ class ScenarioRunner:
             return None
         courses = one.decided()
         with self._clock("store"):
-            self._study.finish(one.row.id, one.recording, courses, references=one.outcomes)
+            self._study.writer.finish(one.row.id, one.recording, courses, references=one.outcomes)
         return self._objective.oriented(np.array([[result.score for result in courses.values()]]))[0]
 
     def _fail(self, row: Row, error: SimulationError) -> None:
-        self._study.fail(row.id, error)
+        self._study.writer.fail(row.id, error)
         if isinstance(error, PartError):
             self._raised, self._last = self._raised + 1, error
 

@@ -107,7 +107,7 @@ def save_reduction(study: Study, reduced: ReducedSet) -> None:
     } | ({} if reduced.exposing is None else {"exposing": reduced.exposing.to_json()})
     if study.critical != study.meta.critical:
         info["critical_threshold"] = study.critical
-    study.save_analysis("reduction", {}, info)
+    study.writer.save_analysis("reduction", {}, info)
 
 
 def read_reduction(study: Study) -> ReducedSet | None:

@@ -175,7 +175,7 @@ def reduce(
             reduced = with_exposure(reduced, exposure, [int(analysis.ids[one.index]) for one in plain])
         kinds = {profile.cluster: profile.label for profile in analysis.profiles}
         _write(opened, explored, reduced, kinds, folder)
-        opened.add_elapsed("reduce", time.monotonic() - begun)
+        opened.writer.add_elapsed("reduce", time.monotonic() - begun)
     if size is not None and asked and len(reduced) < size:
         _tell_fewer(size, len(reduced), len(analysis.ids))
     return reduced
@@ -283,5 +283,5 @@ def _write(
         try:
             written.replace()
         except InputError:
-            study.save_analyses({"reduction": None if before is None else ({}, before)})
+            study.writer.save_analyses({"reduction": None if before is None else ({}, before)})
             raise

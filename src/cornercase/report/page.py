@@ -133,7 +133,7 @@ def write_report(
         rerun = tell_rerun(opened, scenario)
         if not opened.readonly:
             # Stored, so that later reports of the study, opened read-only, are identical.
-            opened.add_elapsed("draw", time.monotonic() - start)
+            opened.writer.add_elapsed("draw", time.monotonic() - start)
             data = replace(data, summary=replace(data.summary, seconds=opened.elapsed()))
     roads = {"roads": None if sketch is None else pack_roads(sketch), "roads_missing": missing, "rerun": rerun}
     # Written together, so that page and figures always match.

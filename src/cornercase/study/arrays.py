@@ -1,4 +1,4 @@
-"""Arrays of an analysis in the file of a study: in pieces, as SQLite takes no value of more than 1e9 bytes."""
+"""Arrays of an analysis in the study file, split into pieces because SQLite stores at most 1e9 bytes per value."""
 
 from __future__ import annotations
 
@@ -16,56 +16,35 @@ from cornercase.study.seals import put
 _Rows = Callable[..., list[Any]]
 
 DISTANCES: Final = "distances"
-"""The array between all pairs, of which the upper half is stored."""
+"""The matrix of all pairs, whose upper triangle is stored."""
 
-# Bytes of a piece before it is packed: small beside the whole, so that little is in memory twice.
+# Bytes of a piece before packing; small, so that little is in memory twice.
 _PIECE: Final = 1 << 25
-# Bytes of an array that is not one of all pairs.
+# Limit of bytes of an array other than distances.
 _LARGEST_OTHERS: Final = 1 << 26
-# Rows that are mirrored at once, which keeps both in the processor's cache.
+# Rows mirrored at a time, so that both blocks stay in the processor's cache.
 _BLOCK: Final = 256
 
 
 def write_arrays(connection: sqlite3.Connection, analysis: str, arrays: Mapping[str, npt.ArrayLike]) -> None:
-    """Store arrays of an analysis, within a transaction.
-
-    Parameters
-    ----------
-    connection : sqlite3.Connection
-    analysis : str
-        Its name.
-    arrays : mapping of str to array_like
-        Those that are called ``"distances"`` are square and symmetric, with zeros on the diagonal.
-    """
+    """Store arrays of an analysis within a transaction; `"distances"` is square and symmetric with a zero diagonal."""
     put(connection, "arrays", packed_pieces(connection, analysis, arrays))
 
 
 def packed_pieces(
     connection: sqlite3.Connection, analysis: str, arrays: Mapping[str, npt.ArrayLike]
 ) -> Iterator[tuple[str, str, int, bytes]]:
-    """Cut arrays of an analysis into pieces; as `write_arrays`.
-
-    Parameters
-    ----------
-    connection : sqlite3.Connection
-    analysis : str
-    arrays : mapping of str to array_like
-
-    Yields
-    ------
-    tuple of (str, str, int, bytes)
-        Analysis, name of the array, number of the piece from 0 on, and archive.
-    """
-    # What is packed may be a little longer than what is not.
-    most = min(_PIECE, connection.getlimit(sqlite3.SQLITE_LIMIT_LENGTH) // 2)
+    """Split arrays of an analysis into pieces and yield rows (analysis, array name, piece number from 0, archive)."""
+    # Packing may make a piece a little longer.
+    max_bytes = min(_PIECE, connection.getlimit(sqlite3.SQLITE_LIMIT_LENGTH) // 2)
     for name, array in arrays.items():
-        cut = _halved if name == DISTANCES else _cut
-        for k, one in enumerate(cut(np.asarray(array), most)):
-            yield analysis, name, k, pack_arrays({name: one})
+        split = _halved if name == DISTANCES else _cut
+        for number, piece in enumerate(split(np.asarray(array), max_bytes)):
+            yield analysis, name, number, pack_arrays({name: piece})
 
 
 def _cut(array: npt.NDArray[Any], most: int) -> Iterator[npt.NDArray[Any]]:
-    """Rows of an array, as many at a time as `most` bytes hold."""
+    """Yield the array in slices of rows of at most `max_bytes`."""
     if array.ndim == 0 or array.nbytes <= most:
         yield array
         return
@@ -75,7 +54,7 @@ def _cut(array: npt.NDArray[Any], most: int) -> Iterator[npt.NDArray[Any]]:
 
 
 def _halved(matrix: npt.NDArray[Any], most: int) -> Iterator[npt.NDArray[Any]]:
-    """What lies right of the diagonal, row by row, as many rows at a time as `most` bytes hold."""
+    """Yield the entries right of the diagonal, row by row, in pieces of at most `max_bytes`."""
     rows: list[npt.NDArray[Any]] = []
     size = 0
     for i in range(len(matrix)):
@@ -89,29 +68,9 @@ def _halved(matrix: npt.NDArray[Any], most: int) -> Iterator[npt.NDArray[Any]]:
 
 
 def read_arrays(rows: _Rows, analysis: str, names: list[str], scenarios: int) -> dict[str, npt.NDArray[Any]]:
-    """Read arrays of an analysis; within `damage_told`.
+    """Read arrays of an analysis in their stored shapes; call it within `reraise_as_damage`.
 
-    Parameters
-    ----------
-    rows : callable
-        Reads rows of a table, as `cornercase.study.database.Database.rows`.
-    analysis : str
-        Its name.
-    names : list of str
-        Which arrays.
-    scenarios : int
-        Number of scenarios in the study; a file may not claim distances between more.
-
-    Returns
-    -------
-    dict of str to ndarray, of the shapes that were stored
-
-    Raises
-    ------
-    InputError
-        An array cannot be read.
-    ValueError
-        The pieces do not belong together.
+    `n_scenarios` limits the size of distances, since a file could claim more than its scenarios allow.
     """
     return {
         name: _square(rows, analysis, scenarios) if name == DISTANCES else _joined(list(_pieces(rows, analysis, name)))
@@ -120,7 +79,7 @@ def read_arrays(rows: _Rows, analysis: str, names: list[str], scenarios: int) ->
 
 
 def _pieces(rows: _Rows, analysis: str, name: str) -> Iterator[npt.NDArray[Any]]:
-    """Pieces of an array one after the other, as all together may be large."""
+    """Yield the pieces of an array one by one, since all together may be large."""
     numbers = [part for _, _, part in rows("arrays", "analysis = ? AND name = ?", analysis, name)]
     require(numbers == list(range(len(numbers))), f"pieces of {name} are missing")
     for part in numbers:
@@ -133,6 +92,7 @@ def _joined(pieces: list[npt.NDArray[Any]]) -> npt.NDArray[Any]:
 
 
 def _square(rows: _Rows, analysis: str, scenarios: int) -> npt.NDArray[Any]:
+    """Rebuild the symmetric distance matrix from the pieces of its upper triangle."""
     n = len(_joined(list(_pieces(rows, analysis, "ids"))))
     require(n <= scenarios, f"distances between {n} scenarios")
     matrix: npt.NDArray[Any] | None = None
@@ -141,12 +101,12 @@ def _square(rows: _Rows, analysis: str, scenarios: int) -> npt.NDArray[Any]:
         require(piece.ndim == 1 and piece.dtype.kind == "f", "distances that are no numbers")
         if matrix is None:
             matrix = np.zeros((n, n), piece.dtype)
-        at = 0
-        while at < len(piece) and row < n:
+        offset = 0
+        while offset < len(piece) and row < n:
             count = n - 1 - row
-            matrix[row, row + 1 :] = piece[at : at + count]
-            at, row = at + count, row + 1
-        require(at == len(piece), "distances of other scenarios")
+            matrix[row, row + 1 :] = piece[offset : offset + count]
+            offset, row = offset + count, row + 1
+        require(offset == len(piece), "distances of other scenarios")
     require(matrix is not None and row >= n - 1, "distances that are missing")
     assert matrix is not None
     _mirror(matrix)
@@ -154,7 +114,7 @@ def _square(rows: _Rows, analysis: str, scenarios: int) -> npt.NDArray[Any]:
 
 
 def _mirror(matrix: npt.NDArray[Any]) -> None:
-    """Fill what lies below the diagonal with what lies above it, in place."""
+    """Copy the upper triangle into the lower one, in place."""
     for first in range(0, len(matrix), _BLOCK):
         last = first + _BLOCK
         middle = matrix[first:last, first:last]

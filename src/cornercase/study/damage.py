@@ -1,4 +1,4 @@
-"""What of a study cannot be used, whoever wrote it, in a sentence."""
+"""Turn errors from unusable study content into one-sentence messages."""
 
 from __future__ import annotations
 
@@ -14,51 +14,24 @@ T = TypeVar("T")
 
 _PLAIN: Final[dict[Any, Any]] = {float: float | int, int: int, str: str, NoneType: NoneType}
 
-# What reading a damaged value raises.
+# Errors that damaged values cause.
 _BROKEN: Final = (
     ValueError, LookupError, TypeError, AttributeError, ArithmeticError, RecursionError, MemoryError, StopIteration,
 )  # fmt: skip
 
 
 class DamageError(InputError):
-    """What a study holds is not what was written."""
+    """The content of a study is not what was written."""
 
     @classmethod
     def of(cls, path: Path, what: str) -> DamageError:
-        """Say what is damaged, and what to do.
-
-        Parameters
-        ----------
-        path : Path
-            Of the study.
-        what : str
-            What is damaged.
-
-        Returns
-        -------
-        DamageError
-        """
+        """Say what is damaged, and how to repair it."""
         return cls(f"{path}: is damaged: {what}; `verify` lists all damage, and repairs it with `repair`.")
 
 
 @contextmanager
 def damage_told(path: Path) -> Iterator[None]:
-    """Say in a sentence that what is read within the block cannot be used.
-
-    Parameters
-    ----------
-    path : Path
-        Of the study.
-
-    Yields
-    ------
-    None
-
-    Raises
-    ------
-    InputError
-        Something was missing, or of another type or size than cornercase writes.
-    """
+    """Turn any error from reading unusable content within the block into an `InputError` that names the study."""
     try:
         yield
     except DamageError:
@@ -74,45 +47,17 @@ def damage_told(path: Path) -> Iterator[None]:
 
 
 def require(holds: bool, what: str) -> None:
-    """Refuse what a study holds unless a condition holds; within `damage_told`.
-
-    Parameters
-    ----------
-    holds : bool
-    what : str
-        What is wrong otherwise.
-
-    Raises
-    ------
-    ValueError
-        It does not hold.
-    """
+    """Raise `ValueError` with `message` unless `condition` holds; call it within `reraise_as_damage`."""
     if not holds:
         raise ValueError(what)
 
 
 def made(kind: type[T], plain: Mapping[str, Any]) -> T:
-    """Make a dataclass of plain values, and refuse those of another type than its numbers and texts have.
-
-    Parameters
-    ----------
-    kind : type
-    plain : mapping of str to object
-        Values by field.
-
-    Returns
-    -------
-    object
-
-    Raises
-    ------
-    TypeError
-        A value is missing, too many, or of another type.
-    """
+    """Make a dataclass from plain values; raise `TypeError` if a value is missing, too many or of another type."""
     for name, hint in get_type_hints(kind).items():
-        # What is nested is not looked at.
-        either = get_args(hint) if get_origin(hint) in (Union, UnionType) else (hint,)
-        allowed = tuple(_PLAIN[one] for one in either) if set(either) <= set(_PLAIN) else ()
+        # Nested types are not checked.
+        types = get_args(hint) if get_origin(hint) in (Union, UnionType) else (hint,)
+        allowed = tuple(_PLAIN[option] for option in types) if set(types) <= set(_PLAIN) else ()
         if allowed and name in plain and (isinstance(plain[name], bool) or not isinstance(plain[name], allowed)):
             raise TypeError(f"{kind.__name__} has {str(plain[name])[:60]!r} as its {name}")
     return kind(**plain)

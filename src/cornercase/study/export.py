@@ -1,4 +1,4 @@
-"""Studies as tables: in memory, as CSV and as Parquet."""
+"""Write studies as tables: CSV and Parquet."""
 
 from __future__ import annotations
 
@@ -21,59 +21,36 @@ if TYPE_CHECKING:
 
 
 def write_table(folder: Path, table: pd.DataFrame, parquet: bool = False) -> None:
-    """Write the table of the scenarios.
+    """Write `scenarios.csv`, and `scenarios.parquet` if wanted, with underscores for spaces in column names.
 
-    Parameters
-    ----------
-    folder : Path
-        Gets ``scenarios.csv``; texts in it that a spreadsheet would take for formulas have an apostrophe before them.
-    table : DataFrame
-        In names of columns, underscores are written for spaces.
-    parquet : bool, default False
-        Write ``scenarios.parquet`` too.
-
-    Raises
-    ------
-    InputError
-        The folder cannot be written, or the package that writes Parquet is not installed.
+    In the CSV, texts that a spreadsheet would take for formulas get an apostrophe before them.
     """
-    named = table.set_axis(names_without_spaces(map(str, table.columns)), axis="columns")
+    renamed = table.set_axis(names_without_spaces(map(str, table.columns)), axis="columns")
     if parquet:
         path = folder / "scenarios.parquet"
         _require_pyarrow(path)
         with written_whole(path) as temporary:
-            named.to_parquet(temporary, engine="pyarrow", index=False)
+            renamed.to_parquet(temporary, engine="pyarrow", index=False)
     with written_whole(folder / "scenarios.csv") as temporary:
-        _as_cells(named).to_csv(temporary, index=False, lineterminator="\n", encoding="utf-8")
+        _as_cells(renamed).to_csv(temporary, index=False, lineterminator="\n", encoding="utf-8")
 
 
 def names_without_spaces(names: Iterable[str]) -> list[str]:
-    """Write underscores for spaces, and keep names apart.
-
-    Parameters
-    ----------
-    names : iterable of str
-        Of columns.
-
-    Returns
-    -------
-    list of str
-        Each another one.
-    """
-    found: list[str] = []
+    """Replace spaces in column names by underscores, keeping the names distinct."""
+    unique: list[str] = []
     for name in names:
-        plain = "_".join(name.split()) or "_"
-        while plain in found:
-            plain += "_"
-        found.append(plain)
-    return found
+        column = "_".join(name.split()) or "_"
+        while column in unique:
+            column += "_"
+        unique.append(column)
+    return unique
 
 
 def _require_pyarrow(path: Path) -> None:
     try:
         importlib.import_module("pyarrow")
     except ImportError as error:
-        # Also one that is there and does not fit to NumPy.
+        # An installed version may be incompatible with NumPy.
         why = "" if isinstance(error, ModuleNotFoundError) else f" ({error})"
         raise InputError(
             f"{path}: Parquet needs pyarrow{why}; install it with 'pip install cornercase[parquet]'."
@@ -81,33 +58,21 @@ def _require_pyarrow(path: Path) -> None:
 
 
 def _as_cells(table: pd.DataFrame) -> pd.DataFrame:
-    """Texts of a table such that no spreadsheet takes them for formulas."""
-    written = table.copy()
+    """Escape texts that a spreadsheet would take for formulas."""
+    cells = table.copy()
     for name in table.columns:
-        if any(isinstance(one, str) for one in table[name]):
-            written[name] = table[name].map(lambda one: cell_text(one) if isinstance(one, str) else one)
-    return written.set_axis([cell_text(str(name)) for name in table.columns], axis="columns")
+        if any(isinstance(value, str) for value in table[name]):
+            cells[name] = table[name].map(lambda one: cell_text(one) if isinstance(one, str) else one)
+    return cells.set_axis([cell_text(str(name)) for name in table.columns], axis="columns")
 
 
 def write_scenarios(
     folder: Path, scenarios: Iterable[tuple[int, Recording, Mapping[str, FloatArray]]], parquet: bool = False
 ) -> None:
-    """Write recording and courses of each scenario.
+    """Write `recordings/ID.csv` and `courses/ID.csv` for each scenario (id, recording, courses by metric).
 
-    Parameters
-    ----------
-    folder : Path
-        Gets ``recordings/ID.csv`` and ``courses/ID.csv``.
-    scenarios : iterable of (int, Recording, mapping of str to ndarray of float64, shape (T,))
-        Id, recording, and courses by metric.
-    parquet : bool, default False
-        Write ``recordings.parquet`` and ``courses.parquet`` too, those of all scenarios, each with its id in the column
-        ``scenario``, in a row group of its own.
-
-    Raises
-    ------
-    InputError
-        The folder cannot be written, or the package that writes Parquet is not installed.
+    With `parquet`, also write `recordings.parquet` and `courses.parquet` of all scenarios, with the column `scenario`
+    and one row group per scenario.
     """
     if not parquet:
         for number, recording, courses in scenarios:
@@ -135,7 +100,7 @@ def _write_one(folder: Path, number: int, recording: Recording, courses: Mapping
 
 @contextmanager
 def _parquet(path: Path) -> Iterator[Callable[[Mapping[str, Any]], None]]:
-    """Write tables one below the other, so that one at a time is held."""
+    """Open a Parquet file, and give a function that appends a table, so that only one at a time is in memory."""
     _require_pyarrow(path)
     import pyarrow
     from pyarrow import parquet

@@ -1,4 +1,4 @@
-"""Studies of recordings that were made elsewhere."""
+"""Make studies from recordings of other programs."""
 
 from __future__ import annotations
 
@@ -23,9 +23,8 @@ from cornercase._common.texts import require_commas, text_of_cell
 from cornercase.metrics import EVERYBODY, METRICS, Metric, measured, name_others
 from cornercase.recordings import read_recording
 from cornercase.scenario import Parameter, ParameterSpace, Value
+from cornercase.study._study import Study, begun_study
 from cornercase.study.meta import StudyMeta
-from cornercase.study.opening import begun_study
-from cornercase.study.store import Study
 from cornercase.study.stored_paths import stored_path
 from cornercase.study.table import Row
 
@@ -39,18 +38,18 @@ _MOST_CHOICES: Final = 50
 
 @dataclass(frozen=True)
 class ImportResult:
-    """What was made of recordings in files.
+    """Result of an import.
 
     Attributes
     ----------
     study : Path
         The study.
     done : int
-        Recordings that could be read and measured.
+        Number of recordings that could be read and measured.
     failed : int
-        Those that could not.
+        Number of recordings that could not.
     reason : str
-        Why the first of those could not, in a sentence; empty where all could. The study tells of each.
+        Why the first of those failed, in a sentence; empty if all succeeded. The study has the reason of each.
     """
 
     study: Path
@@ -74,28 +73,29 @@ def import_recordings(
     critical: float | None = None,
     progress: bool = False,
 ) -> ImportResult:
-    """Make a study of recordings in files, or go on with one that was begun.
+    """Make a study of recordings in files, or continue one.
 
     Parameters
     ----------
     folder : path
-        With the recordings, of any kind that `cornercase.recordings.read_recording` reads.
+        Folder with the recordings, in any format that `cornercase.recordings.read_recording` reads.
     study : path
         Study to write.
     ego : str
         Name of the entity under test.
     other : str or sequence of str
-        Whom it is measured against; of several the one counts to whom it is most critical. ``"*"`` stands for all
-        others. Of several, one that a recording does not have counts as nothing in it.
+        Entity that the ego is measured against. With several, the most critical one counts, and one that a recording
+        lacks is ignored in it. ``"*"`` stands for all others.
     metrics : sequence of str
-        The first is the one that counts.
+        Names of metrics; the first one defines criticality.
     table : path, optional
-        CSV with the column ``file``, relative to the folder, and one for each parameter; by default ``parameters.csv``
-        in the folder. A column of numbers is a range from its least to its largest, any other a set of choices.
+        CSV with the column ``file``, relative to the folder, and one column per parameter; by default
+        ``parameters.csv`` in the folder. A column of numbers becomes a range from its minimum to its maximum, any other
+        column a set of choices.
     critical : float, optional
-        Score from which a scenario is critical; the metric's own by default.
+        Threshold of the first metric; the metric's own by default.
     progress : bool, default False
-        Show a bar.
+        Show a progress bar.
 
     Returns
     -------
@@ -104,77 +104,76 @@ def import_recordings(
     Raises
     ------
     InputError
-        The table cannot be used, no recording at all can be read and measured, or the study is of something else.
+        The table cannot be used, no recording can be read and measured, or the study belongs to something else.
     """
     folder, path = arguments.path("folder", folder), arguments.path("study", study)
     if not folder.is_dir():
-        what = "is a file" if folder.exists() else "there is no such folder"
-        raise InputError(f"{folder}: {what}; name the folder that holds the recordings.")
+        problem = "is a file" if folder.exists() else "there is no such folder"
+        raise InputError(f"{folder}: {problem}; name the folder that holds the recordings.")
     if table is None and not (folder / TABLE).exists():
         raise InputError(
-            f"{folder}: has no {TABLE}, which says with which values each recording was run; "
-            "write one, or name it by `table`."
+            f"{folder}: has no {TABLE} with the parameter values of each recording; write one, or name it with `table`."
         )
     table = folder / TABLE if table is None else arguments.path("table", table)
     files, values = _read_table(folder, table)
     others = _others(other, ego, [folder / file for file in files])
-    built = [METRICS.create(name) for name in dict.fromkeys(arguments.texts("metrics", metrics))]
-    if not built:
+    instances = [METRICS.create(name) for name in dict.fromkeys(arguments.texts("metrics", metrics))]
+    if not instances:
         raise InputError("`metrics`: name at least one.")
-    known = critical is not None or built[0].critical is not None
+    has_threshold = critical is not None or instances[0].critical is not None
     meta = StudyMeta(
         scenario=stored_path(folder, path),
         fingerprint=_fingerprint(table, folder, files),
         space=_space(values),
         ego=ego,
         other=others[0] if len(others) == 1 else others,
-        metrics=tuple(metric.name for metric in built),
+        metrics=tuple(metric.name for metric in instances),
         optimizer="none",
         simulator=IMPORTED,
         settings={"table": stored_path(table, path)},
-        critical=built[0].find_threshold(critical) if known else None,
+        critical=instances[0].find_threshold(critical) if has_threshold else None,
         budget=len(files),
         batch=len(files),
         files=tuple(files),
     )
     if not path.exists():
-        # A study of a name that is misspelt would have to be removed before the right one can be made.
-        _require_measurable([folder / file for file in files], built, ego, others)
+        # Check first, since a study with a misspelt name would have to be removed.
+        _require_measurable([folder / file for file in files], instances, ego, others)
     with begun_study(path, meta) as opened:
-        # The table may lie elsewhere now; the fingerprint tells whether it is the same.
-        opened.continue_with(replace(meta, settings=opened.meta.settings))
-        rows = opened.rows() or opened.propose(1, meta.space.points(values), values)
+        # The table may have moved; the fingerprint identifies it.
+        opened.writer.continue_with(replace(meta, settings=opened.meta.settings))
+        rows = opened.rows() or opened.writer.propose(1, meta.space.points(values), values)
         pending = [row for row in rows if row.state == "pending"]
-        shown = track(pending, "Recordings", console=Console(stderr=True), disable=not progress)
-        begun = time.monotonic()
-        for row in shown:
-            _measure(opened, row, folder / files[row.id - 1], built)
-        opened.add_elapsed("measure", time.monotonic() - begun)
+        bar = track(pending, "Recordings", console=Console(stderr=True), disable=not progress)
+        start = time.monotonic()
+        for row in bar:
+            _measure(opened, row, folder / files[row.id - 1], instances)
+        opened.writer.add_elapsed("measure", time.monotonic() - start)
         failed = opened.failed()
         return ImportResult(path, len(opened.done()), len(failed), failed[0].error or "" if failed else "")
 
 
 def _others(other: object, ego: str, files: Sequence[Path]) -> tuple[str, ...]:
-    """Names of the others; the recordings are read where all are meant."""
-    given = name_others(other, ego, (EVERYBODY,))
-    if len(given) == 1 and EVERYBODY not in given:
-        return given
-    known: dict[str, None] = {}
+    """Resolve the names of the others; reads recordings if all others are meant."""
+    names = name_others(other, ego, (EVERYBODY,))
+    if len(names) == 1 and EVERYBODY not in names:
+        return names
+    found_names: dict[str, None] = {}
     for file in files:
-        # A recording that cannot be read is told of as a scenario that failed.
+        # An unreadable recording is reported later as a failed scenario.
         with suppress(InputError):
-            known |= dict.fromkeys(read_recording(file).names)
-        if set(given) <= set(known):
+            found_names |= dict.fromkeys(read_recording(file).names)
+        if set(names) <= set(found_names):
             break
-    # One that is in none of them is misspelt; one that is only in some is never there in the others.
-    for name in given:
-        if name != EVERYBODY and name not in known:
-            raise InputError(f"`other` {name}: none of the recordings has it; {suggestion(name, list(known))}")
-    return name_others(other, ego, list(known))
+    # A name that no recording has is misspelt; others may lack it.
+    for name in names:
+        if name != EVERYBODY and name not in found_names:
+            raise InputError(f"`other` {name}: none of the recordings has it; {suggestion(name, list(found_names))}")
+    return name_others(other, ego, list(found_names))
 
 
 def _require_measurable(files: Sequence[Path], metrics: Sequence[Metric], ego: str, others: Sequence[str]) -> None:
-    """Refuse recordings none of which can be read and measured; one that can ends the search."""
+    """Raise `InputError` unless at least one recording can be read and measured."""
     reasons = []
     for file in files:
         try:
@@ -187,7 +186,7 @@ def _require_measurable(files: Sequence[Path], metrics: Sequence[Metric], ego: s
 
 
 def _said_of(file: Path, error: InputError | SimulationError) -> str:
-    """Put the file before what went wrong, where it is not named there."""
+    """Error message that begins with the file, unless the message names it already."""
     return str(error) if str(file) in str(error) else f"{file}: {error}"
 
 
@@ -196,16 +195,16 @@ def _measure(study: Study, row: Row, file: Path, metrics: Sequence[Metric]) -> N
         recording = read_recording(file)
         courses = measured(metrics, recording, study.meta.ego, study.meta.others)
     except (InputError, SimulationError) as error:
-        # That of a broken disk is not the recording's fault; the same command goes on with it.
+        # A disk error is not the recording's fault; the same command can be run again.
         if is_of_the_machine(error):
             raise
-        study.fail(row.id, SimulationError(_said_of(file, error)))
+        study.writer.fail(row.id, SimulationError(_said_of(file, error)))
         return
-    study.finish(row.id, recording, courses)
+    study.writer.finish(row.id, recording, courses)
 
 
 def _read_table(folder: Path, table: Path) -> tuple[list[str], list[dict[str, Value]]]:
-    """Files and the values of their parameters."""
+    """Read the files and the values of their parameters from the CSV table."""
     try:
         reader = csv.DictReader(io.StringIO(read_file(table).decode("utf-8-sig"), newline=""))
         names = list(reader.fieldnames or ())
@@ -216,12 +215,12 @@ def _read_table(folder: Path, table: Path) -> tuple[list[str], list[dict[str, Va
     if _FILE not in names or len(names) < 2 or len(set(names)) < len(names):
         raise InputError(f"{table}: needs a header with '{_FILE}' and each parameter once, not {', '.join(names)}.")
     if len(rows) < 2:
-        raise InputError(f"{table}: names {len(rows)} recordings; at least 2 can be compared.")
+        raise InputError(f"{table}: names {len(rows)} recordings; at least 2 are needed.")
     files: list[str] = []
     values: list[dict[str, Value]] = []
     for line, row in rows:
         if None in row or None in row.values() or "" in row.values():
-            raise InputError(f"{table}, line {line}: has a field too many, or one is empty.")
+            raise InputError(f"{table}, line {line}: has an extra or an empty field.")
         if "\0" in row[_FILE] or not (folder / row[_FILE]).is_file():
             raise InputError(f"{table}, line {line}: there is no file {folder / row[_FILE]}.")
         if row[_FILE] in files:
@@ -229,10 +228,10 @@ def _read_table(folder: Path, table: Path) -> tuple[list[str], list[dict[str, Va
         files.append(row[_FILE])
         values.append({text_of_cell(name): text_of_cell(row[name]) for name in names if name != _FILE})
     for name in map(text_of_cell, names):
-        numbers = [_number(str(one[name])) for one in values] if name != _FILE else [None]
+        numbers = [_number(str(row_values[name])) for row_values in values] if name != _FILE else [None]
         if all(number is not None for number in numbers):
-            for one, number in zip(values, numbers, strict=True):
-                one[name] = float(number or 0.0)
+            for row_values, number in zip(values, numbers, strict=True):
+                row_values[name] = float(number or 0.0)
     return files, values
 
 
@@ -247,13 +246,13 @@ def _number(text: str) -> float | None:
 def _space(values: Sequence[dict[str, Value]]) -> ParameterSpace:
     parameters = []
     for name in values[0]:
-        found = [one[name] for one in values]
-        if isinstance(found[0], float):
-            low, high = min(map(float, found)), max(map(float, found))
-            # What is the same in all is a range of one value.
+        column = [text[name] for text in values]
+        if isinstance(column[0], float):
+            low, high = min(map(float, column)), max(map(float, column))
+            # A constant becomes a range of one value.
             parameters.append(Parameter(name, low, high, None if low < high else 1.0))
             continue
-        choices = tuple(sorted({str(one) for one in found}))
+        choices = tuple(sorted({str(text) for text in column}))
         if len(choices) > _MOST_CHOICES:
             raise InputError(f"The parameter '{name}' has {len(choices)} different texts; leave it out.")
         parameters.append(Parameter(name, 0.0, float(len(choices) - 1), None, choices))
@@ -261,10 +260,10 @@ def _space(values: Sequence[dict[str, Value]]) -> ParameterSpace:
 
 
 def _fingerprint(table: Path, folder: Path, files: Sequence[str]) -> str:
-    """Hash of the table and of all recordings."""
+    """SHA-256 of the table and all recordings."""
     digest = hashlib.sha256(read_file(table))
     for file in files:
-        # As they may be large, they are not held whole.
+        # Large files are hashed without loading them.
         try:
             with open(folder / file, "rb") as opened:
                 digest.update(hashlib.file_digest(opened, "sha256").digest())

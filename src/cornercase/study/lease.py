@@ -1,13 +1,13 @@
-"""Who may write to a study: a lease in the file itself, which holds by whatever name the file is opened.
+"""The lease of a study: who may write to it, stored in the file itself, so that it holds for every name of the file.
 
-A lock file beside the study would belong to a name: a link, another name of the same file, or a removed lock let two
-write at once. A lock of the operating system on the study would be the same lock as SQLite's own on some platforms, and
-disturb it; closing any other handle of the file lets go SQLite's. So the one who writes stands in the table ``lease``,
-which SQLite itself protects, on network file systems as far as it protects the study.
+A lock file beside the study would belong to one name: a link, a second name of the file, or a removed lock would let
+two processes write. A lock of the operating system on the study would disturb SQLite's own lock on some platforms, and
+closing any other handle of the file releases SQLite's lock. So the writer is noted in the table ``lease``, which SQLite
+protects, on network file systems as well as it protects the study.
 
-Each transaction looks first whether the lease is still there. So two never write, whatever the clocks say: one that was
-taken for dead ends at its next transaction. Whether another one is alive is known at once on the same machine. One
-elsewhere renews its lease, and counts as dead when it has not done so for two minutes.
+Each transaction first checks that the lease is still there. So two processes never write, whatever the clocks say: one
+that was believed dead ends at its next transaction. On the same machine it is known at once whether the holder is
+alive. A holder on another machine renews its lease, and counts as dead if it has not done so for two minutes.
 """
 
 from __future__ import annotations
@@ -28,10 +28,10 @@ from typing import Any, Final
 
 from cornercase._common.errors import InputError, StudyLostError
 
-# s between renewals, and s after which one that was not renewed counts no more.
+# Time in s between renewals, and after which a lease expires that was not renewed.
 _BEAT: Final = 30.0
 _LONGEST: Final = 120.0
-# s by which the beginning of a process may be told otherwise the next time, where it is told by the clock.
+# Tolerance in s for the start time of a process, which depends on the clock on some systems.
 _ALIKE: Final = 5.0
 _PATIENCE: Final = 5.0
 
@@ -41,17 +41,7 @@ _held: set[tuple[int, str]] = set()
 
 @dataclass(frozen=True)
 class Lease:
-    """The right to write to a study.
-
-    Attributes
-    ----------
-    path : Path
-        The study.
-    token : str
-        Tells this lease from all others.
-    ended : threading.Event
-        Set when it is given back.
-    """
+    """The right to write to a study; `token` identifies the lease, and `released` is set when it is given back."""
 
     path: Path
     token: str
@@ -59,31 +49,14 @@ class Lease:
 
     @classmethod
     def take(cls, path: Path, connection: sqlite3.Connection) -> Lease:
-        """Take the lease of a study.
-
-        Parameters
-        ----------
-        path : Path
-        connection : sqlite3.Connection
-
-        Returns
-        -------
-        Lease
-
-        Raises
-        ------
-        InputError
-            Another one holds it.
-        sqlite3.Error
-            The study cannot be written.
-        """
+        """Acquire the lease of a study; raises `InputError` if another process holds it."""
         token = secrets.token_hex(16)
         connection.execute("BEGIN IMMEDIATE")
         try:
             require_no_writer(path, connection)
             connection.execute("DELETE FROM lease")
-            mine = (token, platform.node(), _machine(), os.getpid(), _began(os.getpid()), time.time())
-            connection.execute("INSERT INTO lease VALUES (?, ?, ?, ?, ?, ?)", mine)
+            row = (token, platform.node(), _machine(), os.getpid(), _began(os.getpid()), time.time())
+            connection.execute("INSERT INTO lease VALUES (?, ?, ?, ?, ?, ?)", row)
             connection.execute("COMMIT")
         except BaseException:
             if connection.in_transaction:
@@ -95,95 +68,59 @@ class Lease:
         return lease
 
     def require(self, connection: sqlite3.Connection) -> None:
-        """Look, within a transaction, whether the study is still this lease's.
-
-        Parameters
-        ----------
-        connection : sqlite3.Connection
-
-        Raises
-        ------
-        StudyLostError
-            Another one has taken it.
-        """
+        """Raise `StudyLostError` if another process has taken over the study; call it within a transaction."""
         if not self.stands(connection):
             raise StudyLostError(
-                f"{self.path}: another cornercase took this study over, as this one seemed to have ended; what was"
-                " stored until then is in it. Run the same command again once the other one has ended."
+                f"{self.path}: another cornercase took over this study, because this one seemed to have ended. What was"
+                " stored until then is kept. Run the same command again when the other one has ended."
             )
 
     def stands(self, connection: sqlite3.Connection) -> bool:
-        """Tell whether the lease stands in a file.
-
-        Parameters
-        ----------
-        connection : sqlite3.Connection
-            With the file.
-
-        Returns
-        -------
-        bool
-        """
+        """Tell whether this lease is stored in the file of a connection."""
         return connection.execute("SELECT 1 FROM lease WHERE token = ?", (self.token,)).fetchone() is not None
 
     def forget(self) -> None:
-        """Let it go without writing to the file, which is another one by now."""
+        """Give up the lease without writing to the file, which has been replaced."""
         self.ended.set()
         _held.discard((os.getpid(), self.token))
 
     def give_back(self, connection: sqlite3.Connection | None = None) -> None:
-        """Let another one write.
+        """Release the lease, so that another process can write.
 
-        Parameters
-        ----------
-        connection : sqlite3.Connection, optional
-            By default one of its own, which any thread may use.
+        By default it uses a connection of its own, which works from any thread.
         """
         self.ended.set()
         if (os.getpid(), self.token) not in _held:
             return
         _held.discard((os.getpid(), self.token))
-        # Where it cannot be taken out, the end of this process does it.
+        # If it cannot be deleted, it expires with this process.
         with suppress(sqlite3.Error):
             if connection is not None:
                 _remove(connection, self.token)
             elif self.path.is_file():
-                with closing(sqlite3.connect(self.path, timeout=_PATIENCE)) as own:
-                    _remove(own, self.token)
+                with closing(sqlite3.connect(self.path, timeout=_PATIENCE)) as own_connection:
+                    _remove(own_connection, self.token)
 
     def _renew(self) -> None:
-        """Say from time to time that this process is alive, to those on other machines."""
+        """Renew the lease regularly, so that other machines see that this process is alive."""
         while not self.ended.wait(_BEAT):
-            # What was removed is not made again.
+            # mode=rw does not create a file that was removed.
             with suppress(sqlite3.Error, OSError):
                 location = f"{self.path.resolve().as_uri()}?mode=rw"
-                with closing(sqlite3.connect(location, uri=True, timeout=_PATIENCE)) as own, own:
-                    own.execute("UPDATE lease SET beat = ? WHERE token = ?", (time.time(), self.token))
+                with closing(sqlite3.connect(location, uri=True, timeout=_PATIENCE)) as connection, connection:
+                    connection.execute("UPDATE lease SET beat = ? WHERE token = ?", (time.time(), self.token))
 
 
 def require_no_writer(path: Path, connection: sqlite3.Connection) -> None:
-    """Refuse a study that another one writes to.
-
-    Parameters
-    ----------
-    path : Path
-    connection : sqlite3.Connection
-
-    Raises
-    ------
-    InputError
-        Another one holds its lease.
-    sqlite3.Error
-        The lease cannot be read.
-    """
+    """Raise `InputError` if another process holds the lease of the study."""
     for row in connection.execute("SELECT token, host, machine, pid, began, beat FROM lease").fetchall():
         if _is_alive(row):
-            here = row[2] == _machine()
-            where = "" if here else f" on {str(row[1])[:80]}"
-            # Whether it was killed is not seen from here.
-            until = "it has ended" if here else "it has ended, or two minutes if it was killed"
+            is_local = row[2] == _machine()
+            where = "" if is_local else f" on {str(row[1])[:80]}"
+            # From another machine it is unknown whether the process was killed.
+            advice = "it has ended" if is_local else "it has ended, or two minutes if it was killed"
             raise InputError(
-                f"{path}: another cornercase is writing to it (process {row[3]}{where}); wait until {until}."
+                f"{path}: another cornercase is writing to it (process {row[3]}{where}); wait until {advice}."
             )
 
 
@@ -193,22 +130,22 @@ def _remove(connection: sqlite3.Connection, token: str) -> None:
 
 
 def _is_alive(row: tuple[Any, ...]) -> bool:
-    """Tell whether the holder of a lease is alive."""
+    """Tell whether the holder of a row of the table ``lease`` is alive."""
     token, host, machine, pid, began, beat = row
-    known = all(isinstance(one, str) for one in (token, host, machine)) and isinstance(pid, int)
-    if not known or not all(isinstance(one, float) for one in (began, beat)):
+    is_valid = all(isinstance(value, str) for value in (token, host, machine)) and isinstance(pid, int)
+    if not is_valid or not all(isinstance(value, float) for value in (began, beat)):
         return False
     if machine != _machine():
         return abs(time.time() - float(beat)) < _LONGEST
     if pid == os.getpid():
         return (pid, token) in _held
-    since = _began(pid)
-    return since is not None and not abs(since - float(began)) >= _ALIKE
+    start = _began(pid)
+    return start is not None and not abs(start - float(began)) >= _ALIKE
 
 
 @cache
 def _machine() -> str:
-    """Name the machine as long as it runs, and what sees the same processes on it."""
+    """Identify this boot of the machine and its process namespace."""
     try:
         boot = Path("/proc/sys/kernel/random/boot_id").read_text(encoding="ascii").strip()
         return f"{boot} {os.readlink('/proc/self/ns/pid')}"
@@ -217,19 +154,19 @@ def _machine() -> str:
 
 
 def _began(pid: int) -> float | None:
-    """When a process began, by whatever clock; None where there is none, NaN where that is not told."""
+    """Start time of a process by an arbitrary clock; None if there is no such process, NaN if it is unknown."""
     try:
-        # After the name, which may hold anything. The clock may be set, the ticks since the start of the machine not.
-        state, *more = (
+        # The fields follow the name, which may contain anything. Ticks since boot do not change with the clock.
+        state, *fields = (
             Path(f"/proc/{pid}/stat").read_text(encoding="ascii", errors="replace").rpartition(")")[2].split()
         )
-        return None if state in "ZX" else float(more[18])
+        return None if state in "ZX" else float(fields[18])
     except FileNotFoundError:
         if Path("/proc/self/stat").exists():
             return None
     except (OSError, IndexError, ValueError):
         pass
-    # Loaded here, as it is not needed on Linux.
+    # Imported here, since Linux does not need it.
     import psutil
 
     try:
@@ -238,5 +175,5 @@ def _began(pid: int) -> float | None:
     except psutil.NoSuchProcess:
         return None
     except psutil.Error:
-        # It is somebody else's, and alive.
+        # Access was denied, so the process is alive.
         return math.nan

@@ -1,7 +1,8 @@
-"""What a study is about."""
+"""The description of a study."""
 
 from __future__ import annotations
 
+import hashlib
 import math
 import re
 from collections.abc import Mapping
@@ -11,6 +12,7 @@ from typing import Any, Final
 
 from cornercase._common.errors import InputError
 from cornercase._common.texts import plain_text, shorten
+from cornercase._common.typing import FloatArray
 from cornercase._common.version import __version__
 from cornercase.drivers import driver_changes
 from cornercase.metrics import condition_of
@@ -28,12 +30,12 @@ _DIFFERENT: Final = {
     "pareto": "another objective",
     "seed": "another seed",
     "batch": "another batch size",
-    "asynchronous": "another kind of search, in rounds or asynchronous",
+    "asynchronous": "another mode of search (in rounds or asynchronous)",
     "settings": "other simulator settings",
     "repeats": "another number of repeats",
     "most_repeats": "another largest number of repeats",
     "audit": "another share of audits",
-    "elsewhere": "a search that began from another study, from none, or from one that has changed since",
+    "elsewhere": "another warm start (another study, none, or one that has changed since)",
     "suite": "other files, or files that have changed since",
 }
 
@@ -45,10 +47,10 @@ _TYPES: Final[dict[str, Any]] = (
     | dict.fromkeys(("metrics", "files", "kinds", "requirements"), list)
     | {"other": (str, list), "critical": (int, float), "audit": (int, float), "pareto": bool, "asynchronous": bool}
 )
-# Characters of a setting in a message.
+# Largest number of characters of a setting in a message.
 _LONGEST_SETTING: Final = 60
 _DRIVERS: Final = "drivers"
-# What only later versions write.
+# Keys that are only written if they are used.
 _LATER: Final = (
     "asynchronous", "elsewhere", "kinds", "most_repeats", "origin", "repeatability", "requirements", "suite",
 )  # fmt: skip
@@ -56,87 +58,80 @@ _YES_OR_NO: Final = ("asynchronous", "pareto")
 
 
 MOST_AUDITS: Final = 0.5
-"""Greatest share of the scenarios of a study that may be audits."""
+"""Largest fraction of the scenarios of a study that may be audits."""
 
 
 def count_audits(share: float, scenarios: int) -> int:
-    """Count the audits among the first scenarios of a study.
-
-    Parameters
-    ----------
-    share : float
-        Of audits among all.
-    scenarios : int
-
-    Returns
-    -------
-    int
-    """
+    """Number of audits among the first `n_scenarios` of a study, for a given fraction of audits."""
     return math.floor(share * scenarios + 1e-9)
+
+
+def digest_of_scores(points: FloatArray, scores: FloatArray) -> str:
+    """SHA-256 of points, shape (n, d), and their scores, shape (n,)."""
+    return hashlib.sha256(points.astype("<f8").tobytes() + scores.astype("<f8").tobytes()).hexdigest()
 
 
 @dataclass(frozen=True)
 class StudyMeta:
-    """What a study is about: everything that its content depends on.
+    """The description of a study: everything that its content depends on.
 
     Attributes
     ----------
     scenario : str
-        Path of the scenario file, or of the folder of imported recordings or of a suite, from the folder of the study
-        on, as `stored_path` gives it. Earlier versions stored an absolute one, of which only the name counts.
+        Path of the scenario file, of the folder of imported recordings, or of a suite, relative to the folder of the
+        study as `stored_path` gives it.
     fingerprint : str
-        SHA-256 of the scenario and the files that it uses, or of the imported files; of a suite that of its first one.
+        SHA-256 of the scenario and the files that it uses, or of the imported files; for a suite that of its first one.
     space : ParameterSpace
-        What is varied.
+        The parameter space.
     ego : str
         Name of the entity under test.
     other : str or tuple of str
-        Whom the metrics look at beside it; several names where there are several.
+        Name of the entity that the ego is measured against; several names if there are several.
     metrics : tuple of str
-        The first is the one that is searched.
+        Names of the metrics; the first one is the objective.
     optimizer : str
         Name of the optimizer; ``"none"`` for imported recordings and suites.
     simulator : str
         Name of the simulator; ``"imported"`` for imported recordings.
     settings : mapping of str to object
-        What the recordings depend on besides the scenario.
+        Everything else that the recordings depend on.
     critical : float or None
-        Threshold: score from which a scenario is critical; None where nothing says it.
+        Threshold of the objective; None if there is none.
     weights : mapping of str to float
-        Weight of each metric in the sum that is searched; empty where the first metric is searched.
+        Weight of each metric in the weighted sum that is the objective; empty if the first metric is.
     pareto : bool
         Whether the Pareto front of all metrics is searched.
     seed, budget, batch : int
-        Seed of the search, number of scenarios in all, and in each round.
+        Seed of the optimizer, number of scenarios in total, and per round.
     repeats : int
-        How often each scenario is run.
+        Number of runs of each scenario.
     most_repeats : int or None
-        How often a scenario is run at most while it is open on which side of the threshold it is; None where each is
-        run `repeats` times.
+        Largest number of runs of a scenario for which it is undecided on which side of the threshold it is; None if
+        each scenario has `repeats` runs.
     audit : float
-        Share of the scenarios that are drawn at random to judge the search, and that it is never told.
+        Fraction of the scenarios that are audits: drawn at random to judge the search, and hidden from it.
     asynchronous : bool
-        Whether the search was asked for the next scenario as soon as one had ended.
+        Whether the optimizer was asked for the next scenario as soon as one had ended, instead of in rounds.
     elsewhere : mapping of str to object
-        What is known of the study that the search began from: the name of its file (``study``), its ``fingerprint``,
-        ``simulator``, ``settings`` and number of ``scenarios``, and ``sha256`` of their points and scores; empty where
-        it began from nothing.
+        The study of the warm start: the name of its file (``study``), its ``fingerprint``, ``simulator``, ``settings``
+        and number of ``scenarios``, and ``sha256`` of their points and scores; empty without a warm start.
     repeatability : mapping of str to object
-        What came of running a scenario a second time: its id (``scenario``), whether both recordings are the ``same``
-        bytes, and if not, by how many m entities are ``apart`` at most, None where that cannot be said; empty where it
-        was not tried.
+        Result of running a scenario a second time: its id (``scenario``), whether both recordings have the ``same``
+        bytes, and otherwise the largest distance of entities in m (``apart``; None if it is unknown); empty if not
+        tried.
     files : tuple of str
-        Imported recordings, or the scenario files of a suite, in the order of the scenarios' ids.
+        Imported recordings, or scenario files of a suite, in the order of the scenarios' ids.
     kinds : tuple of str
-        What kind each scenario of a suite is of, in words, in the same order; empty where none is known.
+        Name of the cluster that each scenario of a suite represents, in the same order; empty if unknown.
     requirements : tuple of str
-        What the scenarios of a suite have to fulfil, each as `cornercase.suite.Requirement` reads it.
+        Requirements on the scenarios of a suite, as `cornercase.suite.Requirement` parses them.
     suite : str
-        SHA-256 of all files of a suite, and of those that they use; empty where one scenario file was explored.
+        SHA-256 of all files of a suite and of the files that they use; empty if one scenario file was explored.
     origin : str
-        `fingerprint` of the study that a suite was reduced from; empty where there is none.
+        `fingerprint` of the study that a suite was reduced from; empty if there is none.
     version : str
-        Version of cornercase that made the study.
+        Version of cornercase that created the study.
     """
 
     scenario: str
@@ -174,7 +169,7 @@ class StudyMeta:
 
     @property
     def searched(self) -> tuple[str, ...]:
-        """Metrics whose scores are searched; none of imported recordings and suites."""
+        """Metrics whose scores the optimizer gets; none for imported recordings and suites."""
         if self.optimizer == "none":
             return ()
         if self.pareto:
@@ -183,31 +178,35 @@ class StudyMeta:
 
     @property
     def runs_of_each(self) -> str:
-        """How often each scenario is run, in words."""
+        """Number of runs of each scenario, in words."""
         return str(self.repeats) if self.most_repeats is None else f"{self.repeats} to {self.most_repeats}"
 
     @property
     def file_name(self) -> str:
-        """Name of the scenario file, the or the first of a suite, or of the folder of recordings, without folders."""
+        """Name without folders of the scenario file (for a suite its first one) or of the folder of recordings."""
         return _last_part(self.files[0] if self.suite and self.files else self.scenario)
 
     @property
     def runs_differ(self) -> str:
-        """How two runs of the same scenario differ, in words; empty where none are known to."""
+        """How two runs of the same scenario differ, in words; empty if they are not known to differ."""
         if self.repeatability.get("same", True):
             return ""
-        apart = self.repeatability.get("apart")
-        how = f"in its recordings entities are up to {apart:.3g} m apart" if apart else "more than positions differs"
-        return f"scenario {self.repeatability['scenario']} was run twice, and {how}"
+        distance = self.repeatability.get("apart")
+        difference = (
+            f"in its recordings entities are up to {distance:.3g} m apart"
+            if distance
+            else "more than positions differs"
+        )
+        return f"scenario {self.repeatability['scenario']} was run twice, and {difference}"
 
     @property
     def drivers(self) -> dict[str, Any]:
-        """Who drives, by entity, as `cornercase.drivers.describe_driver` says it; empty where the file alone does."""
+        """Drivers by entity, in the form of `cornercase.drivers.describe_driver`; empty if none were given."""
         return dict(self.settings.get(_DRIVERS, {}))
 
     @property
     def title(self) -> str:
-        """What the study is called: the name of its scenario file without ending, or that of its folder."""
+        """Name of the scenario file or folder without its ending."""
         return Path(_last_part(self.scenario)).stem
 
     def to_json(self) -> dict[str, Any]:
@@ -216,18 +215,17 @@ class StudyMeta:
         Returns
         -------
         dict of str to object
-            By the name of the field; None stands for an empty or a plain one.
+            By field name; None stands for an empty or default value.
         """
-        # A study is written as before there were searches without rounds, or from other studies, or with more runs
-        # where they are needed, or second runs, unless it is of one.
-        later = {
+        # These keys are only written if the study uses them.
+        is_written = {
             "asynchronous": self.asynchronous,
             "elsewhere": bool(self.elsewhere),
             "most_repeats": self.most_repeats is not None,
             "repeatability": bool(self.repeatability),
         }
-        written = [one.name for one in fields(self) if later.get(one.name, True)]
-        return {name: getattr(self, name) for name in written} | {
+        names = [field_.name for field_ in fields(self) if is_written.get(field_.name, True)]
+        return {name: getattr(self, name) for name in names} | {
             "space": self.space.to_json(),
             "other": self.other if isinstance(self.other, str) else list(self.other),
             "metrics": list(self.metrics),
@@ -244,7 +242,7 @@ class StudyMeta:
         }
 
     def is_audit(self, scenario: int) -> bool:
-        """Tell whether a scenario is an audit: the last one with which their share of all is reached again.
+        """Tell whether a scenario is an audit, which keeps the number of audits at their fraction of all.
 
         Parameters
         ----------
@@ -259,7 +257,7 @@ class StudyMeta:
 
     @classmethod
     def from_json(cls, plain: Mapping[str, Any]) -> StudyMeta:
-        """Make it of what `to_json` gave.
+        """Make it from the result of `to_json`.
 
         Parameters
         ----------
@@ -272,10 +270,10 @@ class StudyMeta:
         Raises
         ------
         ValueError, LookupError, TypeError, AttributeError or OverflowError
-            It is of something else.
+            The values do not describe a study.
         """
-        # A field that is plain or empty stands there as None.
-        known = [one.name for one in fields(cls) if one.name in plain or one.name not in _LATER]
+        # Empty and default values are stored as None.
+        known = [item.name for item in fields(cls) if item.name in plain or item.name not in _LATER]
         given = {name: plain[name] for name in known if plain[name] is not None}
         for name, value in given.items():
             if name in _TYPES and (
@@ -285,17 +283,17 @@ class StudyMeta:
         if isinstance(given["other"], list):
             given["other"] = _several(given["other"])
         for name in ("metrics", "files", "kinds", "requirements"):
-            if not all(isinstance(one, str) for one in given.get(name, ())):
+            if not all(isinstance(item, str) for item in given.get(name, ())):
                 raise ValueError(f"its {name} are no texts")
-        if not given["metrics"] or not all(isinstance(one, int | float) for one in given.get("weights", {}).values()):
+        if not given["metrics"] or not all(isinstance(item, int | float) for item in given.get("weights", {}).values()):
             raise ValueError("it has no metrics, or weights that are no numbers")
         numbers = (given.get("critical", 0.0), *given.get("weights", {}).values())
-        if not all(math.isfinite(float(one)) for one in numbers):
+        if not all(math.isfinite(float(item)) for item in numbers):
             raise ValueError("its critical or its weights are not finite")
         known = given.get("elsewhere", {})
         if known and not all(isinstance(known.get(key), str) for key in ("sha256", "simulator", "study")):
             raise ValueError("it does not say what its search began from")
-        if (tried := given.get("repeatability")) and not _is_try(tried):
+        if (repeatability := given.get("repeatability")) and not _is_try(repeatability):
             raise ValueError("it does not say what came of a second run")
         if given.get("most_repeats", math.inf) <= given.get("repeats", 1):
             raise ValueError("its most_repeats are no more than its repeats")
@@ -307,19 +305,18 @@ class StudyMeta:
         return cls(**given | {"space": ParameterSpace.from_json(plain["space"])})
 
     def require_same(self, other: StudyMeta, path: Path, *, same_budget: bool = False) -> None:
-        """Refuse to go on with a study of something else.
+        """Raise `InputError` unless a study of this description can be continued with another one.
 
-        The budget may grow, files may lie and the simulator may run elsewhere, and a threshold may be given where there
-        is none.
+        The budget may grow, files and simulator may be in another place, and a threshold may be added if there is none.
 
         Parameters
         ----------
         other : StudyMeta
-            What one wants to go on with.
+            Description to continue with.
         path : Path
-            The study, for messages.
+            Path of the study, for messages.
         same_budget : bool, default False
-            Whether the budget may not grow, because the search depends on it.
+            Whether the budget has to stay, because the optimizer depends on it.
 
         Raises
         ------
@@ -328,30 +325,30 @@ class StudyMeta:
         """
         if self.suite and other.suite and self.suite != other.suite:
             raise InputError(
-                f"{path}: is of other scenarios than are there now: files were added, taken away or changed since; name"
+                f"{path}: has other scenarios than the folder now: files were added, removed or changed since; name"
                 " another study with `study`."
             )
-        for name, words in _DIFFERENT.items():
+        for name, description in _DIFFERENT.items():
             mine, given = getattr(self, name), getattr(other, name)
             if name == "scenario" and self.fingerprint == other.fingerprint:
                 continue
             if name == "space":
-                # Its constraints follow from the file, and earlier versions did not write them.
+                # Its constraints follow from the file.
                 ours, theirs = mine.parameters, given.parameters
                 mine, given = _with_units(ours, theirs), _with_units(theirs, ours)
             if name == "elsewhere":
-                # Its file may lie elsewhere and be called otherwise; its scores may not be others.
+                # The file may have moved; its scores must be the same.
                 mine, given = mine.get("sha256"), given.get("sha256")
             if name == "metrics" and condition_of(mine) != condition_of(given):
-                words = "another condition of what is critical"
+                description = "another condition of what is critical"
             if mine != given:
                 if name == "settings":
                     _require_same_files(mine, given, path)
-                    words += f" ({_differences(mine, given)})"
+                    description += f" ({_differences(mine, given)})"
                 raise InputError(
-                    f"{path}: belongs to {words}; name another study with `study`, or give the same options."
+                    f"{path}: belongs to {description}; name another study with `study`, or give the same options."
                 )
-        # Where it runs may change; what the recordings depend on is among the settings.
+        # The address may change; the settings hold everything that recordings depend on.
         if self.simulator.partition(":")[0] != other.simulator.partition(":")[0]:
             raise InputError(
                 f"{path}: belongs to another simulator; name another study with `study`, or give the same."
@@ -368,56 +365,58 @@ class StudyMeta:
 
 
 def _is_try(plain: Mapping[str, Any]) -> bool:
-    """Whether it is what `StudyMeta.repeatability` holds."""
-    apart, scenario = plain.get("apart"), plain.get("scenario")
+    """Tell whether the values are valid as `StudyMeta.repeatability`."""
+    distance, scenario = plain.get("apart"), plain.get("scenario")
     return (
         isinstance(plain.get("same"), bool)
         and isinstance(scenario, int)
-        and (apart is None or (isinstance(apart, int | float) and math.isfinite(apart)))
+        and (distance is None or (isinstance(distance, int | float) and math.isfinite(distance)))
     )
 
 
 def _with_units(parameters: tuple[Parameter, ...], like: tuple[Parameter, ...]) -> tuple[Parameter, ...]:
-    """Give parameters without a unit that of others: a range as an option has none, and no value depends on it."""
-    units = {one.name: one.unit for one in like}
-    return tuple(replace(one, unit=one.unit or units.get(one.name, "")) for one in parameters)
+    """Fill missing units from `reference`: a range given as an option has none, and no value depends on it."""
+    units = {parameter.name: parameter.unit for parameter in like}
+    return tuple(replace(parameter, unit=parameter.unit or units.get(parameter.name, "")) for parameter in parameters)
 
 
 def _several(names: list[Any]) -> tuple[str, ...]:
-    if len(names) < 2 or not all(isinstance(one, str) for one in names) or len(set(names)) < len(names):
+    if len(names) < 2 or not all(isinstance(name, str) for name in names) or len(set(names)) < len(names):
         raise ValueError(f"its other is {str(names)[:60]}")
     return tuple(names)
 
 
 def _last_part(path: str) -> str:
-    # Written on Windows, it may be read elsewhere.
+    # The path may have been written on Windows.
     return re.split(r"[\\/]", path.rstrip("\\/"))[-1]
 
 
 def _require_same_files(mine: Mapping[str, Any], given: Mapping[str, Any], path: Path) -> None:
-    """Refuse to go on with another version of a driver: a study holds runs of one."""
+    """Raise `InputError` if the file of a driver has changed: a study holds runs of one version."""
     if {**mine, _DRIVERS: None} != {**given, _DRIVERS: None}:
         return
     changes = list(driver_changes(mine.get(_DRIVERS), given.get(_DRIVERS)))
-    for entity, there, here, only_the_file in changes:
-        if only_the_file and all(one[-1] for one in changes):
+    for entity, stored, current, only_file in changes:
+        if only_file and all(change[-1] for change in changes):
             raise InputError(
-                f"{path}: the file of the driver of {entity} has changed since ({plain_text(there)} there,"
-                f" {plain_text(here)} here), and a study holds runs of one version; name another study with `study`, or"
-                " restore the file."
+                f"{path}: the file of the driver of {entity} has changed since ({plain_text(stored)} there,"
+                f" {plain_text(current)} here), and a study holds runs of one version; name another study with"
+                " `study`, or restore the file."
             )
 
 
 def _differences(mine: Mapping[str, Any], given: Mapping[str, Any]) -> str:
-    """Which settings differ, with both values where these are short."""
-    found = []
+    """Settings that differ, with both values if these are short."""
+    texts = []
     for name in sorted({*mine, *given}):
         if name == _DRIVERS:
-            found += [
-                f"driver of {entity}: {plain_text(there)} there, {plain_text(here)} here"
-                for entity, there, here, _ in driver_changes(mine.get(name), given.get(name))
+            texts += [
+                f"driver of {entity}: {plain_text(stored)} there, {plain_text(current)} here"
+                for entity, stored, current, _ in driver_changes(mine.get(name), given.get(name))
             ]
         elif mine.get(name) != given.get(name):
-            values = [shorten(plain_text(str(one.get(name, "none"))), _LONGEST_SETTING) for one in (mine, given)]
-            found.append(f"{name}: {values[0]} there, {values[1]} here")
-    return "; ".join(found)
+            values = [
+                shorten(plain_text(str(settings.get(name, "none"))), _LONGEST_SETTING) for settings in (mine, given)
+            ]
+            texts.append(f"{name}: {values[0]} there, {values[1]} here")
+    return "; ".join(texts)

@@ -1,4 +1,4 @@
-"""Notes that people write about scenarios, also while an explorer writes to the study."""
+"""Notes that people write about scenarios, also while an exploration writes to the study."""
 
 from __future__ import annotations
 
@@ -11,31 +11,30 @@ from cornercase.study.database import written_beside
 from cornercase.study.seals import put, remove
 
 LONGEST_NOTE: Final = 2000
-"""Characters that a note may have."""
+"""Largest number of characters of a note."""
 
-# SQLite counts no further.
+# Largest integer of SQLite.
 _LARGEST_ID: Final = 2**63 - 1
 
 
 def write_note(study: Path | str, scenario: int, note: str) -> None:
-    """Write what somebody thinks of a scenario into its study.
+    """Write a note about a scenario into its study.
 
-    An explorer may be writing to the study: the note is a transaction of its own that takes milliseconds, for which the
-    lock of the explorer is not needed. A study of an earlier version is migrated first, which does need it.
+    An exploration may be writing to the study: the note is a transaction of its own that takes milliseconds and does
+    not need the lease.
 
     Parameters
     ----------
     study : path
-        Of the study.
     scenario : int
         Its id.
     note : str
-        At most 2,000 characters; it takes the place of the one that was there, and an empty one removes it.
+        At most 2,000 characters. It replaces an earlier note; an empty one removes it.
 
     Raises
     ------
     InputError
-        There is no such study or scenario, the note is too long or no text that a file can hold, or the file cannot be
+        There is no such study or scenario, the note is too long or cannot be stored as text, or the file cannot be
         written.
 
     Examples
@@ -47,15 +46,15 @@ def write_note(study: Path | str, scenario: int, note: str) -> None:
     cornercase._common.errors.InputError: missing.db: there is no such study; make one with `explore`.
     """
     file = path("study", study)
-    one = whole_number("scenario", scenario, most=_LARGEST_ID)
+    scenario_id = whole_number("scenario", scenario, most=_LARGEST_ID)
     text = _checked(note)
     with written_beside(file) as connection:
         if not text:
-            remove(connection, "notes", "scenario = ?", one)
+            remove(connection, "notes", "scenario = ?", scenario_id)
             return
-        if connection.execute("SELECT 1 FROM scenarios WHERE id = ?", (one,)).fetchone() is None:
-            raise InputError(f"{file}: holds no scenario {one}.")
-        put(connection, "notes", [(one, text)])
+        if connection.execute("SELECT 1 FROM scenarios WHERE id = ?", (scenario_id,)).fetchone() is None:
+            raise InputError(f"{file}: holds no scenario {scenario_id}.")
+        put(connection, "notes", [(scenario_id, text)])
 
 
 def _checked(note: object) -> str:
@@ -63,11 +62,11 @@ def _checked(note: object) -> str:
         raise InputError(f"`note`: is {type(note).__name__}, not a text.")
     text = note.strip()
     if len(text) > LONGEST_NOTE:
-        raise InputError(f"`note`: has {len(text)} characters; at most {LONGEST_NOTE} are kept.")
+        raise InputError(f"`note`: has {len(text)} characters; the limit is {LONGEST_NOTE}.")
     try:
         text.encode("utf-8")
     except UnicodeEncodeError:
-        raise InputError("`note`: holds half a character, which no file can hold.") from None
+        raise InputError("`note`: contains a character that cannot be encoded.") from None
     if "\0" in text:
-        raise InputError("`note`: holds the character 0, which no note can hold.")
+        raise InputError("`note`: contains a null character.")
     return text

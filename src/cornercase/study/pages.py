@@ -1,4 +1,4 @@
-"""Pages of the file of a study, damaged or not, read one at a time."""
+"""Read the pages of a study file, damaged or not, one at a time."""
 
 from __future__ import annotations
 
@@ -9,25 +9,12 @@ from pathlib import Path
 from typing import BinaryIO, Final
 
 _PAGE: Final = 4096
-# Pages of a row lie mostly side by side; a row of a recording has some.
+# A recording fills several pages, mostly adjacent.
 _REMEMBERED: Final = 256
 
 
 class Pages:
-    """Pages of a file.
-
-    Parameters
-    ----------
-    file : binary file
-        Open for reading.
-
-    Attributes
-    ----------
-    size : int
-        Bytes of a page.
-    length : int
-        Bytes of the file.
-    """
+    """Pages of an SQLite file; `size` is the number of bytes of a page, `length` that of the file."""
 
     def __init__(self, file: BinaryIO) -> None:
         self._file = file
@@ -35,7 +22,7 @@ class Pages:
         file.seek(16)
         size = int.from_bytes(file.read(2), "big")
         size = 65536 if size == 1 else size
-        # What is no size of a page is damaged.
+        # An invalid page size is damaged.
         self.size = size if size >= 512 and not size & (size - 1) else _PAGE
         self.page = lru_cache(_REMEMBERED)(self._page)
 
@@ -43,7 +30,7 @@ class Pages:
         return -(-self.length // self.size)
 
     def _page(self, number: int) -> bytes:
-        """Read a page, of which the first is 1; what is missing of it at the end of the file is left out."""
+        """Read a page, numbered from 1; it is shorter if the file ends within it."""
         if number < 1:
             raise ValueError("a page before the first")
         self._file.seek((number - 1) * self.size)
@@ -52,15 +39,6 @@ class Pages:
 
 @contextmanager
 def opened_pages(path: Path) -> Iterator[Pages]:
-    """Open the pages of a study for as long as the block lasts.
-
-    Parameters
-    ----------
-    path : Path
-
-    Yields
-    ------
-    Pages
-    """
+    """Open the pages of a study for as long as the block lasts."""
     with path.open("rb") as file:
         yield Pages(file)

@@ -1,4 +1,4 @@
-"""A study made anew of what is left of a damaged one."""
+"""Rebuild a study from the intact rows of a damaged one."""
 
 from __future__ import annotations
 
@@ -20,28 +20,28 @@ from cornercase.study.salvaging import Rows, salvaged, tables_in_order
 from cornercase.study.schema import TABLES
 from cornercase.study.seals import put, sealed
 
-# What `analyze` makes again; all of it or none, as its parts belong together.
+# Tables that `analyze` writes; all are kept or none, as they belong together.
 _ANALYSES = ("outcomes", "analyses", "arrays")
 _OF_SCENARIOS = ("courses", "repeats", "against")
 
 
 @dataclass(frozen=True)
 class Remains:
-    """What is left of a study, and what of it has to be run again.
+    """What is left of a damaged study, and what has to be run again.
 
     Attributes
     ----------
     meta : StudyMeta
     rounds : dict of int to int
-        Round of each scenario, by id; 0 where it is not known.
+        Round of each scenario by id; 0 if it is unknown.
     again : tuple of int
-        Scenarios that are to be run again.
+        Ids of scenarios that have to be run again.
     lost : tuple of str
-        What cannot be brought back by running scenarios, in words.
+        What cannot be restored by running scenarios, in words.
     tallies : dict of str to tuple of (int, int)
-        How many rows each table had, and what their checksums come to, where that is known.
+        Row count and XOR of the checksums by table, if known.
     counted : bool
-        Whether it is known how many scenarios it had.
+        Whether the original number of scenarios is known.
     """
 
     meta: StudyMeta
@@ -53,79 +53,67 @@ class Remains:
 
 
 def rebuild(damaged: Path, made: Path) -> Remains:
-    """Make a study of what is left of a damaged one; scenarios that are to be run again are pending in it.
+    """Create a study at `output` from the intact rows of a damaged one; scenarios to run again are pending in it.
 
-    Parameters
-    ----------
-    damaged : Path
-        It is only read.
-    made : Path
-        Where the new one is to be.
-
-    Returns
-    -------
-    Remains
-
-    Raises
-    ------
-    InputError
-        What the study is about is lost, or the file has several names.
+    Raises `InputError` if the description of the study is lost. The damaged file is only read.
     """
     require_one_name(damaged)
-    found = salvaged(damaged)
-    tallies = _known_tallies(damaged, found)
+    rows = salvaged(damaged)
+    tallies = _known_tallies(damaged, rows)
     with damage_told(damaged):
         try:
-            meta = StudyMeta.from_json({key: loaded_json(value) for key, value in found["meta"].values()})
+            meta = StudyMeta.from_json({key: loaded_json(value) for key, value in rows["meta"].values()})
         except (LookupError, ValueError, TypeError, AttributeError, OverflowError):
             meta = None
-    if meta is None or tallies.get("meta", _tally("meta", found["meta"])) != _tally("meta", found["meta"]):
+    if meta is None or tallies.get("meta", _tally("meta", rows["meta"])) != _tally("meta", rows["meta"]):
         raise InputError(
             f"{damaged}: its description (the table meta) is damaged and cannot be restored; run `explore` again,"
             " into another study."
         )
     lost = []
-    if any(tallies.get(name) != _tally(name, found[name]) for name in _ANALYSES):
-        some = "" if set(_ANALYSES) <= set(tallies) else ", if it had any"
-        lost.append(f"its clusters and its reduced set{some}; `analyze` and `reduce` make them again")
+    if any(tallies.get(name) != _tally(name, rows[name]) for name in _ANALYSES):
+        if_any = "" if set(_ANALYSES) <= set(tallies) else ", if it had any"
+        lost.append(f"its clusters and its reduced set{if_any}; `analyze` and `reduce` make them again")
         for name in _ANALYSES:
-            found[name] = {}
+            rows[name] = {}
     if "notes" not in tallies:
         lost.append("notes on scenarios, if there were more")
-    elif missing := tallies["notes"][0] - len(found["notes"]):
+    elif missing := tallies["notes"][0] - len(rows["notes"]):
         lost.append(f"{missing} notes on scenarios")
-    rounds = _rounds_of(found, tallies)
-    again = _sort_out(found, meta, rounds)
+    rounds = _rounds_of(rows, tallies)
+    to_rerun = _sort_out(rows, meta, rounds)
     with closing(sqlite3.connect(made)) as connection:
-        make_tables(connection, *(name for name, about in TABLES.items() if not about.always and _has(meta, name)))
+        make_tables(
+            connection, *(name for name, definition in TABLES.items() if not definition.always and _has(meta, name))
+        )
         for name in TABLES:
             if name != "tallies" and (TABLES[name].always or _has(meta, name)):
-                put(connection, name, found[name].values(), replace=False)
+                put(connection, name, rows[name].values(), replace=False)
         connection.commit()
-    return Remains(meta, rounds, again, tuple(lost), tallies, "scenarios" in tallies)
+    return Remains(meta, rounds, to_rerun, tuple(lost), tallies, "scenarios" in tallies)
 
 
 def _known_tallies(damaged: Path, found: dict[str, Rows]) -> dict[str, tuple[int, int]]:
-    """How many rows each table had: as it is written down, or as they are where the pages of the table are in order.
+    """Row count and XOR of checksums by table: as stored, or as counted if the pages of the table are intact.
 
-    Of a table that is in order, only what stands in it is left in `found`, and nothing that was removed before.
+    For an intact table, rows that had been deleted before are removed from `rows_by_table`.
     """
     tallies = {str(name): (int(rows), int(sums)) for name, rows, sums in found["tallies"].values()}
-    whole = set()
+    intact = set()
     for name, rows in tables_in_order(damaged):
-        whole.add(name)
+        intact.add(name)
         tally = _tally(name, rows)
         if TABLES[name].tallied and tallies.setdefault(name, tally) == tally:
             found[name] = rows
-    for name in (name for name, about in TABLES.items() if about.tallied and "tallies" in whole):
+    for name in (name for name, definition in TABLES.items() if definition.tallied and "tallies" in intact):
         if name not in tallies:
-            # It never had rows.
+            # The table never had rows.
             tallies[name], found[name] = (0, 0), {}
     return tallies
 
 
 def _has(meta: StudyMeta, table: str) -> bool:
-    """Whether a study has a table that not every one has."""
+    """Tell whether the study has an optional table."""
     return {"against": len(meta.others) > 1, "results": meta.asynchronous, "elsewhere": bool(meta.elsewhere)}[table]
 
 
@@ -136,31 +124,33 @@ def _tally(table: str, rows: Rows) -> tuple[int, int]:
 
 
 def _rounds_of(found: dict[str, Rows], tallies: dict[str, tuple[int, int]]) -> dict[int, int]:
-    """Rounds of all scenarios that the study had."""
-    known = {int(row[0]): int(row[1]) for row in found["scenarios"].values()}
+    """Rounds of all scenarios that the study had, by id."""
+    rounds = {int(row[0]): int(row[1]) for row in found["scenarios"].values()}
     last = tallies["scenarios"][0] if "scenarios" in tallies else 0
-    last = max([last, *known, *(int(row[0]) for name in _OF_SCENARIOS for row in found[name].values())])
-    return {one: known.get(one, 0) for one in range(1, last + 1)}
+    last = max([last, *rounds, *(int(row[0]) for name in _OF_SCENARIOS for row in found[name].values())])
+    return {number: rounds.get(number, 0) for number in range(1, last + 1)}
 
 
 def _sort_out(found: dict[str, Rows], meta: StudyMeta, rounds: dict[int, int]) -> tuple[int, ...]:
-    """Make scenarios pending of which something is lost; return their ids."""
-    there: dict[str, dict[int, set[str]]] = {name: defaultdict(set) for name in _OF_SCENARIOS}
+    """Make incomplete scenarios pending; return their ids."""
+    metrics: dict[str, dict[int, set[str]]] = {name: defaultdict(set) for name in _OF_SCENARIOS}
     for name in _OF_SCENARIOS:
         for one in found[name].values():
-            there[name][one[0]].add(one[1])
-    wanted = {"courses": True, "repeats": meta.repeats > 1, "against": len(meta.others) > 1}
-    again = []
+            metrics[name][one[0]].add(one[1])
+    is_required = {"courses": True, "repeats": meta.repeats > 1, "against": len(meta.others) > 1}
+    to_rerun = []
     for number in rounds:
         row = found["scenarios"].get((number,))
-        whole = row is not None and row[4] != "pending"
+        is_complete = row is not None and row[4] != "pending"
         if row is not None and row[4] == "done":
-            whole = all(there[name][number] >= set(meta.metrics) for name, asked in wanted.items() if asked)
-        if whole:
+            is_complete = all(
+                metrics[name][number] >= set(meta.metrics) for name, needed in is_required.items() if needed
+            )
+        if is_complete:
             continue
-        again.append(number)
+        to_rerun.append(number)
         for name in _OF_SCENARIOS:
-            found[name] = {key: each for key, each in found[name].items() if each[0] != number}
+            found[name] = {key: values for key, values in found[name].items() if values[0] != number}
         if row is not None:
             found["scenarios"][number,] = (*row[:4], "pending", None, None)
-    return tuple(again)
+    return tuple(to_rerun)

@@ -1,4 +1,4 @@
-"""How often runs of one scenario are critical, where runs differ, and whether more runs are needed to say so."""
+"""How often runs of one scenario are critical, and whether more runs are needed to decide it."""
 
 from __future__ import annotations
 
@@ -17,41 +17,21 @@ FEWEST_CLEAR_RUNS: Final = 5
 
 
 def shares_of_runs(scores: Sequence[Sequence[float]], threshold: float) -> FloatArray:
-    """Share of the runs of each scenario that are critical, with the interval of Clopper and Pearson.
+    """Fraction of critical runs of each scenario and its 90 % Clopper-Pearson interval, shape (n, 3).
 
-    Parameters
-    ----------
-    scores : sequence of sequence of float, length n
-        Oriented scores of the runs of each scenario.
-    threshold : float
-        Oriented score up to which a run is critical.
-
-    Returns
-    -------
-    ndarray of float64, shape (n, 3)
-        Share, and bounds of the 90 % interval.
+    `scores` are minimized scores of the runs of each scenario; a run is critical up to `threshold`.
     """
     rows = []
-    for one in scores:
-        runs, met = len(one), sum(score <= threshold for score in one)
-        rows.append((met / runs, *clopper_pearson(met, runs, _TAIL)))
+    for run_scores in scores:
+        n_runs, n_critical = len(run_scores), sum(score <= threshold for score in run_scores)
+        rows.append((n_critical / n_runs, *clopper_pearson(n_critical, n_runs, _TAIL)))
     return np.array(rows, dtype=np.float64)
 
 
 def are_open(scores: Sequence[float], threshold: float) -> bool:
-    """Tell whether the runs of a scenario leave open on which side of the threshold it is.
+    """Tell whether the 90 % interval of the probability that a run is critical contains 0.5.
 
-    Parameters
-    ----------
-    scores : sequence of float
-        Oriented scores of its runs; one at least.
-    threshold : float
-        Oriented score up to which a run is critical.
-
-    Returns
-    -------
-    bool
-        Whether the 90 % interval of the probability that a run is critical, as of `shares_of_runs`, holds 0.5.
+    `scores` are minimized scores of the runs of one scenario, at least one.
     """
     ((_, low, high),) = shares_of_runs([scores], threshold)
     return bool(low <= 0.5 <= high)

@@ -1,14 +1,14 @@
-"""The tables of a study file, and what of each row its checksum is of."""
+"""The tables of a study file, and which columns their checksums cover."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 from typing import Final
 
-SCHEMA_VERSION: Final = 6
+SCHEMA_VERSION: Final = 1
 
 APPLICATION: Final = 0x434F524E
-"""What SQLite holds as the application of a file: "CORN"."""
+"""SQLite's application id of a study: "CORN"."""
 
 
 @dataclass(frozen=True)
@@ -18,17 +18,17 @@ class Table:
     Attributes
     ----------
     statement : str
-        Makes it.
+        SQL that creates it.
     columns : tuple of str
-        What a row holds, the blob last.
+        Columns without checksums, the blob last.
     key : int
-        How many of the first columns tell a row from all others; 0 where rows are told apart by their order.
+        Number of leading columns that identify a row; 0 if rows are identified by their order.
     blob : bool
-        Whether the last column is a blob, with a checksum of its own, so that a row can be read without it.
+        Whether the last column is a blob with a checksum of its own, so that a row can be read without it.
     real : int or None
-        Which column holds numbers as floats.
+        Index of the column of floats.
     tallied : bool
-        Whether the study holds how many rows the table has, and what their checksums come to.
+        Whether `tallies` stores the row count and XOR of checksums of this table.
     always : bool
         Whether each study has it.
     """
@@ -48,7 +48,7 @@ class Table:
 
     @property
     def stored(self) -> tuple[str, ...]:
-        """All columns in the order of the file: checksums stand before a blob, which may fill many pages."""
+        """All columns in the order of the file: checksums come before a blob, which may fill many pages."""
         last = self.columns[-1]
         return (*self.light, f"{last}_checksum", "checksum", last) if self.blob else (*self.columns, "checksum")
 
@@ -114,7 +114,7 @@ TABLES: Final[dict[str, Table]] = {
         ("stage", "seconds"),
         1,
         real=1,
-        # The clock is in no other table.
+        # Its rows depend on the clock, and no other table does.
         tallied=False,
     ),
     "against": Table(
@@ -152,10 +152,10 @@ LEASE: Final = (
     "CREATE TABLE lease (token TEXT NOT NULL, host TEXT NOT NULL, machine TEXT NOT NULL, pid INTEGER NOT NULL,"
     " began REAL NOT NULL, beat REAL NOT NULL)"
 )
-"""Makes the table with the one that may write to the study now, while there is one."""
+"""Creates the table with the process that may write to the study, if there is one."""
 
 STATEMENTS: Final = {name: table.statement for name, table in TABLES.items()} | {"lease": LEASE}
-"""Statements of all tables, by name, as SQLite holds them."""
+"""SQL that creates each table, as SQLite stores it."""
 
 ALWAYS: Final = (*(name for name, table in TABLES.items() if table.always), "lease")
 """Tables that each study has."""

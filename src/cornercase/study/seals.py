@@ -1,7 +1,7 @@
-"""Checksums of what a study holds: made where a row is written, and looked at where it is read.
+"""Row checksums: computed when a row is written, and checked when it is read.
 
-Each row has the CRC-32 of what it holds and of the table it stands in, a blob one of its own. How many rows a table
-has, and the exclusive or of their checksums, stands in ``tallies``, so that a row that is gone is missed too.
+Each row has the CRC-32 of its table's name and its values, a blob one of its own. The table ``tallies`` stores the row
+count and the XOR of the checksums of each table, so that a lost row is noticed too.
 """
 
 from __future__ import annotations
@@ -18,43 +18,19 @@ from cornercase.study.schema import TABLES, Table
 
 
 def checksum_of(table: str, values: Sequence[Any]) -> int:
-    """CRC-32 of a row.
-
-    Parameters
-    ----------
-    table : str
-        Where it stands.
-    values : sequence of object
-        What it holds, as SQLite gives it back; the checksum of a blob in its place.
-
-    Returns
-    -------
-    int
-    """
-    # The same on each platform and in each version of Python, and several times as fast as taking them one by one.
+    """CRC-32 of a row with the values that SQLite gives back; a blob is replaced by its checksum."""
+    # The same on all platforms and versions of Python, and much faster than hashing each value.
     return crc32(ascii((table, *values)).encode("ascii"))
 
 
 def sealed(table: str, row: Sequence[Any]) -> tuple[Any, ...]:
-    """Give a row as it is stored.
-
-    Parameters
-    ----------
-    table : str
-    row : sequence of object
-        A value for each column.
-
-    Returns
-    -------
-    tuple
-        With its checksums, in the order of the file.
-    """
-    about = TABLES[table]
+    """Add the checksums to a row, in the column order of the file."""
+    definition = TABLES[table]
     values: list[Any] = [float(one) if isinstance(one, float) else one for one in row]
-    if about.real is not None:
-        # SQLite knows no negative zero.
-        values[about.real] = float(values[about.real]) + 0.0
-    if not about.blob:
+    if definition.real is not None:
+        # SQLite has no negative zero.
+        values[definition.real] = float(values[definition.real]) + 0.0
+    if not definition.blob:
         return (*values, checksum_of(table, values))
     blob = values[-1]
     values[-1] = None if blob is None else crc32(blob)
@@ -62,70 +38,43 @@ def sealed(table: str, row: Sequence[Any]) -> tuple[Any, ...]:
 
 
 def is_sound(table: str, stored: Sequence[Any]) -> bool:
-    """Tell whether a row is as it was written.
-
-    Parameters
-    ----------
-    table : str
-    stored : sequence of object
-        Values in the order of the file; a blob may be left out.
-
-    Returns
-    -------
-    bool
-    """
-    about = TABLES[table]
-    count = len(about.columns)
+    """Tell whether a stored row has valid checksums; its blob may be left out."""
+    definition = TABLES[table]
+    count = len(definition.columns)
     if checksum_of(table, stored[:count]) != stored[count]:
         return False
-    if not about.blob or len(stored) == count + 1:
+    if not definition.blob or len(stored) == count + 1:
         return True
     blob = stored[-1]
     return bool(stored[count - 1] == (crc32(blob) if isinstance(blob, bytes) else None))
 
 
 def put(connection: sqlite3.Connection, table: str, rows: Iterable[Sequence[Any]], *, replace: bool = True) -> None:
-    """Write rows; within a transaction.
-
-    Parameters
-    ----------
-    connection : sqlite3.Connection
-    table : str
-    rows : iterable of sequence
-        A value for each column.
-    replace : bool, default True
-        Whether a row takes the place of one with the same key; otherwise there may be none.
-    """
-    about = TABLES[table]
-    columns = ", ".join(about.stored)
-    write = f"INSERT{' OR REPLACE' * replace} INTO {table} ({columns}) VALUES ({', '.join('?' * len(about.stored))})"
-    known = f"SELECT checksum FROM {table} WHERE {_keys(about)}"
+    """Insert rows within a transaction; `replace` overwrites rows with the same key."""
+    definition = TABLES[table]
+    columns = ", ".join(definition.stored)
+    insert = (
+        f"INSERT{' OR REPLACE' * replace} INTO {table} ({columns}) VALUES ({', '.join('?' * len(definition.stored))})"
+    )
+    query = f"SELECT checksum FROM {table} WHERE {_keys(definition)}"
     added, sums = 0, 0
     for row in rows:
         stored = sealed(table, row)
-        before = connection.execute(known, stored[: about.key]).fetchone() if replace and about.key else None
-        connection.execute(write, stored)
-        added += before is None
-        sums ^= stored[len(about.columns)] ^ (0 if before is None else _number(table, before[0]))
+        previous = (
+            connection.execute(query, stored[: definition.key]).fetchone() if replace and definition.key else None
+        )
+        connection.execute(insert, stored)
+        added += previous is None
+        sums ^= stored[len(definition.columns)] ^ (0 if previous is None else _number(table, previous[0]))
     _tally(connection, table, added, sums)
 
 
 def remove(connection: sqlite3.Connection, table: str, where: str = "1", *values: Any) -> None:
-    """Remove rows; within a transaction.
-
-    Parameters
-    ----------
-    connection : sqlite3.Connection
-    table : str
-    where : str, optional
-        Condition in SQL; by default all are removed.
-    *values : object
-        For its question marks.
-    """
-    found = connection.execute(f"SELECT checksum FROM {table} WHERE {where}", values).fetchall()
-    if found:
+    """Delete rows within a transaction; all of them without a condition."""
+    checksums = connection.execute(f"SELECT checksum FROM {table} WHERE {where}", values).fetchall()
+    if checksums:
         connection.execute(f"DELETE FROM {table} WHERE {where}", values)
-        _tally(connection, table, -len(found), reduce(xor, (_number(table, one) for (one,) in found)))
+        _tally(connection, table, -len(checksums), reduce(xor, (_number(table, checksum) for (checksum,) in checksums)))
 
 
 def _number(table: str, checksum: Any) -> int:
@@ -137,58 +86,27 @@ def _number(table: str, checksum: Any) -> int:
 def read_rows(
     connection: sqlite3.Connection, table: str, where: str = "1", *values: Any, blob: bool = False
 ) -> Iterator[tuple[Any, ...]]:
-    """Read rows, each of which is as it was written.
-
-    Parameters
-    ----------
-    connection : sqlite3.Connection
-    table : str
-    where : str, optional
-        Condition in SQL; by default all are read.
-    *values : object
-        For its question marks.
-    blob : bool, default False
-        Whether the blob of each is read too.
-
-    Yields
-    ------
-    tuple
-        Their columns, without checksums, in the order of their keys.
-
-    Raises
-    ------
-    DamageError
-        A row is not as it was written.
-    """
-    about = TABLES[table]
-    wanted = about.stored if blob or not about.blob else about.stored[:-1]
-    order = ", ".join(about.columns[: about.key]) or "rowid"
-    count = len(about.light)
-    question = f"SELECT {', '.join(wanted)} FROM {table} WHERE {where} ORDER BY {order}"
-    for stored in connection.execute(question, values):
+    """Yield rows without checksums in the order of their keys; raises `DamageError` at an invalid checksum."""
+    definition = TABLES[table]
+    columns = definition.stored if blob or not definition.blob else definition.stored[:-1]
+    order = ", ".join(definition.columns[: definition.key]) or "rowid"
+    count = len(definition.light)
+    query = f"SELECT {', '.join(columns)} FROM {table} WHERE {where} ORDER BY {order}"
+    for stored in connection.execute(query, values):
         if not is_sound(table, stored):
-            raise DamageError(f"its table {table} does not hold {name_of(table, stored)} as it was written")
-        yield (*stored[:count], stored[-1]) if blob and about.blob else stored[:count]
+            raise DamageError(f"its table {table} has a wrong checksum for {name_of(table, stored)}")
+        yield (*stored[:count], stored[-1]) if blob and definition.blob else stored[:count]
 
 
 def require_tally(connection: sqlite3.Connection, table: str) -> None:
-    """Refuse a table of which rows are missing.
-
-    Parameters
-    ----------
-    connection : sqlite3.Connection
-    table : str
-
-    Raises
-    ------
-    DamageError
-        It has other rows than were written.
-    """
+    """Raise `DamageError` if row count or XOR of checksums of a table differ from what is stored."""
     if not TABLES[table].tallied:
         return
-    found = [one for (one,) in connection.execute(f"SELECT checksum FROM {table}")]
-    if not all(isinstance(one, int) for one in found) or _come_to(found) != known_tally(connection, table):
-        raise DamageError(f"its table {table} does not hold the rows that were written")
+    checksums = [checksum for (checksum,) in connection.execute(f"SELECT checksum FROM {table}")]
+    if not all(isinstance(checksum, int) for checksum in checksums) or _come_to(checksums) != known_tally(
+        connection, table
+    ):
+        raise DamageError(f"its table {table} has missing or extra rows")
 
 
 def _come_to(checksums: Sequence[int]) -> tuple[int, int]:
@@ -196,45 +114,19 @@ def _come_to(checksums: Sequence[int]) -> tuple[int, int]:
 
 
 def known_tally(connection: sqlite3.Connection, table: str) -> tuple[int, int]:
-    """Tell how many rows a table has, and what their checksums come to, as it is written down.
-
-    Parameters
-    ----------
-    connection : sqlite3.Connection
-    table : str
-
-    Returns
-    -------
-    tuple of (int, int)
-
-    Raises
-    ------
-    DamageError
-        What is written down is damaged.
-    """
-    found = connection.execute("SELECT * FROM tallies WHERE name = ?", (table,)).fetchone()
-    if found is None:
+    """Stored row count and XOR of checksums of a table; raises `DamageError` if they are damaged."""
+    row = connection.execute("SELECT * FROM tallies WHERE name = ?", (table,)).fetchone()
+    if row is None:
         return 0, 0
-    if not is_sound("tallies", found):
-        raise DamageError(f"how many rows its table {table} has is not as it was written")
-    return int(found[1]), int(found[2])
+    if not is_sound("tallies", row):
+        raise DamageError(f"the row count of its table {table} has a wrong checksum")
+    return int(row[1]), int(row[2])
 
 
 def name_of(table: str, stored: Sequence[Any]) -> str:
-    """Name a row for people.
-
-    Parameters
-    ----------
-    table : str
-    stored : sequence of object
-        Its values.
-
-    Returns
-    -------
-    str
-    """
-    about = TABLES[table]
-    keys = zip(about.columns[: about.key], stored, strict=False)
+    """Key columns and values of a row, in words."""
+    definition = TABLES[table]
+    keys = zip(definition.columns[: definition.key], stored, strict=False)
     return ", ".join(f"{name} {str(value)[:60]!r}" for name, value in keys) or "a row"
 
 

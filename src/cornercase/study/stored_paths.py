@@ -1,4 +1,4 @@
-"""How a study names files: by their way from its folder, or by their names where that would tell how somebody's lie."""
+"""Paths as a study stores them: relative to its folder, or the name alone if the path would reveal private folders."""
 
 from __future__ import annotations
 
@@ -9,81 +9,56 @@ from typing import Final
 
 from cornercase._common.files import LARGEST
 
-# Folders that a way leads up.
+# Largest number of `..` in a stored path.
 _HIGHEST: Final = 3
 
 
 def stored_path(file: Path, study: Path) -> str:
-    """Name a file or folder as a study stores it.
+    """Path of a file or folder as a study stores it.
 
-    Its path is relative to the study's folder, with ``/`` between its parts, so that the same files elsewhere make the
-    same study. Where it would lead up more than three folders, or down again from the root of the file system or from
-    the user's home or above, it tells how the folders of a machine lie: then the name has to do.
+    It is relative to the study's folder, with ``/`` between its parts, so that the same files in another place make the
+    same study. If it would lead up more than three folders, or down again from the root of the file system or from the
+    user's home or above, it would reveal the folders of a machine: then only the name is stored.
 
-    Parameters
-    ----------
-    file : Path
-        The file or folder.
-    study : Path
-        The study's file.
-
-    Returns
-    -------
-    str
-
-    Examples
-    --------
     >>> stored_path(Path("/data/acc/scenarios/cut_in.xosc"), Path("/data/acc/results/s.db"))
     '../scenarios/cut_in.xosc'
     >>> stored_path(Path("/data/acc/cut_in.xosc"), Path("/tmp/s.db"))
     'cut_in.xosc'
     """
-    # A link has the name by which it was given; `..` has none.
+    # Keep the name of a link; resolve `..`.
     file = Path(os.path.abspath(file))
     name, folder, start = file.name, file.parent.resolve(), study.parent.resolve()
     try:
-        way = Path(os.path.relpath(folder, start))
+        relative = Path(os.path.relpath(folder, start))
     except ValueError:
-        # Of another drive there is no way from here.
+        # There is no relative path to another drive.
         return name
-    ups = way.parts.count("..")
-    down = way.parts[ups:]
-    if ups:
+    n_up = relative.parts.count("..")
+    below = relative.parts[n_up:]
+    if n_up:
         common = Path(os.path.commonpath([folder, start]))
-        if ups > _HIGHEST or (down and (common.parent == common or _is_home_or_above(common))):
+        if n_up > _HIGHEST or (below and (common.parent == common or _is_home_or_above(common))):
             return name
-    return (PurePosixPath(*way.parts) / name).as_posix()
+    return (PurePosixPath(*relative.parts) / name).as_posix()
 
 
 def file_named(stored: str, study: Path) -> Path | None:
-    """Find the file that a study names by its way from the study's folder.
+    """Find the scenario file at a path that `stored_path` gave; None if there is none.
 
-    The study may come from anywhere: only a way that `stored_path` gives is gone, and only an OpenSCENARIO file of a
-    size that is read is found at its end.
-
-    Parameters
-    ----------
-    stored : str
-        What `stored_path` gave.
-    study : Path
-        The study's file.
-
-    Returns
-    -------
-    Path or None
-        None where there is none, or the path is absolute.
+    The study may come from anywhere: only paths that `stored_path` can give are followed, and only to OpenSCENARIO
+    files of an accepted size.
     """
     parts = stored.split("/")
-    ups = parts.count("..")
-    plain = all(part not in ("", ".") and not re.search(r"[\\:\x00-\x1f]", part) for part in parts)
-    if not plain or ups > _HIGHEST or ".." in parts[ups:] or not stored.lower().endswith(".xosc"):
+    n_up = parts.count("..")
+    is_plain = all(part not in ("", ".") and not re.search(r"[\\:\x00-\x1f]", part) for part in parts)
+    if not is_plain or n_up > _HIGHEST or ".." in parts[n_up:] or not stored.lower().endswith(".xosc"):
         return None
     folders = (study.parent.resolve() / study.name).parents
-    if ups >= len(folders):
+    if n_up >= len(folders):
         return None
-    file = folders[ups].joinpath(*parts[ups:])
+    file = folders[n_up].joinpath(*parts[n_up:])
     try:
-        # What the system makes up as it is read has no size.
+        # Virtual files of the system have size 0.
         return file if file.is_file() and 0 < file.stat().st_size <= LARGEST else None
     except OSError:
         return None

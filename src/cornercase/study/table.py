@@ -1,4 +1,4 @@
-"""The table of a study's scenarios."""
+"""Scenarios of a study, and their table."""
 
 from __future__ import annotations
 
@@ -24,13 +24,13 @@ class Row:
     id, round : int
         Both from 1 on.
     point : ndarray of float64, shape (d,)
-        In the unit cube.
+        Point in the unit cube.
     values : dict of str to float or str
-        Values of the scenario's parameters.
+        Parameter values.
     state : {"pending", "done", "failed"}
-        Whether it was run.
+        Whether it has run.
     error : str or None
-        Why it could not be run.
+        Why it failed.
     """
 
     id: int
@@ -52,60 +52,41 @@ def scenario_table(
     against: Mapping[str, Mapping[int, str | None]] | None = None,
     runs: Mapping[int, int] | None = None,
 ) -> pd.DataFrame:
-    """Put together what is known of each scenario, a row for each.
+    """Build the table of `Study.table`, with one row per scenario.
 
-    Parameters
-    ----------
-    rows : sequence of Row, length n
-    space : ParameterSpace
-    scores : mapping of str to ndarray of float64, shape (m,)
-        By column; of the m scenarios that were run.
-    clusters : mapping of str to (ndarray of int64, ndarray of int64), shapes (k,)
-        By aspect, ids of scenarios and their clusters.
-    outcomes : mapping of int to str
-        By id.
-    audits : sequence of bool, length n, optional
-        Which scenarios are audits, where there are any.
-    notes : mapping of int to str, optional
-        By id.
-    against : mapping of str to mapping of int to (str or None), optional
-        By metric and id, whom of several others a score is against.
-    runs : mapping of int to int, optional
-        By id, how many runs of each scenario did not fail, where that is not the same of all.
-
-    Returns
-    -------
-    DataFrame
-        As `cornercase.study.Study.table`.
+    `scores` has one value per scenario that ran, by column; `clusters` has ids and labels, by aspect; the others map
+    ids.
     """
-    # Loaded here, since opening a study does not need it.
+    # Imported here, since opening a study does not need it.
     import pandas as pd
 
     ids = np.array([row.id for row in rows], dtype=np.int64)
     done = np.array([row.state == "done" for row in rows], dtype=np.bool_)
-    found: dict[str, Any] = {}
+    columns: dict[str, Any] = {}
     for name, values in scores.items():
-        found[name] = np.full(len(rows), np.nan)
-        found[name][done] = values
+        columns[name] = np.full(len(rows), np.nan)
+        columns[name][done] = values
     if runs is not None:
-        found["runs"] = pd.array([runs.get(row.id) for row in rows], dtype="Int64")
-    for name, whom in (against or {}).items():
-        found[f"other by {name}"] = pd.Series([whom.get(row.id) for row in rows], dtype=object)
+        columns["runs"] = pd.array([runs.get(row.id) for row in rows], dtype="Int64")
+    for name, sources in (against or {}).items():
+        columns[f"other by {name}"] = pd.Series([sources.get(row.id) for row in rows], dtype=object)
     for name, (members, labels) in clusters.items():
         column = pd.Series(pd.NA, index=ids, dtype="Int64")
         column.loc[members] = labels
-        found[f"cluster by {name}"] = column.array
+        columns[f"cluster by {name}"] = column.array
     if outcomes:
-        found["outcome"] = pd.Series([outcomes.get(row.id) for row in rows], dtype=object)
+        columns["outcome"] = pd.Series([outcomes.get(row.id) for row in rows], dtype=object)
     if notes:
-        found["note"] = pd.Series([notes.get(row.id) for row in rows], dtype=object)
-    # As objects, so that None stays None, whatever the version of pandas makes of texts.
-    found["error"] = pd.Series([row.error for row in rows], dtype=object)
-    first: dict[str, Any] = {"id": ids, "round": np.array([row.round for row in rows], dtype=np.int64)}
-    first["state"] = [row.state for row in rows]
+        columns["note"] = pd.Series([notes.get(row.id) for row in rows], dtype=object)
+    # As objects, so that None stays None in all versions of pandas.
+    columns["error"] = pd.Series([row.error for row in rows], dtype=object)
+    leading: dict[str, Any] = {"id": ids, "round": np.array([row.round for row in rows], dtype=np.int64)}
+    leading["state"] = [row.state for row in rows]
     if audits is not None:
-        first["audit"] = list(audits)
+        leading["audit"] = list(audits)
     varied = {parameter.name: [parameter.read(row.values) for row in rows] for parameter in space.parameters}
-    # A parameter may have the name of another column.
-    varied = {f"parameter {name}" if name in first or name in found else name: each for name, each in varied.items()}
-    return pd.DataFrame(first | varied | found)
+    # A parameter may have the same name as another column.
+    varied = {
+        f"parameter {name}" if name in leading or name in columns else name: values_ for name, values_ in varied.items()
+    }
+    return pd.DataFrame(leading | varied | columns)

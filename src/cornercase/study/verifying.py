@@ -1,4 +1,4 @@
-"""Whether everything in a study is as it was written."""
+"""Verify that everything in a study is as it was written."""
 
 from __future__ import annotations
 
@@ -11,40 +11,37 @@ from typing import Final
 
 from cornercase._common import arguments
 from cornercase._common.errors import InputError
+from cornercase.study._study import Study
 from cornercase.study.connecting import (
     connected,
     is_unreachable,
-    of_today,
     require_file,
     require_plain,
     require_study,
+    schema_version,
     sentences,
     told_by_sqlite,
 )
 from cornercase.study.damage import DamageError
-from cornercase.study.migrations import schema_version
 from cornercase.study.salvaging import holds_rows
 from cornercase.study.schema import APPLICATION, SCHEMA_VERSION, TABLES
 from cornercase.study.seals import is_sound, name_of, require_tally
-from cornercase.study.store import Study
 
-# What SQLite tells of at most, and rows of a table.
+# Largest number of listed problems, from SQLite and per table.
 _MOST: Final = 20
-# Schema version of the first studies that have checksums.
-_WITH_CHECKSUMS: Final = 6
 
 
 @dataclass(frozen=True)
 class Verification:
-    """What was found of a study.
+    """Result of a verification.
 
     Attributes
     ----------
     path : Path
     problems : tuple of str
-        A part of a sentence for each thing that is not as it was written; empty where all is.
+        Part of a sentence for each problem; empty if there is none.
     checked : bool, default True
-        Whether the study has checksums; those of earlier schema versions have none.
+        Whether the study has checksums; all have.
     """
 
     path: Path
@@ -53,12 +50,12 @@ class Verification:
 
     @property
     def sound(self) -> bool:
-        """Whether everything is as it was written."""
+        """Whether there is no problem."""
         return not self.problems
 
 
 def verify(study: Path | str) -> Verification:
-    """Look at everything in a study: SQLite's own check, checksums, counts, references and types.
+    """Check everything in a study: SQLite's integrity, checksums, counts, references and types.
 
     Parameters
     ----------
@@ -71,8 +68,8 @@ def verify(study: Path | str) -> Verification:
     Raises
     ------
     InputError
-        There is no such file, it cannot be opened, or it is none of a study: of another program, of a later schema
-        version, or nothing in it was written by cornercase.
+        There is no such file, it cannot be opened, or it is not a study: it belongs to another program or has another
+        schema version, or cornercase wrote nothing in it.
 
     Examples
     --------
@@ -86,47 +83,39 @@ def verify(study: Path | str) -> Verification:
     require_file(path)
     _require_own(path)
     problems = list(dict.fromkeys(_problems(path)))
-    return Verification(path, tuple(problems), _has_checksums(path))
+    return Verification(path, tuple(problems))
 
 
 def _require_own(path: Path) -> None:
-    """Refuse what is no study, damaged or not."""
+    """Raise `InputError` unless the file is a study, damaged or not."""
     try:
         with closing(connected(path)) as connection:
             connection.execute("SELECT count(*) FROM sqlite_master").fetchone()
             (application,) = connection.execute("PRAGMA application_id").fetchone()
             version = schema_version(connection)
             if application not in (0, APPLICATION) or (application == APPLICATION and version > SCHEMA_VERSION):
-                # Whether this number is what is damaged, nobody can tell.
+                # It is unknown whether this number itself is damaged.
                 require_study(path, connection)
             if application == APPLICATION:
                 return
     except (sqlite3.Error, UnicodeDecodeError) as error:
         _require_reached(path, error)
     try:
-        found = holds_rows(path)
+        has_rows = holds_rows(path)
     except OSError as error:
         raise InputError(f"{path}: cannot be read ({error.strerror}).") from error
-    if not found:
+    if not has_rows:
         raise InputError(f"{path}: is not a cornercase study, or nothing is left of one.")
 
 
-def _has_checksums(path: Path) -> bool:
-    try:
-        with closing(connected(path)) as connection:
-            return schema_version(connection) >= _WITH_CHECKSUMS
-    except (sqlite3.Error, UnicodeDecodeError):
-        return True
-
-
 def _problems(path: Path) -> Iterator[str]:
-    found = False
-    for one in _of_file(path):
-        found = True
-        yield one
-    if found:
+    is_damaged = False
+    for problem in _of_file(path):
+        is_damaged = True
+        yield problem
+    if is_damaged:
         return
-    # All rows are as they were written; whether they are what a study holds is seen when they are read.
+    # All checksums are valid. Reading the content shows whether it is that of a study.
     try:
         with Study.open(path) as opened:
             for _ in opened.recorded():
@@ -147,8 +136,7 @@ def _problems(path: Path) -> Iterator[str]:
 
 def _of_file(path: Path) -> Iterator[str]:
     try:
-        connection = connected(path)
-        with closing(connection):
+        with closing(connected(path)) as connection:
             connection.execute("PRAGMA trusted_schema = OFF")
             connection.execute("PRAGMA cell_size_check = ON")
             require_study(path, connection)
@@ -158,26 +146,21 @@ def _of_file(path: Path) -> Iterator[str]:
     except (sqlite3.Error, UnicodeDecodeError, InputError) as error:
         yield _words(path, error)
         return
-    try:
-        connection = of_today(connected(path))
-    except (sqlite3.Error, UnicodeDecodeError, InputError) as error:
-        yield _words(path, error)
-        return
-    with closing(connection):
-        there = {name for (name,) in connection.execute("SELECT name FROM sqlite_master WHERE type = 'table'")}
-        for table in (name for name in TABLES if name in there):
+    with closing(connected(path)) as connection:
+        tables = {name for (name,) in connection.execute("SELECT name FROM sqlite_master WHERE type = 'table'")}
+        for table in (name for name in TABLES if name in tables):
             yield from _of_table(path, connection, table)
 
 
 def _of_table(path: Path, connection: sqlite3.Connection, table: str) -> Iterator[str]:
-    about = TABLES[table]
+    definition = TABLES[table]
     count = 0
     try:
-        for stored in connection.execute(f"SELECT {', '.join(about.stored)} FROM {table}"):
+        for stored in connection.execute(f"SELECT {', '.join(definition.stored)} FROM {table}"):
             if not is_sound(table, stored):
                 count += 1
                 if count <= _MOST:
-                    yield f"its table {table} does not hold {name_of(table, stored)} as it was written"
+                    yield f"its table {table} has a wrong checksum for {name_of(table, stored)}"
         if count > _MOST:
             yield f"its table {table} has {count - _MOST} more such rows"
         require_tally(connection, table)
@@ -186,7 +169,7 @@ def _of_table(path: Path, connection: sqlite3.Connection, table: str) -> Iterato
 
 
 def _require_reached(path: Path, error: BaseException | None) -> None:
-    """Raise what says nothing of a file: that another program keeps it to itself, or that it cannot be opened."""
+    """Raise an error that says nothing about the content: the file is locked or cannot be opened."""
     if error is not None and is_unreachable(error):
         with sentences(path):
             raise error
@@ -195,7 +178,7 @@ def _require_reached(path: Path, error: BaseException | None) -> None:
 def _words(path: Path, error: Exception) -> str:
     _require_reached(path, error)
     if isinstance(error, UnicodeDecodeError):
-        return "SQLite says: something damaged that is no text"
+        return "SQLite says: damaged text"
     if isinstance(error, sqlite3.Error):
         return f"SQLite says: {error}"
     text = str(error).removeprefix(f"{path}: ")

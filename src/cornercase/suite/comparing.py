@@ -1,4 +1,4 @@
-"""What changed between two versions of what is tested."""
+"""Compare two versions of the system under test."""
 
 from __future__ import annotations
 
@@ -38,58 +38,64 @@ def compare(
     critical: float | None = None,
     tolerances: Mapping[str, float] | None = None,
 ) -> Comparison:
-    """Tell what changed between two versions of what is tested, and whether the new one is better or worse.
+    """Compare two versions of the system under test, and tell whether the new one is better or worse.
 
-    Each version was run into a study.
-
-    Scenarios with the same parameters are compared one by one; where both studies were explored, their critical sets
-    too. What a search chose by scores never grades them, unless the simulators repeat themselves to the last bit: then
-    any two recordings that differ show a change.
+    Each version was run into a study. Scenarios with the same parameters are compared one by one; if both studies were
+    explored, their critical sets are compared too. Only scenarios chosen independently of scores are used in the tests,
+    unless both simulators are deterministic: then any two recordings that differ show a change.
 
     Parameters
     ----------
     old, new : Study or path
-        Of the same scenario, parameter space and entities; other drivers, simulators, versions and time steps are what
-        is compared.
+        Studies of the same scenario, parameter space and entities; drivers, simulators, versions and time steps may
+        differ.
     metrics : str or sequence of str, optional
         Metrics to compare by; by default all, which have to be the same in both.
     critical : float, optional
-        Threshold for both studies, which keep their own; by default these, which have to be the same.
+        Threshold for both studies, which keep their own; by default their own, which have to be equal.
     tolerances : mapping of str to float, optional
-        By metric, in its unit: by how much a score may move and still count as the same. By default 0.1 for s, m, m/s,
+        By metric, in its unit: how much a score may change and still count as the same. By default 0.1 for s, m, m/s,
         m/s² and s², 0.01 for rad and for metrics without unit, and 0 for other units.
 
     Returns
     -------
     Comparison
         `verdict` says whether the new version is better, worse, mixed or the same, or that nothing can be said. As a
-        bool it is true if the versions differ at all. Where simulators do not repeat themselves, either is wrong in at
-        most 5 % of all comparisons of a version with itself, over all tests together.
+        bool it is true if the versions differ at all. If simulators are not deterministic, the false positive rate of
+        better or worse is at most 5 %, over all tests together.
 
     Raises
     ------
     InputError
-        The studies are of other scenarios, parameters, entities, metrics or thresholds; or they have nothing in common:
-        no scenario, and fewer than 20 each that were chosen whatever the scores are; or one is of a suite that has not
-        been run to its end; or a tolerance is negative, or of a metric that is not compared.
+        The studies have different scenarios, parameters, entities, metrics or thresholds; or they have nothing in
+        common: no scenario, and fewer than 20 each that were chosen independently of scores; or one is of a suite that
+        has not run completely; or a tolerance is negative, or for a metric that is not compared.
+
+    Examples
+    --------
+    >>> import cornercase as cc
+    >>> cc.compare("missing_a.db", "missing_b.db")
+    Traceback (most recent call last):
+        ...
+    cornercase._common.errors.InputError: missing_a.db: there is no such study; make one with `explore`.
     """
     with (
         open_study(old, readonly=True, critical=critical) as before,
         open_study(new, readonly=True, critical=critical) as after,
     ):
-        chosen = require_comparable(before, after, None if metrics is None else texts("metrics", metrics))
+        compared = require_comparable(before, after, None if metrics is None else texts("metrics", metrics))
         for study in (before, after):
             _require_finished(study)
-        both = set(before.meta.requirements) & set(after.meta.requirements)
-        needed = tuple(dict.fromkeys((*chosen, *(deciding_metrics(before) if deciding_metrics(after) else ()))))
-        allowed = find_tolerances(needed, sorted(both), tolerances)
-        sides = [Side.of(study, needed, verdicts_of(study)) for study in (before, after)]
-        pairs = read_pairs(sides[0], sides[1], chosen)
-        certain = all(_repeats_itself(study.meta) for study in (before, after))
-        tests = _tests(sides[0], sides[1], pairs, chosen, certain)
-        changed, reason = _judged(pairs, tests, certain)
-        worse, better, within = find_verdict(pairs, tests, allowed, certain)
-        verdict, verdict_reason = judge_version((worse, better), pairs, tests, (changed, reason), certain)
+        shared = set(before.meta.requirements) & set(after.meta.requirements)
+        measured = tuple(dict.fromkeys((*compared, *(deciding_metrics(before) if deciding_metrics(after) else ()))))
+        limits = find_tolerances(measured, sorted(shared), tolerances)
+        sides = [Side.of(study, measured, verdicts_of(study)) for study in (before, after)]
+        pairs = read_pairs(sides[0], sides[1], compared)
+        deterministic = all(_repeats_itself(study.meta) for study in (before, after))
+        tests = _tests(sides[0], sides[1], pairs, compared, deterministic)
+        changed, reason = _judged(pairs, tests, deterministic)
+        worse, better, within = find_verdict(pairs, tests, limits, deterministic)
+        verdict, verdict_reason = judge_version((worse, better), pairs, tests, (changed, reason), deterministic)
         return Comparison(
             names=(before.path.name, after.path.name),
             title=before.meta.title,
@@ -101,93 +107,93 @@ def compare(
             worse=worse,
             better=better,
             within=within,
-            tolerances=allowed,
-            certain=certain,
+            tolerances=limits,
+            certain=deterministic,
             pairs=pairs,
             alone=(len(sides[0].rows) - len(pairs), len(sides[1].rows) - len(pairs)),
-            scores=tuple(_score_change(pairs, name) for name in chosen if any(one.ran for one in pairs)),
+            scores=tuple(_score_change(pairs, name) for name in compared if any(pair.ran for pair in pairs)),
             tests=tests,
-            outcomes=Counter(one.outcomes for one in pairs if one.ran),
+            outcomes=Counter(pair.outcomes for pair in pairs if pair.ran),
             verdicts=Counter(
-                (a.requirement, a.state, b.state) for one in pairs for a, b in zip(*one.verdicts, strict=True)
+                (a.requirement, a.state, b.state) for pair in pairs for a, b in zip(*pair.verdicts, strict=True)
             ),
             kinds=_kinds(before, after, pairs),
             space=find_space_change(sides[0], sides[1], pairs),
-            telling=choose_telling(pairs, chosen, _searched(before.meta, chosen)),
+            telling=choose_telling(pairs, compared, _searched(before.meta, compared)),
             critical=critical,
         )
 
 
 def _require_finished(study: Study) -> None:
-    """Refuse the run of a suite that was interrupted, as few scenarios without a change would look like all."""
-    waiting = sum(row.state == "pending" for row in study.rows())
-    if study.meta.suite and waiting:
+    """Raise `InputError` if a suite was interrupted, since a few unchanged scenarios would look like all."""
+    n_pending = sum(row.state == "pending" for row in study.rows())
+    if study.meta.suite and n_pending:
         raise InputError(
-            f"{study.path}: {waiting} of its {study.meta.budget} scenarios have not been run yet; run `test` again,"
+            f"{study.path}: {n_pending} of its {study.meta.budget} scenarios have not been run yet; run `test` again,"
             " which goes on with it."
         )
 
 
 def _searched(meta: StudyMeta, metrics: Sequence[str]) -> str:
-    """The metric whose score says what is critical; empty for a weighted sum, a front, and one that is left out."""
+    """The metric that defines criticality; empty for a weighted sum, a Pareto front, or if it is not compared."""
     return "" if meta.weights or meta.pareto or meta.metrics[0] not in metrics else meta.metrics[0]
 
 
 def _repeats_itself(meta: StudyMeta) -> bool:
-    """Whether the runs of a study repeat themselves, as it was tried; cornercase's own parts do as they declare."""
+    """Tell whether runs of a study are deterministic: as was tried, or as cornercase's own parts declare."""
     declared: bool | None = None
-    own = False
+    is_own_code = False
     with suppress(InputError):
         simulator = SIMULATORS.class_of(meta.simulator)
         declared = simulator.repeats_itself
-        own = simulator.__module__.startswith("cornercase.") and not any(map(_is_own, meta.drivers.values()))
-    tried = meta.repeatability.get("same")
-    return declared is not False and bool(tried) if tried is not None else own and declared is True
+        is_own_code = simulator.__module__.startswith("cornercase.") and not any(map(_is_own, meta.drivers.values()))
+    observed = meta.repeatability.get("same")
+    return declared is not False and bool(observed) if observed is not None else is_own_code and declared is True
 
 
 def _tests(
     old: Side, new: Side, pairs: Sequence[Pair], metrics: Sequence[str], certain: bool
 ) -> tuple[ChangeTest, ...]:
-    """Test the pairs, or both fillings if these are too few: scenarios that were not chosen by their scores."""
-    paired = [one for one in pairs if certain or one.unselected]
-    found = tests_of_pairs(paired, metrics) if any(one.run != "in neither" for one in paired) else []
-    filling = len(old.filling()), len(new.filling())
+    """Test the pairs that were chosen independently of scores, or both initial designs if these pairs are too few."""
+    tested = [pair for pair in pairs if certain or pair.unselected]
+    tests_ = tests_of_pairs(tested, metrics) if any(pair.run != "in neither" for pair in tested) else []
+    n_filling = len(old.filling()), len(new.filling())
     # Where the fillings are mostly the same scenarios, pairs say more.
-    if sum(one.unselected for one in pairs) < FEWEST <= min(filling):
-        (scores, facts), (others, other_facts) = sample_of(old, metrics), sample_of(new, metrics)
-        both = {name: each for name, each in facts.items() if name in other_facts}
-        found += tests_of_samples((scores, others), (both, other_facts))
-    if not found and all(one.run == "in neither" for one in pairs):
+    if sum(pair.unselected for pair in pairs) < FEWEST <= min(n_filling):
+        (old_scores, old_facts), (new_scores, new_facts) = sample_of(old, metrics), sample_of(new, metrics)
+        both = {name: fact for name, fact in old_facts.items() if name in new_facts}
+        tests_ += tests_of_samples((old_scores, new_scores), (both, new_facts))
+    if not tests_ and all(pair.run == "in neither" for pair in pairs):
         raise InputError(
-            f"{old.study.path} and {new.study.path}: no scenario was run with both, and only {filling[0]} and"
-            f" {filling[1]} scenarios were chosen without looking at scores, where {FEWEST} are needed; explore"
+            f"{old.study.path} and {new.study.path}: no scenario was run with both, and only {n_filling[0]} and"
+            f" {n_filling[1]} scenarios were chosen without looking at scores, where {FEWEST} are needed; explore"
             " both with the same `seed`, or with `audit`."
         )
-    return correct(found)
+    return correct(tests_)
 
 
 def _judged(pairs: Sequence[Pair], tests: Sequence[ChangeTest], certain: bool) -> tuple[bool, str]:
-    """Whether the versions differ, and why that is said."""
-    runs = Counter(one.run for one in pairs)
-    ran = sum(one.ran for one in pairs)
-    significant = [one for one in tests if one.corrected <= LEVEL]
-    if otherwise := certain and runs["otherwise"]:
+    """Tell whether the versions differ, and why."""
+    runs = Counter(test.run for test in pairs)
+    n_ran = sum(test.ran for test in pairs)
+    significant = [test for test in tests if test.corrected <= LEVEL]
+    if n_different := certain and runs["otherwise"]:
         return (
             True,
-            f"{otherwise} of {ran} scenarios that both ran went otherwise, and both simulators repeat themselves",
+            f"{n_different} of {n_ran} scenarios that both ran went otherwise, and both simulators repeat themselves",
         )
     if certain and runs["not in one"]:
         return True, f"{runs['not in one']} of {len(pairs)} scenarios could be run with one version only"
     if significant:
         first = min(significant, key=lambda one: one.corrected)
-        more = f" and {len(significant) - 1} more" if len(significant) > 1 else ""
+        rest = f" and {len(significant) - 1} more" if len(significant) > 1 else ""
         return True, (
-            f"{first.about} differs ({first.method}, p = {first.corrected:.2g} corrected for {len(tests)} tests){more}"
+            f"{first.about} differs ({first.method}, p = {first.corrected:.2g} corrected for {len(tests)} tests){rest}"
         )
-    if ran and runs["the same"] == len(pairs) - runs["in neither"]:
-        return False, f"all {ran} scenarios that both ran are the same bytes"
-    if certain and ran:
-        return False, f"the {ran} scenarios that both ran are the same up to rounding"
+    if n_ran and runs["the same"] == len(pairs) - runs["in neither"]:
+        return False, f"all {n_ran} scenarios that both ran are the same bytes"
+    if certain and n_ran:
+        return False, f"the {n_ran} scenarios that both ran are the same up to rounding"
     if not tests:
         return False, "none of the scenarios that both ran can be tested: a search chose them by their scores"
     return False, f"none of {len(tests)} tests shows a change, at {LEVEL:.0%} over all of them"
@@ -195,8 +201,8 @@ def _judged(pairs: Sequence[Pair], tests: Sequence[ChangeTest], certain: bool) -
 
 def _score_change(pairs: Sequence[Pair], name: str) -> ScoreChange:
     metric = METRICS.create(name)
-    ran = [one for one in pairs if one.ran]
-    scores = np.array([one.scores[name] for one in ran])
+    both_ran = [pair for pair in pairs if pair.ran]
+    scores = np.array([pair.scores[name] for pair in both_ran])
     changes = moved_by(scores[:, 0], scores[:, 1])
     moved = changes[changes != 0.0]
     worse = int((np.asarray(metric.oriented(moved)) < 0.0).sum())
@@ -204,34 +210,35 @@ def _score_change(pairs: Sequence[Pair], name: str) -> ScoreChange:
     return ScoreChange(
         metric=name,
         unit=metric.unit,
-        pairs=len(ran),
+        pairs=len(both_ran),
         moved=len(moved),
         worse=worse,
         better=len(moved) - worse,
         median=float(np.median(moved)) if len(moved) else 0.0,
         largest=float(changes[k]),
-        ids=ran[k].ids if len(moved) else None,
+        ids=both_ran[k].ids if len(moved) else None,
     )
 
 
 def _differences(old: StudyMeta, new: StudyMeta) -> Iterator[str]:
-    """What the studies were made with, where that differs, in words."""
+    """Yield differences between the settings of both studies, in words."""
     if bool(old.suite) != bool(new.suite):
-        yield f"scenarios: {' → '.join('of a suite' if one.suite else 'explored' for one in (old, new))}"
-    for name, words in _NAMED.items():
+        yield f"scenarios: {' → '.join('of a suite' if meta.suite else 'explored' for meta in (old, new))}"
+    for name, label in _NAMED.items():
         if getattr(old, name) != getattr(new, name):
-            yield f"{words}: {getattr(old, name)} → {getattr(new, name)}"
+            yield f"{label}: {getattr(old, name)} → {getattr(new, name)}"
     yield from _unlike("", old.settings, new.settings)
 
 
 def _differing_runs(*studies: Study) -> Iterator[str]:
-    """Which of the studies do not repeat themselves, in words."""
+    """Yield which of the studies are not deterministic, in words."""
     for study in studies:
         if study.meta.runs_differ:
             yield f"runs of {study.path.name} differ: {study.meta.runs_differ}"
 
 
 def _unlike(name: str, old: Any, new: Any) -> Iterator[str]:
+    """Yield differences between two values of a setting, in words."""
     if old == new:
         return
     if name.startswith(_DRIVER) and (_is_own(old) or _is_own(new)):
@@ -249,14 +256,14 @@ def _unlike(name: str, old: Any, new: Any) -> Iterator[str]:
 
 
 def _is_own(driver: Any) -> bool:
-    """Whether a driver is none of those that stand in a study by their name or parameters."""
+    """Tell whether a driver is neither registered nor described by parameters alone."""
     if not isinstance(driver, Mapping):
         return False
     return driver_command(driver) is None or not {"options", "sha256", "settings"}.isdisjoint(driver)
 
 
 def _spelt(driver: Any) -> Any:
-    """Parameters of a driver that stands there by its name."""
+    """Settings of a driver that is stored by its name."""
     return DRIVERS.create(driver).settings if isinstance(driver, str) and driver in DRIVERS else driver
 
 
@@ -267,24 +274,27 @@ def _plain(value: Any) -> str:
 
 
 def _kinds(old: Study, new: Study, pairs: Sequence[Pair]) -> dict[str, tuple[KindChange, ...]]:
-    """Kinds of the old study that pairs belong to with each version; the new scenarios join them."""
-    found = {}
+    """Count the pairs in each cluster of the old study, with each version; new scenarios are assigned to them."""
+    clusters = {}
     for by, analysis in read_analyses(old).items():
         if by in old.meta.metrics and by not in new.meta.metrics:
             continue
-        label = dict(zip(analysis.ids.tolist(), analysis.labels.tolist(), strict=True))
-        both = [one for one in pairs if one.ran and one.ids[0] in label]
+        label_of = dict(zip(analysis.ids.tolist(), analysis.labels.tolist(), strict=True))
+        ran = [pair for pair in pairs if pair.ran and pair.ids[0] in label_of]
         # What ran the same stays where it is, also at the edge of a kind.
-        others = [one for one in both if one.run != "the same"]
-        joined = join_kinds(old, analysis, new, [one.ids[1] for one in others]).tolist()
-        after = {one.ids: label[one.ids[0]] for one in both}
-        after |= {one.ids: kind for one, kind in zip(others, joined, strict=True)}
-        names = {one.cluster: one.label for one in analysis.profiles} | {-1: "noise"}
-        counts = Counter(label[one.ids[0]] for one in both), Counter(after.values())
-        found[by] = tuple(
+        changed = [pair for pair in ran if pair.run != "the same"]
+        assigned = join_kinds(old, analysis, new, [pair.ids[1] for pair in changed]).tolist()
+        after = {pair.ids: label_of[pair.ids[0]] for pair in ran}
+        after |= {pair.ids: cluster for pair, cluster in zip(changed, assigned, strict=True)}
+        names = {pair.cluster: pair.label for pair in analysis.profiles} | {-1: "noise"}
+        counts = Counter(label_of[pair.ids[0]] for pair in ran), Counter(after.values())
+        clusters[by] = tuple(
             KindChange(
-                kind, "noise" if kind < 0 else names.get(kind, f"cluster {kind}"), counts[0][kind], counts[1][kind]
+                cluster,
+                "noise" if cluster < 0 else names.get(cluster, f"cluster {cluster}"),
+                counts[0][cluster],
+                counts[1][cluster],
             )
-            for kind in sorted({*counts[0], *counts[1]}, key=lambda one: (one < 0, one))
+            for cluster in sorted({*counts[0], *counts[1]}, key=lambda one: (one < 0, one))
         )
-    return found
+    return clusters

@@ -1,4 +1,4 @@
-"""What a comparison of two versions says, as plain values."""
+"""Result of a comparison of two versions."""
 
 from __future__ import annotations
 
@@ -28,38 +28,38 @@ _TOLD: Final = 4
 
 @dataclass(frozen=True)
 class Pair:
-    """One concrete scenario that was run with both versions; of each pair of values the old one comes first.
+    """One concrete scenario that ran with both versions; in each pair of values the old one comes first.
 
     Attributes
     ----------
     ids : tuple of (int, int)
-        In each study.
+        Id in each study.
     values : mapping of str to float or str
-        Of the scenario's parameters.
+        Parameter values.
     point : tuple of float, length d
-        In the unit cube.
+        Point in the unit cube.
     run : {"the same", "within rounding", "otherwise", "not in one", "in neither"}
-        Whether both recordings are the same bytes, differ by a millionth of a unit at most, or by more; or whether the
-        scenario could be run in one study only, or in none.
+        Whether both recordings have the same bytes, differ by at most 1e-6 of a unit, or by more; or whether the
+        scenario failed in one study, or in both.
     unselected : bool
-        Whether neither study chose the scenario by scores.
+        Whether both studies chose the scenario independently of scores.
     errors : tuple of (str or None, str or None)
-        Why it could not be run.
+        Why it failed.
     scores : mapping of str to tuple of (float, float)
-        By metric, in its unit; empty where one was not run, as with all that follow.
+        By metric, in its unit; empty if a run failed, as all following attributes.
     outcomes : tuple of (str, str)
-        In words.
+        How the scenario ended, in words.
     collides : tuple of (bool, bool)
-        Whether the ego collides, with anyone.
+        Whether the ego collides with any entity.
     critical : tuple of (bool, bool) or None
-        None where nothing says it.
+        None without a threshold.
     verdicts : tuple of (tuple of Verdict, tuple of Verdict)
         On the requirements that both studies have; empty without any.
     margins : mapping of str to tuple of (float, float)
-        By requirement that turned from passed to failed or back: how far it holds, negative if it is violated. Only
-        for bounds, formulas and places; whether there is a collision is not a matter of degree.
+        Margin of each requirement that changed between passed and failed, negative if it is violated. Only for bounds,
+        formulas and positions; a collision has no margin.
     deciding : mapping of str to tuple of (float, float)
-        Scores that decide whether the scenario is critical, by metric; empty where nothing does.
+        Scores that define whether the scenario is critical, by metric; empty without a threshold.
     """
 
     ids: tuple[int, int]
@@ -78,30 +78,32 @@ class Pair:
 
     @property
     def ran(self) -> bool:
-        """Whether it was run in both studies."""
+        """Whether it ran in both studies."""
         return bool(self.scores)
 
     @property
     def turned(self) -> tuple[tuple[Verdict, Verdict], ...]:
-        """Verdicts of which the state changed, old and new."""
-        return tuple((old, new) for old, new in zip(*self.verdicts, strict=True) if old.state != new.state)
+        """Verdicts whose state changed, old and new."""
+        return tuple(
+            (before, after) for before, after in zip(*self.verdicts, strict=True) if before.state != after.state
+        )
 
 
 @dataclass(frozen=True)
 class ScoreChange:
-    """How far the score of one metric moved between the versions.
+    """Changes of the score of one metric between the versions.
 
     Attributes
     ----------
     metric, unit : str
     pairs, moved : int
-        Pairs that were run in both studies, and those of them in which the score moved.
+        Pairs that ran in both studies, and those whose score changed.
     worse, better : int
-        In how many it became more critical, and less.
+        Pairs whose score became more critical, and less.
     median : float
-        Of the changes of those that moved, new less old, in the unit; 0 where none did.
+        Median change of those that changed, new minus old, in the unit; 0 if none did.
     largest : float
-        Largest of them, with its sign.
+        Largest change, with its sign.
     ids : tuple of (int, int) or None
         Pair of the largest change.
     """
@@ -128,17 +130,16 @@ class ChangeTest:
     method : str
         ``"Wilcoxon signed-rank"``, ``"exact McNemar"``, ``"Mann-Whitney"`` or ``"exact Fisher"``.
     old, new : int
-        Scenarios of each study that it looked at; the same number where these are pairs.
+        Number of scenarios of each study; the same number for pairs.
     differ : int or None
-        Pairs that differ; None where there are no pairs.
+        Pairs that differ; None without pairs.
     p, corrected : float
-        Probability of what was found, or more, where the versions are the same: by itself, and by Holm's correction
-        for all tests that were made.
+        p-value, and p-value with Holm's correction for all tests.
     direction : {"worse", "better"} or None
-        Where the new version lies, whether or not the test is significant; None where neither is ahead.
+        Direction of the new version, whether or not the test is significant; None for a tie.
     shift : float
-        Mean score of the new version less that of the old one, in the metric's unit; of what is so or not, the
-        difference of the shares.
+        Mean score of the new version minus that of the old one, in the metric's unit; for yes/no facts the difference
+        of the proportions.
     """
 
     about: str
@@ -154,25 +155,24 @@ class ChangeTest:
 
 @dataclass(frozen=True)
 class Finding:
-    """What became worse or better with the new version, or changed within the tolerances.
+    """One aspect in which the new version is worse or better, or changed within the tolerances.
 
     Attributes
     ----------
     kind : {"collision", "requirement", "run", "critical", "score"}
     about : str
-        The requirement, or the metric of the score; empty for other kinds, and where a test looks at all requirements.
+        The requirement, or the metric of the score; empty for other kinds, and for a test of all requirements together.
     direction : {"worse", "better"}
     ids : tuple of (int, int)
-        Scenarios in which that happened, in the old and in the new study; empty where a test found it in scenarios
-        that are not the same.
+        Scenarios with this change, in the old and in the new study; empty if a test of unpaired scenarios found it.
     against : int, default 0
-        Scenarios in which the opposite happened; counted where a test decides.
+        Number of scenarios with the opposite change; only counted for tests.
     largest : float or None, default None
-        Largest move of a score, with its sign.
+        Largest change of a score, with its sign.
     unit : str, default ""
-        Of the score.
+        Unit of the score.
     test : ChangeTest or None, default None
-        What decided it; None where the scenarios themselves show it.
+        The test that found it; None if the scenarios themselves show it.
     """
 
     kind: Literal["collision", "requirement", "run", "critical", "score"]
@@ -186,7 +186,7 @@ class Finding:
 
     @property
     def what(self) -> str:
-        """In words, with the number of scenarios."""
+        """The change in words, with the number of scenarios."""
         count, worse = len(self.ids), self.direction == "worse"
         if self.test is not None and not self.ids:
             return f"{self._trend(worse)} among the scenarios that fill the space"
@@ -199,11 +199,11 @@ class Finding:
         if self.kind == "critical":
             return f"{scenarios} {'newly' if worse else 'no longer'} critical"
         if self.kind == "requirement":
-            which = f"'{self.about}'" if self.about else "a requirement"
-            return f"{scenarios} {'newly' if worse else 'no longer'} fail{'s' if count == 1 else ''} {which}"
-        moved = "" if self.largest is None else f", by up to {abs(self.largest):.3g}"
-        unit = f" {self.unit}" if moved and self.unit not in ("", "1") else ""
-        return f"{scenarios} {'more' if worse else 'less'} critical by {self.about}{moved}{unit}"
+            requirement = f"'{self.about}'" if self.about else "a requirement"
+            return f"{scenarios} {'newly' if worse else 'no longer'} fail{'s' if count == 1 else ''} {requirement}"
+        size = "" if self.largest is None else f", by up to {abs(self.largest):.3g}"
+        unit = f" {self.unit}" if size and self.unit not in ("", "1") else ""
+        return f"{scenarios} {'more' if worse else 'less'} critical by {self.about}{size}{unit}"
 
     def _trend(self, worse: bool) -> str:
         if self.kind == "score":
@@ -217,48 +217,48 @@ class Finding:
         Parameters
         ----------
         most : int, default 5
-            The others are counted.
+            Limit of named scenarios; the others are counted.
 
         Returns
         -------
         str
-            ``"4, 9 and 3 more"``; a scenario that has another number in the new study as ``"4→7"``.
+            ``"4, 9 and 3 more"``; a scenario with another id in the new study as ``"4→7"``.
         """
-        more = len(self.ids) - most
-        return ", ".join(map(name_pair, self.ids[:most])) + (f" and {more} more" if more > 0 else "")
+        n_more = len(self.ids) - most
+        return ", ".join(map(name_pair, self.ids[:most])) + (f" and {n_more} more" if n_more > 0 else "")
 
     def tell_test(self) -> str:
-        """Say which test decided, and how many scenarios went the other way.
+        """Describe the test that found it, and how many scenarios have the opposite change.
 
         Returns
         -------
         str
-            Empty if the scenarios themselves decide.
+            Empty if the scenarios themselves show it.
         """
         if self.test is None:
             return ""
-        opposite = f"{self.against} the other way, " if self.ids else ""
-        return f"{opposite}{self.test.method}, p = {self.test.corrected:.2g} corrected"
+        opposing = f"{self.against} the other way, " if self.ids else ""
+        return f"{opposing}{self.test.method}, p = {self.test.corrected:.2g} corrected"
 
     @property
     def text(self) -> str:
-        """In words, with the numbers of the first scenarios."""
-        inside = "; ".join(filter(None, (self.name_scenarios(), self.tell_test())))
-        return f"{self.what} ({inside})" if inside else self.what
+        """The change in words, with the ids of the first scenarios."""
+        details = "; ".join(filter(None, (self.name_scenarios(), self.tell_test())))
+        return f"{self.what} ({details})" if details else self.what
 
 
 @dataclass(frozen=True)
 class KindChange:
-    """How one kind grew or shrank, among the same scenarios.
+    """How many pairs belong to one cluster with each version.
 
     Attributes
     ----------
     cluster : int
-        In the old study; -1 for noise.
+        Number in the old study; -1 for noise.
     label : str
-        What it is called.
+        Its name.
     old, new : int
-        Its scenarios with each version.
+        Number of pairs with each version.
     """
 
     cluster: int
@@ -274,18 +274,18 @@ class SpaceChange:
     Attributes
     ----------
     pairs : int
-        Pairs that neither study chose by scores, and that fill the space.
+        Pairs that fill the space independently of scores.
     gained, lost : Estimate or None
-        Shares of the space that are critical with the new version only, and with the old one only, by those pairs
-        alone; None where there are fewer than 20.
+        Fractions of the space that are critical with the new version only, and with the old one only, estimated from
+        those pairs alone; None if there are fewer than 20.
     pairs_doubt : str
-        Why these cannot be given; empty where they can.
+        Why these are unavailable; empty if they are available.
     sets : SetDifference or None
-        What is known by all scenarios of both studies; None where there is no interval.
+        Estimate from all scenarios of both studies; None if there is no interval.
     sets_doubt : str
-        Why there is none; empty where there is.
+        Why there is none; empty if there is one.
     parameters, units : tuple of str
-        What `sets.middles` is about.
+        Names and units of the coordinates of `sets.middles`.
     """
 
     pairs: int
@@ -300,13 +300,13 @@ class SpaceChange:
 
 @dataclass(frozen=True)
 class Telling:
-    """A scenario that tells the versions apart.
+    """An example scenario that shows a change.
 
     Attributes
     ----------
     pair : Pair
     why : str
-        What changed, in one sentence without a full stop.
+        What changed, in one sentence without a period.
     """
 
     pair: Pair
@@ -315,51 +315,51 @@ class Telling:
 
 @dataclass(frozen=True)
 class Comparison:
-    """What changed between two versions, and whether it is for the worse; `bool` says whether anything changed.
+    """Result of a comparison of two versions; as a bool it says whether anything changed.
 
     Attributes
     ----------
     names : tuple of (str, str)
-        Of the old and the new study's file.
+        File names of the old and the new study.
     title : str
-        Of the scenario.
+        Name of the scenario.
     differences : tuple of str
-        What the studies were made with, where they differ, in words.
+        Differences between the settings of both studies, in words.
     changed : bool
         Whether the versions differ.
     reason : str
-        Why that is said, in one sentence.
+        Reason for `changed`, in one sentence.
     verdict : {"better", "worse", "mixed", "the same", "cannot say"}
-        Of the new version; mixed where some is worse and some better, the same where neither is.
+        Verdict on the new version; mixed if some findings are worse and some better, the same if there are none.
     verdict_reason : str
-        Why that is said.
+        Reason for the verdict.
     worse, better : tuple of Finding
-        What speaks for it, what matters most first.
+        Findings for each direction, the most important first.
     within : tuple of Finding
         Requirements and thresholds that were crossed within the tolerances, so that they do not count.
     tolerances : mapping of str to float
-        By metric: by how much its score may move and still count as the same.
+        By metric: how much its score may change and still count as the same.
     certain : bool
-        Whether both simulators repeat themselves, so that every difference of a pair is one of the versions.
+        Whether both simulators are deterministic, so that every difference of a pair shows a change.
     pairs : tuple of Pair
-        Scenarios of the same parameters, in the order of the old study.
+        Scenarios with the same parameters, in the order of the old study.
     alone : tuple of (int, int)
-        Scenarios of each study that have no partner.
+        Number of scenarios of each study without a partner.
     scores : tuple of ScoreChange
         One for each metric; empty without pairs.
     tests : tuple of ChangeTest
     outcomes : mapping of tuple of (str, str) to int
-        How many pairs went from which outcome to which.
+        Number of pairs by old and new outcome.
     verdicts : mapping of tuple of (str, str, str) to int
-        How many pairs went, by requirement, from which state to which.
+        Number of pairs by requirement, old and new state.
     kinds : mapping of str to tuple of KindChange
-        By aspect that the old study was analysed by.
+        By aspect that the old study was analyzed by.
     space : SpaceChange or None
-        None where nothing says what is critical.
+        None without a threshold.
     telling : tuple of Telling
-        At most five.
+        At most five examples.
     critical : float or None
-        Threshold that was given for the comparison; None where the studies' own holds.
+        Threshold that was given for the comparison; None if the studies' own is used.
     """
 
     names: tuple[str, str]
@@ -393,11 +393,11 @@ class Comparison:
 
     @property
     def headline(self) -> str:
-        """The verdict and why, without a full stop."""
+        """The verdict and its reason, without a period."""
         return f"{self.verdict.capitalize()}{'.' if self.verdict == 'mixed' else ':'} {self.verdict_reason}"
 
     def count(self, run: Run) -> int:
-        """Count pairs by how they ran.
+        """Count pairs by `Pair.run`.
 
         Parameters
         ----------
@@ -407,7 +407,7 @@ class Comparison:
         -------
         int
         """
-        return sum(one.run == run for one in self.pairs)
+        return sum(pair.run == run for pair in self.pairs)
 
     def to_json(self) -> dict[str, Any]:
         """Return plain values.
@@ -425,9 +425,9 @@ class Comparison:
             "scenario": self.title,
             "verdict": self.verdict,
             "verdict_reason": self.verdict_reason,
-            "worse": [_plain_finding(one) for one in self.worse],
-            "better": [_plain_finding(one) for one in self.better],
-            "within_tolerance": [_plain_finding(one) for one in self.within],
+            "worse": [_plain_finding(item) for item in self.worse],
+            "better": [_plain_finding(item) for item in self.better],
+            "within_tolerance": [_plain_finding(item) for item in self.within],
             "tolerances": dict(self.tolerances),
             "changed": self.changed,
             "reason": self.reason,
@@ -445,49 +445,29 @@ class Comparison:
                 "old_alone": self.alone[0],
                 "new_alone": self.alone[1],
             },
-            "scores": [asdict(one) for one in self.scores],
-            "tests": [asdict(one) for one in self.tests],
+            "scores": [asdict(item) for item in self.scores],
+            "tests": [asdict(item) for item in self.tests],
             "outcomes": [{"old": a, "new": b, "count": n} for (a, b), n in sorted(self.outcomes.items())],
             "verdicts": [
                 {"requirement": name, "old": a, "new": b, "count": n}
                 for (name, a, b), n in sorted(self.verdicts.items())
             ],
-            "kinds": {by: [asdict(one) for one in kinds] for by, kinds in self.kinds.items()},
+            "kinds": {by: [asdict(item) for item in kinds] for by, kinds in self.kinds.items()},
             "space": None if space is None else asdict(space),
-            "telling": [_plain_pair(one.pair) | {"why": one.why} for one in self.telling],
-            "changed_pairs": [_plain_pair(one) for one in self.pairs if one.run != "the same"],
+            "telling": [_plain_pair(item.pair) | {"why": item.why} for item in self.telling],
+            "changed_pairs": [_plain_pair(item) for item in self.pairs if item.run != "the same"],
         }
 
 
 def name_pair(ids: tuple[int, int]) -> str:
-    """Name a scenario by its number in both studies.
-
-    Parameters
-    ----------
-    ids : tuple of (int, int)
-
-    Returns
-    -------
-    str
-        ``"4"``, or ``"4→7"`` if it has another number in the new study.
-    """
+    """Name a scenario by its ids in both studies: `"4"`, or `"4→7"` if they differ."""
     return str(ids[0]) if ids[0] == ids[1] else f"{ids[0]}→{ids[1]}"
 
 
 def tell_findings(findings: Sequence[Finding]) -> str:
-    """Put findings in one line.
-
-    Parameters
-    ----------
-    findings : sequence of Finding
-
-    Returns
-    -------
-    str
-        The first four of them; the others are counted.
-    """
-    more = len(findings) - _TOLD
-    return ", ".join(one.text for one in findings[:_TOLD]) + (f", and {more} more" if more > 0 else "")
+    """Describe the first four findings in one line; the others are counted."""
+    n_more = len(findings) - _TOLD
+    return ", ".join(finding.text for finding in findings[:_TOLD]) + (f", and {n_more} more" if n_more > 0 else "")
 
 
 def _plain_finding(finding: Finding) -> dict[str, Any]:
@@ -499,7 +479,7 @@ def _plain_finding(finding: Finding) -> dict[str, Any]:
         "against": finding.against,
         "largest": finding.largest,
         "text": finding.text,
-        "pairs": [list(one) for one in finding.ids],
+        "pairs": [list(ids) for ids in finding.ids],
     }
 
 
@@ -509,7 +489,7 @@ def _plain_pair(pair: Pair) -> dict[str, Any]:
         "new": pair.ids[1],
         "values": dict(pair.values),
         "run": pair.run,
-        "scores": {name: list(both) for name, both in pair.scores.items()},
+        "scores": {name: list(values) for name, values in pair.scores.items()},
         "outcomes": list(pair.outcomes),
         "critical": None if pair.critical is None else list(pair.critical),
         "verdicts": [[old.requirement, old.state, new.state] for old, new in pair.turned],

@@ -1,4 +1,4 @@
-"""How the critical part of a space changed between two studies, and what says so."""
+"""Estimate how the critical part of the space changed between two studies."""
 
 from __future__ import annotations
 
@@ -17,60 +17,51 @@ _SEED = 0
 
 
 def find_space_change(old: Side, new: Side, pairs: tuple[Pair, ...]) -> SpaceChange | None:
-    """Find how the critical part of the space changed.
+    """Estimate how the critical part of the space changed; None without a threshold or if a study was not explored.
 
-    Parameters
-    ----------
-    old, new : Side
-        Of the same space.
-    pairs : tuple of Pair
-
-    Returns
-    -------
-    SpaceChange or None
-        None where nothing says what is critical, or one of the studies does not look at the space.
-
-    Notes
-    -----
-    Scenarios that a search chose by scores lie where it expected something critical, so they say nothing of shares of
-    the space. Pairs of the fillings of both searches, and of their audits, do, without any model: of n of them, those
-    that are critical with one version only give the interval of Clopper and Pearson of that part of the space.
+    Scenarios that an optimizer chose by scores lie where it expected critical ones, so they say nothing about fractions
+    of the space. Pairs of both initial designs and audits do, without any model: the number of those that are critical
+    with one version only gives the Clopper-Pearson interval of that part of the space.
     """
     if not (old.critical and new.critical and old.searched and new.searched):
         return None
-    blind = [one for one in pairs if one.critical is not None and old.fills[one.ids[0]] and new.fills[one.ids[1]]]
-    critical = np.array([one.critical for one in blind], dtype=np.bool_).reshape(-1, 2)
+    independent = [
+        pair for pair in pairs if pair.critical is not None and old.fills[pair.ids[0]] and new.fills[pair.ids[1]]
+    ]
+    critical = np.array([pair.critical for pair in independent], dtype=np.bool_).reshape(-1, 2)
     gained = lost = None
-    doubt = f"only {len(blind)} scenarios were run with both and chosen by neither by its scores; {FEWEST} are needed"
-    if len(blind) >= FEWEST:
-        doubt = ""
-        gained = bounds_of_share(int((critical[:, 1] & ~critical[:, 0]).sum()), len(blind))
-        lost = bounds_of_share(int((critical[:, 0] & ~critical[:, 1]).sum()), len(blind))
-    if len(pairs) == len(old.rows) == len(new.rows) and all(one.run == "the same" for one in pairs):
-        sets, sets_doubt = None, "both studies hold the same scenarios, which ran the same"
+    reason = (
+        f"only {len(independent)} scenarios were run with both and chosen by neither by its scores; {FEWEST} are needed"
+    )
+    if len(independent) >= FEWEST:
+        reason = ""
+        gained = bounds_of_share(int((critical[:, 1] & ~critical[:, 0]).sum()), len(independent))
+        lost = bounds_of_share(int((critical[:, 0] & ~critical[:, 1]).sum()), len(independent))
+    if len(pairs) == len(old.rows) == len(new.rows) and all(pair.run == "the same" for pair in pairs):
+        sets, sets_reason = None, "both studies hold the same scenarios, which ran the same"
     else:
-        sets, sets_doubt = _sets(old.study, new.study)
+        sets, sets_reason = _sets(old.study, new.study)
     parameters = old.study.space.parameters
-    names, units = tuple(one.name for one in parameters), tuple(one.unit for one in parameters)
-    return SpaceChange(len(blind), gained, lost, doubt, sets, sets_doubt, names, units)
+    names, units = tuple(pair.name for pair in parameters), tuple(pair.unit for pair in parameters)
+    return SpaceChange(len(independent), gained, lost, reason, sets, sets_reason, names, units)
 
 
 def _sets(old: Study, new: Study) -> tuple[SetDifference | None, str]:
-    found = []
+    sets = []
     for study in (old, new):
         try:
-            one = _critical_set(study)
+            critical_set = _critical_set(study)
         except InputError:
             # That a study is damaged is no lack of scores.
             raise
         except ValueError:
             return None, f"{study.path.name} has fewer than 10 scores without audits, or all are the same"
-        if one.missed_doubt is not None:
-            return None, f"of {study.path.name}, {one.missed_doubt}"
-        if not (one.met_both or one.exhausted):
+        if critical_set.missed_doubt is not None:
+            return None, f"of {study.path.name}, {critical_set.missed_doubt}"
+        if not (critical_set.met_both or critical_set.exhausted):
             return None, f"all scenarios of {study.path.name} are critical, so nothing says where that ends"
-        found.append(one)
-    return SetDifference.between(*found), ""
+        sets.append(critical_set)
+    return SetDifference.between(*sets), ""
 
 
 def _critical_set(study: Study) -> CriticalSet:

@@ -1,4 +1,4 @@
-"""The few scenarios that tell two versions apart."""
+"""Choose example scenarios that show what changed between two versions."""
 
 from __future__ import annotations
 
@@ -25,106 +25,103 @@ _Tier: TypeAlias = tuple[int, bool]
 
 
 def choose_telling(pairs: Sequence[Pair], metrics: Sequence[str], searched: str = "") -> tuple[Telling, ...]:
-    """Choose scenarios that show what changed, spread over the space.
+    """Choose at most `MAX_EXAMPLES` scenarios that show what changed, spread over the space.
 
-    First those with another verdict, or that ran with one version only; then those of which one collides; then another
-    outcome; then critical or not; then a score, in units of the spread of its old scores. Of each manner those come
-    first that became worse. Among those that changed in the same manner it begins with the largest change, and goes on
-    with the one that is farthest from all that are chosen, of those that changed half as much as the largest or more.
-
-    Parameters
-    ----------
-    pairs : sequence of Pair
-    metrics : sequence of str
-    searched : str, default ""
-        The one of them whose score says what is critical; empty where several do.
-
-    Returns
-    -------
-    tuple of Telling
-        At most `MOST`.
+    In this order: another verdict, or a run that failed with one version only; a collision with one version only;
+    another outcome; critical or not; a score, in units of the spread of its old scores. Within each of these, changes
+    for the worse come first. Among equal changes, the largest one is chosen first, then the one farthest from all
+    chosen so far, among those at least half as large. `searched` is the metric that defines criticality; empty if
+    several do.
     """
     spreads = _spreads(pairs, metrics)
     tiers: dict[_Tier, list[tuple[float, Pair, str]]] = {}
     for pair in pairs:
-        tier, size, why = _change(pair, spreads, searched)
-        if why:
-            tiers.setdefault(tier, []).append((size, pair, why))
+        tier, size, reason = _change(pair, spreads, searched)
+        if reason:
+            tiers.setdefault(tier, []).append((size, pair, reason))
     chosen: list[Telling] = []
     for tier in sorted(tiers):
-        left = sorted(tiers[tier], key=lambda one: (-one[0], one[1].ids))
-        left = [one for one in left if one[0] >= _CLOSE * left[0][0]]
-        while left and len(chosen) < MOST:
-            away = [_distance(one[1], chosen) for one in left]
+        candidates = sorted(tiers[tier], key=lambda one: (-one[0], one[1].ids))
+        candidates = [candidate for candidate in candidates if candidate[0] >= _CLOSE * candidates[0][0]]
+        while candidates and len(chosen) < MOST:
+            distances = [_distance(candidate[1], chosen) for candidate in candidates]
             # The first of a tier is its largest change, unless that shows again what is there.
-            k = 0 if not chosen or (left[0][0] > 0.0 and _first(tier, tiers, chosen)) else int(np.argmax(away))
-            if chosen and away[k] < _NEAR:
-                k = int(np.argmax(away))
-                if away[k] < _NEAR:
+            index = (
+                0
+                if not chosen or (candidates[0][0] > 0.0 and _first(tier, tiers, chosen))
+                else int(np.argmax(distances))
+            )
+            if chosen and distances[index] < _NEAR:
+                index = int(np.argmax(distances))
+                if distances[index] < _NEAR:
                     break
-            _, pair, why = left.pop(k)
-            chosen.append(Telling(pair, why))
+            _, pair, reason = candidates.pop(index)
+            chosen.append(Telling(pair, reason))
         if len(chosen) >= MOST:
             break
     return tuple(chosen)
 
 
 def _first(tier: _Tier, tiers: Mapping[_Tier, list[tuple[float, Pair, str]]], chosen: Sequence[Telling]) -> bool:
+    """Tell whether no example of this tier was chosen yet."""
     of_tier = {id(pair) for _, pair, _ in tiers[tier]}
-    return not any(id(one.pair) in of_tier for one in chosen)
+    return not any(id(example.pair) in of_tier for example in chosen)
 
 
 def _distance(pair: Pair, chosen: Sequence[Telling]) -> float:
-    at = np.array(pair.point)
-    return min((float(np.sqrt(np.mean((at - np.array(one.pair.point)) ** 2))) for one in chosen), default=np.inf)
+    """RMS difference of parameters, in the unit cube, to the nearest chosen example."""
+    point = np.array(pair.point)
+    return min(
+        (float(np.sqrt(np.mean((point - np.array(example.pair.point)) ** 2))) for example in chosen), default=np.inf
+    )
 
 
 def _spreads(pairs: Sequence[Pair], metrics: Sequence[str]) -> dict[str, float]:
-    """Half the range that holds the middle 90 % of the old scores; their whole range where that is 0."""
-    ran = [one for one in pairs if one.ran]
-    found = {}
-    for name in metrics if ran else ():
-        scores: FloatArray = np.array([one.scores[name][0] for one in ran])
+    """Half the range of the middle 90 % of the old scores; their whole range if that is 0."""
+    both_ran = [pair for pair in pairs if pair.ran]
+    spreads = {}
+    for name in metrics if both_ran else ():
+        scores: FloatArray = np.array([pair.scores[name][0] for pair in both_ran])
         scores = scores[np.isfinite(scores)]
         low, high = np.quantile(scores, (0.05, 0.95)).tolist() if len(scores) else (0.0, 0.0)
-        found[name] = (high - low) / 2.0 or float(np.ptp(scores) if len(scores) else 0.0) or 1.0
-    return found
+        spreads[name] = (high - low) / 2.0 or float(np.ptp(scores) if len(scores) else 0.0) or 1.0
+    return spreads
 
 
 def _change(pair: Pair, spreads: Mapping[str, float], searched: str) -> tuple[_Tier, float, str]:
-    """How important a change is, how large, and what it is in words; no words where nothing changed."""
+    """Tier, size and description of the change of a pair; no description if nothing changed."""
     if pair.run == "not in one":
-        which = "old" if pair.errors[0] is not None else "new"
-        return (0, which == "old"), 0.0, f"could not be run with the {which} version"
+        failing = "old" if pair.errors[0] is not None else "new"
+        return (0, failing == "old"), 0.0, f"could not be run with the {failing} version"
     if not pair.ran:
         return (9, True), 0.0, ""
-    size, moved, worse = _largest(pair, spreads)
+    size, description, worse = _largest(pair, spreads)
     if pair.turned:
         # One that newly fails, if there is one.
         old, new = min(pair.turned, key=lambda one: one[1].state != "failed")
         return (0, new.state != "failed"), size, f"{old.requirement}: {old.state}, now {new.state}"
-    tell = f"{pair.outcomes[0]}; now {pair.outcomes[1]}"
+    ending = f"{pair.outcomes[0]}; now {pair.outcomes[1]}"
     if pair.collides[0] != pair.collides[1]:
-        return (1, pair.collides[0]), size, tell
+        return (1, pair.collides[0]), size, ending
     if pair.outcomes[0] != pair.outcomes[1]:
-        return (2, not worse), size, tell
+        return (2, not worse), size, ending
     if pair.critical is not None and pair.critical[0] != pair.critical[1]:
-        why = _moved(searched, *pair.scores[searched]) if searched else moved
-        return (3, pair.critical[0]), size, f"{'critical now' if pair.critical[1] else 'critical no more'}, {why}"
-    return (4, not worse), size, moved
+        reason = _moved(searched, *pair.scores[searched]) if searched else description
+        return (3, pair.critical[0]), size, f"{'critical now' if pair.critical[1] else 'critical no more'}, {reason}"
+    return (4, not worse), size, description
 
 
 def _largest(pair: Pair, spreads: Mapping[str, float]) -> tuple[float, str, bool]:
-    """Largest change of a score in units of its spread, which, and whether it is one for the worse."""
-    found, words, worse = 0.0, "", False
+    """Largest change of a score in units of its spread, its description, and whether it is for the worse."""
+    largest, description, worse = 0.0, "", False
     for name, spread in spreads.items():
         old, new = pair.scores[name]
         (change,) = np.abs(moved_by(np.array([old]), np.array([new]))).tolist()
-        if change / spread > found:
-            found, words = change / spread, _moved(name, old, new)
+        if change / spread > largest:
+            largest, description = change / spread, _moved(name, old, new)
             metric = METRICS.create(name)
             worse = metric.oriented(new) < metric.oriented(old)
-    return found, words, worse
+    return largest, description, worse
 
 
 def _moved(name: str, old: float, new: float) -> str:

@@ -1,4 +1,4 @@
-"""Whether a new version is better or worse than the old one, within tolerances."""
+"""Decide whether a new version is better or worse than the old one, within tolerances."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ _TESTED: Final[Mapping[str, _Kind]] = MappingProxyType(
 
 @dataclass(frozen=True)
 class Step:
-    """One change of a pair for the worse or the better; `size` is the move of a score, in its unit."""
+    """One change of a pair for the worse or the better; `size` is the change of a score, in its unit."""
 
     kind: _Kind
     about: str
@@ -51,39 +51,24 @@ class Step:
 def find_tolerances(
     metrics: Iterable[str], requirements: Iterable[str], given: Mapping[str, float] | None
 ) -> dict[str, float]:
-    """Find the tolerance of each metric.
+    """Tolerance of each compared metric and of the metrics in the requirements of both studies.
 
-    Parameters
-    ----------
-    metrics : iterable of str
-        Metrics that are compared.
-    requirements : iterable of str
-        Requirements of both studies; the metrics that they name have a tolerance too.
-    given : mapping of str to float, optional
-        Tolerances in place of the defaults, by metric.
-
-    Returns
-    -------
-    dict of str to float
-
-    Raises
-    ------
-    InputError
-        A tolerance is negative or no number, or its metric is not compared.
+    `given` overrides the defaults by metric; raises `InputError` if one is negative or for a metric that is not
+    compared.
     """
-    formulas = (Requirement.parse(one).formula for one in requirements)
-    named = [name for one in formulas if one is not None for name in one.metrics]
-    found = {name: _default(METRICS.create(name).unit) for name in (*metrics, *named)}
+    formulas = (Requirement.parse(item).formula for item in requirements)
+    formula_metrics = [name for item in formulas if item is not None for name in item.metrics]
+    limits = {name: _default(METRICS.create(name).unit) for name in (*metrics, *formula_metrics)}
     for name, value in arguments.by_name("tolerances", given or {}).items():
-        if name not in found:
+        if name not in limits:
             raise InputError(
-                f"`tolerances` {name}: is none of the metrics that are compared; {suggestion(name, found)}"
+                f"`tolerances` {name}: is none of the metrics that are compared; {suggestion(name, limits)}"
             )
         try:
-            found[name] = arguments.number("tolerances", value, least=0.0)
+            limits[name] = arguments.number("tolerances", value, least=0.0)
         except InputError as error:
             raise InputError(f"`tolerances` {name}={arguments.shown(value)}: give a number of 0 or more.") from error
-    return found
+    return limits
 
 
 def _default(unit: str) -> float:
@@ -93,28 +78,11 @@ def _default(unit: str) -> float:
 def find_verdict(
     pairs: Sequence[Pair], tests: Sequence[ChangeTest], tolerances: Mapping[str, float], certain: bool
 ) -> tuple[tuple[Finding, ...], tuple[Finding, ...], tuple[Finding, ...]]:
-    """Find what became worse and what became better with the new version.
+    """Find what is worse and better with the new version, and what was crossed within the tolerances only.
 
-    If both simulators repeat themselves, each pair shows it. Otherwise a single pair shows nothing: then the
-    significant tests count, each of them if more scenarios changed in its direction by more than the tolerances than
-    in the other. Tests of scenarios that are not the same ones count in either case.
-
-    Parameters
-    ----------
-    pairs : sequence of Pair
-    tests : sequence of ChangeTest
-        Corrected.
-    tolerances : mapping of str to float
-        By metric.
-    certain : bool
-        Whether both simulators repeat themselves.
-
-    Returns
-    -------
-    worse, better : tuple of Finding
-        What matters most first.
-    within : tuple of Finding
-        Thresholds and bounds that were crossed within the tolerances.
+    If both simulators are deterministic, each pair is evidence. Otherwise a single pair is not: then only significant
+    tests count, each of them if more scenarios changed in its direction, by more than the tolerances, than in the
+    other. Tests of unpaired scenarios always count. The most important findings come first.
     """
     steps = [step for pair in pairs if certain or pair.unselected for step in _steps(pair, tolerances)]
     counted, within = [one for one in steps if one.counts], [one for one in steps if not one.counts]
@@ -122,12 +90,12 @@ def find_verdict(
     for test in tests:
         if test.corrected <= LEVEL and test.direction is not None and (not certain or test.differ is None):
             findings += _tested(test, test.direction, counted, tolerances)
-    worse, better = (tuple(one for one in findings if one.direction == each) for each in ("worse", "better"))
+    worse, better = (tuple(one for one in findings if one.direction == direction) for direction in ("worse", "better"))
     return worse, better, tuple(_grouped(within, tolerances))
 
 
 def _steps(pair: Pair, tolerances: Mapping[str, float]) -> Iterator[Step]:
-    """Go through the changes of a pair for the worse and the better."""
+    """Yield the changes of a pair for the worse and the better."""
     if pair.run == "not in one":
         yield Step("run", "", "worse" if pair.errors[0] is None else "better", pair.ids)
     # What went the same but for rounding may still cross a bound, which is told and does not count.
@@ -135,15 +103,15 @@ def _steps(pair: Pair, tolerances: Mapping[str, float]) -> Iterator[Step]:
     if pair.collides[0] != pair.collides[1]:
         yield Step("collision", "", "worse" if pair.collides[1] else "better", pair.ids)
     for old, new in pair.turned:
-        failed = [one.state == "failed" for one in (old, new)]
-        if failed[0] != failed[1]:
+        is_failed = [verdict.state == "failed" for verdict in (old, new)]
+        if is_failed[0] != is_failed[1]:
             margins = pair.margins.get(old.requirement)
-            allowed = _tolerance_of(old.requirement, tolerances)
-            counts = margins is None or (otherwise and _exceeds(*margins, allowed))
-            yield Step("requirement", old.requirement, "worse" if failed[1] else "better", pair.ids, counts)
+            tolerance = _tolerance_of(old.requirement, tolerances)
+            counts = margins is None or (otherwise and _exceeds(*margins, tolerance))
+            yield Step("requirement", old.requirement, "worse" if is_failed[1] else "better", pair.ids, counts)
     if pair.critical is not None and pair.critical[0] != pair.critical[1]:
         # If several metrics decide together, one that moved is enough.
-        counts = otherwise and any(_exceeds(*both, tolerances[name]) for name, both in pair.deciding.items())
+        counts = otherwise and any(_exceeds(*scores, tolerances[name]) for name, scores in pair.deciding.items())
         yield Step("critical", "", "worse" if pair.critical[1] else "better", pair.ids, counts)
     for name, (before, after) in pair.scores.items():
         if otherwise and _exceeds(before, after, tolerances[name]):
@@ -153,7 +121,7 @@ def _steps(pair: Pair, tolerances: Mapping[str, float]) -> Iterator[Step]:
 
 
 def _exceeds(before: float, after: float, tolerance: float) -> bool:
-    """Whether a number moved by more than a tolerance, and not by rounding alone."""
+    """Tell whether a number changed by more than a tolerance and more than rounding."""
     if not (np.isfinite(before) and np.isfinite(after)):
         return before != after
     size = abs(float(moved_by(np.array([before]), np.array([after]))[0]))
@@ -162,25 +130,25 @@ def _exceeds(before: float, after: float, tolerance: float) -> bool:
 
 
 def _tolerance_of(requirement: str, tolerances: Mapping[str, float]) -> float:
-    """Tolerance of the margin of a requirement: the smallest one of the signals that it compares."""
+    """Tolerance of the margin of a requirement: the smallest one of its signals."""
     formula = Requirement.parse(requirement).formula
     if formula is None:
         # How near the ego comes to a place.
         return TOLERANCES["m"]
-    signals = [one.left for one in formula.comparisons]
-    return min(tolerances[one.name] if one.name in tolerances else _default(one.unit) for one in signals)
+    signals = [signal.left for signal in formula.comparisons]
+    return min(tolerances[signal.name] if signal.name in tolerances else _default(signal.unit) for signal in signals)
 
 
 def _grouped(steps: Iterable[Step], metrics: Iterable[str]) -> Iterator[Finding]:
-    """Put the changes of one kind and direction together; scores in the order of the metrics."""
-    places = {name: k for k, name in enumerate(metrics)}
+    """Combine the changes of one kind and direction into findings; scores in the order of the metrics."""
+    order = {name: k for k, name in enumerate(metrics)}
     groups: dict[tuple[_Kind, str, Direction], list[Step]] = {}
     for step in steps:
         groups.setdefault((step.kind, step.about, step.direction), []).append(step)
 
     def place(group: tuple[_Kind, str, Direction]) -> tuple[int, int, str, bool]:
         kind, about, direction = group
-        return _ORDER.index(kind), places.get(about, 0), about, direction == "better"
+        return _ORDER.index(kind), order.get(about, 0), about, direction == "better"
 
     for kind, about, direction in sorted(groups, key=place):
         yield _finding(kind, about, direction, groups[kind, about, direction])
@@ -195,29 +163,29 @@ def _finding(
     test: ChangeTest | None = None,
 ) -> Finding:
     unit = METRICS.create(about).unit if kind == "score" else ""
-    largest = max((one.size for one in steps if one.size is not None), key=abs, default=None)
-    ids = tuple(dict.fromkeys(one.ids for one in steps))
+    largest = max((step.size for step in steps if step.size is not None), key=abs, default=None)
+    ids = tuple(dict.fromkeys(step.ids for step in steps))
     return Finding(kind, about, direction, ids, against, largest, unit, test)
 
 
 def _tested(
     test: ChangeTest, direction: Direction, steps: Sequence[Step], tolerances: Mapping[str, float]
 ) -> Iterator[Finding]:
-    """Give the finding of a significant test, unless it is within the tolerances."""
+    """Yield the finding of a significant test, unless it is within the tolerances."""
     kind = _TESTED.get(test.about, "score")
     about = test.about if kind == "score" else ""
     if test.differ is None:
         # A shift of the mean in the other direction would contradict the test, which looks at ranks.
         oriented = METRICS.create(about).oriented(test.shift) if about else -test.shift
-        ahead = oriented < 0.0 if direction == "worse" else oriented > 0.0
-        if ahead and (not about or _exceeds(0.0, test.shift, tolerances[about])):
+        agrees = oriented < 0.0 if direction == "worse" else oriented > 0.0
+        if agrees and (not about or _exceeds(0.0, test.shift, tolerances[about])):
             yield _finding(kind, about, direction, (), test=test)
         return
-    mine = [one for one in steps if one.kind == kind and (not about or one.about == about)]
-    there = [one for one in mine if one.direction == direction]
-    against = len({one.ids for one in mine if one.direction != direction})
-    if len({one.ids for one in there}) > against:
-        yield _finding(kind, about, direction, there, against, test)
+    relevant = [step for step in steps if step.kind == kind and (not about or step.about == about)]
+    confirming = [step for step in relevant if step.direction == direction]
+    against = len({step.ids for step in relevant if step.direction != direction})
+    if len({step.ids for step in confirming}) > against:
+        yield _finding(kind, about, direction, confirming, against, test)
 
 
 def judge_version(
@@ -227,48 +195,33 @@ def judge_version(
     changed: tuple[bool, str],
     certain: bool,
 ) -> tuple[Answer, str]:
-    """Come to a verdict on the new version.
+    """Verdict on the new version, and its reason without a period.
 
-    Parameters
-    ----------
-    findings : tuple of sequence of Finding
-        What is worse, and what is better.
-    pairs : sequence of Pair
-    tests : sequence of ChangeTest
-    changed : tuple of (bool, str)
-        Whether the versions differ at all, and why that is said.
-    certain : bool
-        Whether both simulators repeat themselves.
-
-    Returns
-    -------
-    verdict : {"better", "worse", "mixed", "the same", "cannot say"}
-    reason : str
-        Why, without a full stop.
+    `findings` are those for the worse and for the better; `changed` says whether the versions differ at all, and why.
     """
-    worse, better = (tell_findings(one) for one in findings)
+    worse, better = (tell_findings(item) for item in findings)
     if worse and better:
         return "mixed", f"Worse: {worse}; better: {better}"
     if worse or better:
         return ("worse", worse) if worse else ("better", better)
-    ran, otherwise = sum(one.ran for one in pairs), sum(one.run == "otherwise" for one in pairs)
-    if all(one.run in ("the same", "in neither") for one in pairs) and ran and not changed[0]:
+    n_ran, n_different = sum(item.ran for item in pairs), sum(item.run == "otherwise" for item in pairs)
+    if all(item.run in ("the same", "in neither") for item in pairs) and n_ran and not changed[0]:
         return "the same", changed[1]
-    if certain and otherwise:
-        return "the same", f"{otherwise} of {ran} scenarios that both ran went otherwise, within the tolerances"
+    if certain and n_different:
+        return "the same", f"{n_different} of {n_ran} scenarios that both ran went otherwise, within the tolerances"
     if changed[0]:
         return "the same", "nothing that the tests show is beyond the tolerances"
-    if certain and ran:
+    if certain and n_ran:
         return "the same", changed[1]
     if not tests:
         return "cannot say", f"{changed[1]}; explore both with audits, which no search chooses"
-    if not any(_can_reject(one, len(tests)) for one in tests):
-        count, needed = max(one.old for one in tests), math.ceil(math.log2(2.0 * len(tests) / LEVEL))
-        return "cannot say", f"{count} scenarios are too few for {len(tests)} tests, which need {needed}"
+    if not any(_can_reject(item, len(tests)) for item in tests):
+        count, n_needed = max(item.old for item in tests), math.ceil(math.log2(2.0 * len(tests) / LEVEL))
+        return "cannot say", f"{count} scenarios are too few for {len(tests)} tests, which need {n_needed}"
     return "the same", changed[1]
 
 
 def _can_reject(test: ChangeTest, count: int) -> bool:
-    """Whether a test could be significant at all among `count` tests, if all its scenarios changed in one direction."""
+    """Tell whether a test could be significant among `n_tests` tests if all scenarios changed in one direction."""
     # Samples have 20 scenarios each, which is enough for any number of tests.
     return test.differ is None or count * 2.0 * 0.5**test.old <= LEVEL

@@ -1,4 +1,4 @@
-"""A comparison of two versions in words, and as plain values."""
+"""Describe a comparison of two versions in words."""
 
 from __future__ import annotations
 
@@ -17,18 +17,10 @@ NAMED: Final = 40
 
 @dataclass(frozen=True)
 class Section:
-    """A part of a comparison, as a person reads it.
+    """A section of a comparison report; `header` is empty without a table.
 
-    Attributes
-    ----------
-    key : str
-        What it is about: ``"answer"``, ``"findings"``, ``"pairs"``, ``"scores"``, ``"outcomes"``, ``"verdicts"``,
-        ``"tests"``, ``"space"``, ``"kinds"`` or ``"telling"``.
-    title : str
-    sentences : tuple of str
-    header : tuple of str
-        Of the table; empty without one.
-    rows : tuple of tuple of str
+    `key` is ``"answer"``, ``"findings"``, ``"pairs"``, ``"scores"``, ``"outcomes"``, ``"verdicts"``, ``"tests"``,
+    ``"space"``, ``"kinds"`` or ``"telling"``.
     """
 
     key: str
@@ -39,17 +31,7 @@ class Section:
 
 
 def tell_comparison(found: Comparison) -> tuple[Section, ...]:
-    """Put a comparison in words.
-
-    Parameters
-    ----------
-    found : Comparison
-
-    Returns
-    -------
-    tuple of Section
-        The answer first; only what there is to say.
-    """
+    """Describe a comparison in sections, the answer first; empty sections are left out."""
     return tuple(_sections(found))
 
 
@@ -64,15 +46,15 @@ def _sections(found: Comparison) -> Iterator[Section]:
         yield _space(found.space)
     yield from _kinds(found)
     if found.telling:
-        rows = tuple((_both(one.pair.ids), _values(one.pair), one.why) for one in found.telling)
+        rows = tuple((_both(example.pair.ids), _values(example.pair), example.why) for example in found.telling)
         yield Section(
             "telling", "Scenarios that tell the versions apart", header=("old, new", "parameters", "why"), rows=rows
         )
 
 
 def _answer(found: Comparison) -> Section:
-    other = found.differences or ("The studies were made with the same settings.",)
-    sentences = list(other)
+    differences = found.differences or ("The studies were made with the same settings.",)
+    sentences = list(differences)
     if not found.verdict_reason.startswith(found.reason):
         sentences.append(f"{'Changed' if found.changed else 'No change'}: {found.reason}")
     if found.within:
@@ -90,10 +72,11 @@ def _tolerances(found: Comparison) -> Iterator[str]:
 
 
 def _findings(found: Comparison) -> Section:
-    each = (*found.worse, *found.better)
-    tests = ("test",) if any(one.test for one in each) else ()
+    findings = (*found.worse, *found.better)
+    tests = ("test",) if any(finding.test for finding in findings) else ()
     rows = tuple(
-        (one.direction, one.what, one.name_scenarios(NAMED), *([one.tell_test()] if tests else [])) for one in each
+        (finding.direction, finding.what, finding.name_scenarios(NAMED), *([finding.tell_test()] if tests else []))
+        for finding in findings
     )
     return Section("findings", "Worse and better", header=("", "what", "scenarios", *tests), rows=rows)
 
@@ -107,30 +90,30 @@ def _pairs(found: Comparison) -> Iterator[Section]:
         "with one version only": found.count("not in one"),
         "with neither": found.count("in neither"),
     }
-    how = ", ".join(f"{count} {words}" for words, count in runs.items() if count)
-    sentences = [f"{len(found.pairs)} scenarios with the same parameters" + (f": {how}" if how else "")]
+    counts = ", ".join(f"{count} {label}" for label, count in runs.items() if count)
+    sentences = [f"{len(found.pairs)} scenarios with the same parameters" + (f": {counts}" if counts else "")]
     if any(found.alone):
         sentences.append(f"without a partner: {found.alone[0]} of {old}, {found.alone[1]} of {new}")
     if not found.certain and found.pairs:
-        blind = sum(one.unselected for one in found.pairs)
-        sentences.append(f"{blind} of them were chosen by no search by its scores; the tests look at those")
+        n_independent = sum(item.unselected for item in found.pairs)
+        sentences.append(f"{n_independent} of them were chosen by no search by its scores; the tests look at those")
     yield Section("pairs", "Pairs", tuple(sentences))
-    if any(one.moved for one in found.scores):
+    if any(item.moved for item in found.scores):
         yield Section(
             "scores",
             "Scores",
             header=("metric", "moved", "more critical", "less critical", "median change", "largest", "in (old, new)"),
             rows=tuple(
                 (
-                    one.metric,
-                    f"{one.moved} of {one.pairs}",
-                    str(one.worse),
-                    str(one.better),
-                    _signed(one.median, one.unit),
-                    _signed(one.largest, one.unit),
-                    "" if one.ids is None else _both(one.ids),
+                    item.metric,
+                    f"{item.moved} of {item.pairs}",
+                    str(item.worse),
+                    str(item.better),
+                    _signed(item.median, item.unit),
+                    _signed(item.largest, item.unit),
+                    "" if item.ids is None else _both(item.ids),
                 )
-                for one in found.scores
+                for item in found.scores
             ),
         )
     changed = sorted(
@@ -140,22 +123,22 @@ def _pairs(found: Comparison) -> Iterator[Section]:
         rows = tuple((before, after, str(count)) for (before, after), count in changed)
         yield Section("outcomes", "Outcomes that changed", header=("old", "new", "scenarios"), rows=rows)
     if found.verdicts:
-        turned = sorted((one, count) for one, count in found.verdicts.items() if one[1] != one[2])
-        verdicts = tuple((*one, str(count)) for one, count in turned)
-        same = sum(count for one, count in found.verdicts.items() if one[1] == one[2])
+        changed_verdicts = sorted((item, count) for item, count in found.verdicts.items() if item[1] != item[2])
+        verdicts = tuple((*item, str(count)) for item, count in changed_verdicts)
+        n_same = sum(count for item, count in found.verdicts.items() if item[1] == item[2])
         header = ("requirement", "old", "new", "scenarios") if verdicts else ()
-        yield Section("verdicts", "Verdicts", (f"{same} are the same",), header, verdicts)
+        yield Section("verdicts", "Verdicts", (f"{n_same} are the same",), header, verdicts)
 
 
 def _tests(found: Comparison) -> Section:
     rows = []
-    for one in found.tests:
-        if one.differ is None:
-            about = f"{one.old} and {one.new} scenarios"
+    for test in found.tests:
+        if test.differ is None:
+            about = f"{test.old} and {test.new} scenarios"
         else:
-            about = f"{one.differ} of {one.old} pairs differ"
-        claim = "differs" if one.corrected <= LEVEL else "–"
-        rows.append((one.about, one.method, about, f"{one.p:.2g}", f"{one.corrected:.2g}", claim))
+            about = f"{test.differ} of {test.old} pairs differ"
+        claim = "differs" if test.corrected <= LEVEL else "–"
+        rows.append((test.about, test.method, about, f"{test.p:.2g}", f"{test.corrected:.2g}", claim))
     level = f"a version is said to differ from itself in at most {LEVEL:.0%} of all comparisons (Holm)"
     return Section("tests", "Tests", (level,), ("of", "test", "looked at", "p", "corrected", ""), tuple(rows))
 
@@ -180,7 +163,7 @@ def _space(space: SpaceChange) -> Section:
     ]
     for name, unit, middle in zip(space.parameters, space.units, sets.middles, strict=True):
         if middle is not None:
-            rows.append((f"middle in {name}", *(_estimate(one, unit) for one in middle)))
+            rows.append((f"middle in {name}", *(_estimate(value, unit) for value in middle)))
     return Section(
         "space",
         "The critical part of the space",
@@ -192,8 +175,11 @@ def _space(space: SpaceChange) -> Section:
 
 def _kinds(found: Comparison) -> Iterator[Section]:
     for by, kinds in found.kinds.items():
-        if any(one.old != one.new for one in kinds):
-            rows = tuple((one.label, str(one.old), str(one.new), _fate(one.old, one.new)) for one in kinds)
+        if any(cluster.old != cluster.new for cluster in kinds):
+            rows = tuple(
+                (cluster.label, str(cluster.old), str(cluster.new), _fate(cluster.old, cluster.new))
+                for cluster in kinds
+            )
             yield Section("kinds", f"Kinds by {by}, among the pairs", header=("kind", "old", "new", ""), rows=rows)
 
 
@@ -218,14 +204,14 @@ def _signed(value: float, unit: str) -> str:
 
 
 def _share(one: Estimate) -> str:
-    value, low, high = (f"{round(each, 3) + 0.0:.1%}" for each in (one.value, one.low, one.high))
+    value, low, high = (f"{round(number, 3) + 0.0:.1%}" for number in (one.value, one.low, one.high))
     return f"{value} ({low} to {high})"
 
 
 def _estimate(one: Estimate, unit: str) -> str:
     # No digit that the interval leaves open.
-    places = max(0, 2 - math.ceil(math.log10(max(one.high - one.low, 1e-9))))
+    digits = max(0, 2 - math.ceil(math.log10(max(one.high - one.low, 1e-9))))
     value, low, high = (
-        f"{each + 0.0:.{places}f}" for each in (round(x, places) for x in (one.value, one.low, one.high))
+        f"{number + 0.0:.{digits}f}" for number in (round(x, digits) for x in (one.value, one.low, one.high))
     )
     return f"{value} ({low} to {high}) {'' if unit == '1' else unit}".rstrip()

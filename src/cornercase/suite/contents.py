@@ -1,4 +1,4 @@
-"""What a suite holds: scenarios that run by themselves, and how they were run."""
+"""A suite: scenarios that run by themselves, and the settings they were run with."""
 
 from __future__ import annotations
 
@@ -15,26 +15,10 @@ from cornercase.scenario import ConcreteScenario, ParameterSpace, Scenario, Valu
 
 @dataclass(frozen=True)
 class SuiteScenario:
-    """A scenario of a suite.
+    """A scenario of a suite; `values` distinguish it from the others.
 
-    Attributes
-    ----------
-    file : str
-        Its name in the folder.
-    scenario : Scenario
-        The file as it was read.
-    values : mapping of str to float or str
-        Its parameters, by which it is told from others.
-    kind : str
-        Cluster that it represents, in words; empty where it is not known.
-    role : str
-        ``"archetype"``, ``"prototype"``, ``"gap"`` or ``"exposing"``; empty where it is not known.
-    why : str
-        Why it was kept, in words; empty where it is not known.
-    origin : int or None
-        Id of the scenario of the study that it was kept from.
-    wrong : str
-        Why its file cannot be run, as why a scenario failed; empty where it can.
+    `kind` (its cluster), `role` and `why` (it was selected) are texts from the manifest, empty if unknown; `origin` is
+    the id in the study it was selected from. `wrong` says why its file cannot be run, empty if it can.
     """
 
     file: str
@@ -48,12 +32,12 @@ class SuiteScenario:
 
     @property
     def concrete(self) -> ConcreteScenario:
-        """What a simulator runs: the file as it stands."""
+        """The scenario for a simulator: the file without changes."""
         return ConcreteScenario(self.scenario.path, {}, self.scenario)
 
     @property
     def files(self) -> tuple[Path, ...]:
-        """The file and all that it uses; of one that cannot be read only itself."""
+        """The file and all files that it uses; only itself if it cannot be read."""
         try:
             return self.scenario.files()
         except InputError:
@@ -72,34 +56,11 @@ class SuiteScenario:
 
 @dataclass(frozen=True)
 class SuiteContents:
-    """What a suite holds.
+    """The scenarios of a suite and the settings they were run with; settings are empty if unknown.
 
-    Attributes
-    ----------
-    place : Path
-        The manifest, or the folder.
-    scenarios : tuple of SuiteScenario
-        At least one.
-    space : ParameterSpace
-        What differs between them.
-    ego : str
-        Name of the entity that was measured; empty where nothing says it.
-    other : str or tuple of str
-        Whom it was measured against; empty where nothing says it.
-    metrics : tuple of str
-        Those that were measured.
-    critical : float or None
-        Score of the first from which a scenario is critical.
-    simulator : str
-        What ran them, with its options; empty where nothing says it.
-    settings : mapping of str to object
-        Of ``time_step``, ``duration`` and ``on_collision`` those that are known.
-    lost_drivers : mapping of str to str
-        By entity that a driver of somebody's own drove, what a command calls that driver; empty where that is not
-        known. No file makes such a driver drive.
-    study, fingerprint : str
-        Name of the study that the scenarios were kept from, and SHA-256 of the files that were explored; empty
-        where there is none.
+    `place` is the manifest or the folder; `study` and `fingerprint` identify the study that the scenarios were selected
+    from. `lost_drivers` maps entities that a custom driver drove to the name of that driver in a command, since no file
+    can make such a driver drive.
     """
 
     place: Path
@@ -118,23 +79,23 @@ class SuiteContents:
     @property
     def usable(self) -> tuple[SuiteScenario, ...]:
         """Scenarios whose files can be run."""
-        return tuple(one for one in self.scenarios if not one.wrong)
+        return tuple(scenario for scenario in self.scenarios if not scenario.wrong)
 
     @property
     def folder(self) -> Path:
-        """Where the files lie."""
+        """Folder of the files."""
         return self.place if self.place.is_dir() else self.place.parent
 
     @property
     def files(self) -> list[Path]:
-        """The manifest, where there is one, and all files of the scenarios."""
-        own = [file for one in self.scenarios for file in one.files]
-        return own if self.place.is_dir() else [self.place, *own]
+        """The manifest, if there is one, and all files of the scenarios."""
+        scenario_files = [file for scenario in self.scenarios for file in scenario.files]
+        return scenario_files if self.place.is_dir() else [self.place, *scenario_files]
 
     @property
     def digest(self) -> str:
         """SHA-256 of all files, and of those that they use."""
         digest = hashlib.sha256()
-        for one in self.scenarios:
-            digest.update(f"{one.file}\0{one.fingerprint}\0".encode())
+        for scenario in self.scenarios:
+            digest.update(f"{scenario.file}\0{scenario.fingerprint}\0".encode())
         return digest.hexdigest()

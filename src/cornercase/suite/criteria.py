@@ -1,4 +1,4 @@
-"""Requirements from the criteria that scenarios ask ScenarioRunner for."""
+"""Requirements from the criteria for ScenarioRunner in scenario files."""
 
 from __future__ import annotations
 
@@ -20,48 +20,31 @@ _MEANINGS: Final[dict[str, Callable[[float | None], str | None]]] = {
 
 
 def required_by_files(suite: SuiteContents) -> list[Requirement]:
-    """Make requirements of the criteria of a suite's files.
+    """Make requirements from the criteria in a suite's files; one that not all files have applies to those files.
 
-    Parameters
-    ----------
-    suite : SuiteContents
-
-    Returns
-    -------
-    list of Requirement
-        One that all files have is one of all; others are of the file that has them.
-
-    Raises
-    ------
-    InputError
-        There is none, or the bound of a criterion is no number.
-
-    Warns
-    -----
-    NoticeWarning
-        Criteria are not taken.
+    Raises `InputError` if there is none; warns about criteria that a recording cannot answer.
     """
-    found: dict[str, list[str]] = {}
-    left: dict[str, None] = {}
-    for one in suite.usable:
-        for criterion in _criteria(one):
-            means = _MEANINGS.get(criterion.name)
-            meaning = None if means is None else means(criterion.value)
+    files_of: dict[str, list[str]] = {}
+    ignored: dict[str, None] = {}
+    for scenario in suite.usable:
+        for criterion in _criteria(scenario):
+            template = _MEANINGS.get(criterion.name)
+            meaning = None if template is None else template(criterion.value)
             if meaning is None:
-                left[criterion.name] = None
-            elif one.file not in found.setdefault(meaning, []):
-                found[meaning].append(one.file)
-    why = "what they ask is not in a recording, or they lack a bound"
-    if not found:
-        others = f" (not taken: {', '.join(left)}; {why})" if left else ""
+                ignored[criterion.name] = None
+            elif scenario.file not in files_of.setdefault(meaning, []):
+                files_of[meaning].append(scenario.file)
+    reason = "what they ask is not in a recording, or they lack a bound"
+    if not files_of:
+        note = f" (not taken: {', '.join(ignored)}; {reason})" if ignored else ""
         raise InputError(
             f"`require_from_file`: {suite.folder} holds none of ScenarioRunner's criteria that can be taken as"
-            f" requirements, which are {', '.join(_MEANINGS)}{others}; give requirements yourself."
+            f" requirements, which are {', '.join(_MEANINGS)}{note}; give requirements yourself."
         )
-    if left:
-        warn(f"not taken as requirements from {_sources(suite)}: {', '.join(left)}; {why}")
+    if ignored:
+        warn(f"not taken as requirements from {_sources(suite)}: {', '.join(ignored)}; {reason}")
     texts = []
-    for meaning, files in found.items():
+    for meaning, files in files_of.items():
         if len(files) == len(suite.usable):
             texts.append(meaning)
         else:
@@ -70,7 +53,7 @@ def required_by_files(suite: SuiteContents) -> list[Requirement]:
 
 
 def _sources(suite: SuiteContents) -> str:
-    """Name what the criteria stand in."""
+    """Name the file or folder of the criteria."""
     if len(suite.usable) == 1:
         return suite.usable[0].file
     return f"the scenarios of {suite.folder.resolve().name}"
@@ -80,8 +63,8 @@ def _parsed(text: str, suite: SuiteContents) -> Requirement:
     try:
         return Requirement.parse(text)
     except InputError as error:
-        why = str(error).removeprefix("`require` ")
-        raise InputError(f"`require_from_file`: a criterion in {suite.folder} asks for {why}") from error
+        reason = str(error).removeprefix("`require` ")
+        raise InputError(f"`require_from_file`: a criterion in {suite.folder} asks for {reason}") from error
 
 
 def _criteria(one: SuiteScenario) -> tuple[Criterion, ...]:

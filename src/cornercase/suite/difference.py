@@ -1,4 +1,4 @@
-"""How a recording differs from an earlier one of the same scenario."""
+"""Differences between two recordings of the same scenario."""
 
 from __future__ import annotations
 
@@ -17,19 +17,19 @@ NOTICED: Final = 1e-6
 
 @dataclass(frozen=True)
 class Difference:
-    """How a recording differs from an earlier one of the same scenario.
+    """Difference between a recording and an earlier one of the same scenario.
 
     Attributes
     ----------
     same : bool
-        Whether all numbers of both are the same bits.
+        Whether all numbers are equal bit by bit.
     distance : float or None
-        Largest distance of the ego's reference point between both at the same instants, in m; None where there is no
-        instant at which it is there in both.
+        Largest distance of the ego's reference point between both at the same time, in m; None if it is never present
+        in both.
     time : float or None
-        First instant at which it is more than 1e-6 m, in s; None where it never is.
+        First time at which the distance is more than 1e-6 m, in s; None if it never is.
     duration : tuple of float
-        How long the earlier one and this one are, in s.
+        Duration of the earlier one and of this one, in s.
     scores : mapping of str to tuple of float
         Score of the earlier one and of this one, by metric that both have.
     """
@@ -54,40 +54,21 @@ class Difference:
 def find_difference(
     before: Recording, now: Recording, ego: str, scores: Mapping[str, tuple[float, float]] | None = None
 ) -> Difference:
-    """Find how two recordings of one scenario differ.
-
-    Parameters
-    ----------
-    before, now : Recording
-    ego : str
-        Name of the entity whose ways are compared. Where the instants of both are not the same, the way before is
-        interpolated.
-    scores : mapping of str to tuple of float, optional
-        Scores of both, by metric.
-
-    Returns
-    -------
-    Difference
-
-    Raises
-    ------
-    InputError
-        One has no such entity.
-    """
-    away = _distances(before, now, ego)
-    known = np.isfinite(away)
-    further = np.flatnonzero(known & (away > NOTICED))
+    """Compare two recordings of one scenario; the earlier path of the ego is interpolated if the times differ."""
+    distances = _distances(before, now, ego)
+    is_known = np.isfinite(distances)
+    exceeding = np.flatnonzero(is_known & (distances > NOTICED))
     return Difference(
         same=same_bytes(before, now),
-        distance=float(away[known].max()) if known.any() else None,
-        time=float(now.time[further[0]]) if len(further) else None,
+        distance=float(distances[is_known].max()) if is_known.any() else None,
+        time=float(now.time[exceeding[0]]) if len(exceeding) else None,
         duration=(float(before.time[-1] - before.time[0]), float(now.time[-1] - now.time[0])),
         scores=dict(scores or {}),
     )
 
 
 def _distances(before: Recording, now: Recording, ego: str) -> FloatArray:
-    """Distances in m at the instants of the second one, NaN where the ego is not there in both, shape (T,)."""
+    """Distances of the ego in m at the times of the second recording, NaN if it is absent in one, shape (T,)."""
     i, j = before.index(ego), now.index(ego)
     # Beyond its ends nothing is known, and neither is it between an instant with the ego and one without.
     x, y = (

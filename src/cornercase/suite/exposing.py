@@ -1,4 +1,4 @@
-"""Mutants of the ego's driver in the scenarios of a study or a suite."""
+"""Mutation testing: run scenarios of a study or suite with mutants of the ego's driver."""
 
 from __future__ import annotations
 
@@ -48,82 +48,82 @@ def find_exposure(
     cluster: str | Client | None = None,
     progress: bool = False,
 ) -> Exposure:
-    """Find which scenarios of a study expose which mutants of the ego's driver.
+    """Find which scenarios of a study kill which mutants of the ego's driver.
 
-    Of more than 2,000 scenarios, 2,000 are run with the mutants: the first, the last, and every so many between.
+    If there are more than 2,000 scenarios, 2,000 of them are run with the mutants, at equal intervals.
 
     Parameters
     ----------
     study : Study or path
-        Explored with the builtin simulator and a driver of cornercase at the ego's wheel.
+        Explored with the builtin simulator and a driver of cornercase in the ego.
     mutants : int
-        How many mutants choose; as many others judge what they chose.
+        Number of mutants for the selection; as many others evaluate it.
     require : sequence of str
-        What a mutant has to fail one of, as `cornercase.suite.Requirement.parse` reads it; by default
-        ``"no collision"``.
+        Requirements, at least one of which a killed mutant violates, as `cornercase.suite.Requirement.parse` reads
+        them; by default ``"no collision"``.
     seed : int, default 0
-        The same seed gives the same mutants, as `cornercase.drivers.mutants_of` draws them.
+        The same seed gives the same mutants; see `cornercase.drivers.mutants_of`.
     scenario : path or Scenario, optional
-        File that was explored; by default it is looked for where the study names it, beside the study and in the
+        File that was explored; by default it is looked for at the path stored in the study, beside the study and in the
         current folder.
     workers : int, default 1
         Processes of a local cluster.
     cluster : str or distributed.Client, optional
         Dask cluster to run the mutants on: ``"local"`` for `workers` processes here, the address of a scheduler, the
-        file that a scheduler wrote, or a connection, which stays open.
+        scheduler file, or a client, which stays open.
     progress : bool, default False
-        Show how far it is on standard error.
+        Show progress on standard error.
 
     Returns
     -------
-    Exposure
-        To be handed to `cornercase.reduce`.
+    KillMatrix
+        For `cornercase.reduce`.
 
     Raises
     ------
     InputError
-        The ego has no driver that could have mutants, the study was not run by the builtin simulator, or an argument
-        cannot be used.
+        The ego has no driver that can be mutated, the study was not run with the builtin simulator, or an argument is
+        invalid.
     """
-    count = whole_number("mutants", mutants, 1)
-    known = _requirements(texts("require", require))
-    _require_no_reference(known)
-    for one in known:
-        if one.pattern:
+    n_mutants = whole_number("mutants", mutants, 1)
+    parsed = _requirements(texts("require", require))
+    _require_no_reference(parsed)
+    for item in parsed:
+        if item.pattern:
             raise InputError(
-                f"`require` {one}: is for some files or kinds of a suite; say what holds in all scenarios."
+                f"`require` {item}: is for some files or kinds of a suite; say what holds in all scenarios."
             )
     with open_study(study) as opened:
-        explored = explored_scenario(opened, scenario, where_named=True)
+        logical = explored_scenario(opened, scenario, where_named=True)
         meta = opened.meta
         require_builtin(meta.simulator)
-        if explored is None or meta.suite:
+        if logical is None or meta.suite:
             raise InputError(f"{opened.path}: holds no scenarios of a logical scenario; mutants choose among those.")
         rows = opened.done()
         if len(rows) > MOST_CANDIDATES:
-            places = np.linspace(0, len(rows) - 1, MOST_CANDIDATES).round().astype(int)
-            rows = [rows[i] for i in places.tolist()]
-        concretes = [ConcreteScenario(explored.path, dict(row.values), explored) for row in rows]
-        ids, settings, who = [row.id for row in rows], dict(meta.settings), (meta.ego, meta.others)
+            indices = np.linspace(0, len(rows) - 1, MOST_CANDIDATES).round().astype(int)
+            rows = [rows[i] for i in indices.tolist()]
+        concretes = [ConcreteScenario(logical.path, dict(row.values), logical) for row in rows]
+        ids, settings, entities = [row.id for row in rows], dict(meta.settings), (meta.ego, meta.others)
     drivers: dict[str, Any] = dict(settings.get("drivers", {}))
-    driver = driver_of_ego(who[0], drivers, [explored])
-    drawn = mutants_of(driver, 2 * count, seed)
+    driver = driver_of_ego(entities[0], drivers, [logical])
+    mutants_ = mutants_of(driver, 2 * n_mutants, seed)
     options: dict[str, Any] = {name: settings[name] for name in _OPTIONS if name in settings}
-    options["drivers"] = {name: one for name, one in drivers.items() if name != who[0]}
-    for name, one in options["drivers"].items():
-        if not isinstance(one, str):
+    options["drivers"] = {name: item for name, item in drivers.items() if name != entities[0]}
+    for name, item in options["drivers"].items():
+        if not isinstance(item, str):
             raise InputError(
-                f"Mutants cannot be run: {driver_text(one)} drove {name}, and a study is no reason to run code."
+                f"Mutants cannot be run: {driver_text(item)} drove {name}, and a study is no reason to run code."
             )
     with connected(cluster, workers, else_none=True) as client:
-        failed, exposed = run_mutants(
-            concretes, who, (driver, drawn), [known] * len(rows), options, client=client, progress=progress
+        failed, killed = run_mutants(
+            concretes, entities, (driver, mutants_), [parsed] * len(rows), options, client=client, progress=progress
         )
-    choosing, judging = slice(0, count), slice(count, None)
+    choosing, judging = slice(0, n_mutants), slice(n_mutants, None)
 
     def part(which: slice, held_out: Exposure | None) -> Exposure:
-        required = tuple(one.text for one in known)
-        return Exposure(driver, required, tuple(ids), failed, drawn[which], exposed[:, which], held_out)
+        required = tuple(one.text for one in parsed)
+        return Exposure(driver, required, tuple(ids), failed, mutants_[which], killed[:, which], held_out)
 
     return part(choosing, part(judging, None))
 
@@ -136,28 +136,10 @@ def draw_mutants(
     count: int,
     seed: int,
 ) -> tuple[str, tuple[Mutant, ...]]:
-    """Draw mutants of the driver of the ego in a suite.
+    """Draw mutants of the ego's driver in a suite; `drivers` override those in the files, by entity.
 
-    Parameters
-    ----------
-    suite : SuiteContents
-    ego : str
-    drivers : mapping of str to str or Driver
-        Who drives, by entity, where it is not as the files say.
-    requirements : sequence of Requirement
-        What mutants are to be judged by.
-    count, seed : int
-        As `cornercase.drivers.mutants_of` takes them.
-
-    Returns
-    -------
-    driver : str
-    mutants : tuple of Mutant
-
-    Raises
-    ------
-    InputError
-        The ego has no driver that could have mutants, or not the same in all files, or a requirement asks a reference.
+    Returns the name of the driver and its mutants. Raises `InputError` if the ego has no driver that can be mutated, or
+    not the same in all files, or if a requirement needs a reference driver.
     """
     _require_no_reference(requirements)
     driver = driver_of_ego(ego, drivers, [one.scenario for one in suite.usable])
@@ -174,91 +156,48 @@ def expose_suite(
     client: Client | None = None,
     progress: bool = False,
 ) -> Exposure:
-    """Find which scenarios of a suite expose which mutants of the ego's driver.
+    """Find which scenarios of a suite kill which mutants of the ego's driver.
 
-    Parameters
-    ----------
-    suite : SuiteContents
-    who : tuple of str and sequence of str
-        Names of the ego and the others.
-    drivers : tuple of str and tuple of Mutant
-        The ego's, and its mutants.
-    requirements : sequence of Requirement
-        Without any, no collision.
-    options : mapping of str to object
-        Of the builtin simulator: ``time_step`` and ``duration`` in s, ``on_collision``, ``drivers``.
-    client : distributed.Client, optional
-        Dask cluster to run on.
-    progress : bool, default False
-        Show how far it is on standard error.
-
-    Returns
-    -------
-    Exposure
-        By number of the scenario in the suite, from 1 on.
+    `who` are the names of the ego and the others, `drivers` the ego's driver and its mutants; `options` are those of
+    the builtin simulator. Without requirements it is ``"no collision"``. Ids are numbers of scenarios in the suite,
+    from 1 on.
     """
-    known = list(requirements) or _requirements(())
-    failed, exposed = run_mutants(
-        [one.concrete for one in suite.usable],
+    parsed = list(requirements) or _requirements(())
+    failed, killed = run_mutants(
+        [scenario.concrete for scenario in suite.usable],
         who,
         drivers,
-        [[each for each in known if each.concerns(one.file, one.kind)] for one in suite.usable],
+        [
+            [requirement for requirement in parsed if requirement.concerns(scenario.file, scenario.kind)]
+            for scenario in suite.usable
+        ],
         options,
         client=client,
         progress=progress,
     )
-    ids = tuple(k for k, one in enumerate(suite.scenarios, start=1) if not one.wrong)
-    return Exposure(drivers[0], tuple(one.text for one in known), ids, failed, drivers[1], exposed)
+    ids = tuple(k for k, scenario in enumerate(suite.scenarios, start=1) if not scenario.wrong)
+    return Exposure(drivers[0], tuple(scenario.text for scenario in parsed), ids, failed, drivers[1], killed)
 
 
 def require_builtin(simulator: str) -> None:
-    """Refuse a simulator that has no drivers of cornercase.
-
-    Parameters
-    ----------
-    simulator : str
-        Its name.
-
-    Raises
-    ------
-    InputError
-        It is not the builtin one.
-    """
+    """Raise `InputError` unless it is the builtin simulator: others do not run drivers of cornercase."""
     if simulator.partition(":")[0] != _BUILTIN:
         raise InputError(f"Mutants drive in the builtin simulator only, not in '{simulator}'.")
 
 
 def driver_of_ego(ego: str, drivers: Mapping[str, Any], scenarios: Sequence[Scenario]) -> str:
-    """Find out who drives the ego.
+    """Name of the ego's driver, which can be mutated; `drivers` override those in the files, by entity.
 
-    Parameters
-    ----------
-    ego : str
-    drivers : mapping of str to str, Driver or mapping
-        Who drives, by entity, where it is not as the files say; a mapping holds a driver's settings.
-    scenarios : sequence of Scenario
-        Files.
-
-    Returns
-    -------
-    str
-        Name of a driver that can have mutants.
-
-    Raises
-    ------
-    InputError
-        There is none, not one alone, or it cannot have mutants.
+    Raises `InputError` if there is none, if the files have different ones, or if it cannot be mutated.
     """
     if ego in drivers:
         return name_driver(drivers[ego])
-    found = {one.drivers.get(ego) for one in scenarios}
+    found = {scenario.drivers.get(ego) for scenario in scenarios}
     if found == {None}:
         raise InputError(f"Mutants need a driver of {ego}; name one with `drivers`.")
     if len(found) > 1:
-        names = ", ".join(sorted(one or "nobody" for one in found))
-        raise InputError(
-            f"Mutants need one driver of {ego}, and files name several ({names}); name one with `drivers`."
-        )
+        text = ", ".join(sorted(scenario or "nobody" for scenario in found))
+        raise InputError(f"Mutants need one driver of {ego}, and files name several ({text}); name one with `drivers`.")
     (driver,) = found
     assert driver is not None
     return name_driver(driver)
@@ -274,44 +213,24 @@ def run_mutants(
     client: Client | None = None,
     progress: bool = False,
 ) -> tuple[BoolArray, BoolArray]:
-    """Run scenarios with a driver at the ego's wheel, and with mutants of it.
+    """Run n scenarios with the ego's driver and with its m mutants.
 
-    Parameters
-    ----------
-    concretes : sequence of ConcreteScenario, length n
-    who : tuple of str and sequence of str
-        Names of the ego and the others.
-    drivers : tuple of str and sequence of Mutant, length m
-        Name of the original, and its mutants.
-    requirements : sequence of sequence of Requirement, length n
-        Those of each scenario.
-    options : mapping of str to object
-        Of the builtin simulator; with the drivers of all others.
-    client : distributed.Client, optional
-        Dask cluster to run on.
-    progress : bool, default False
-        Show how far it is on standard error.
-
-    Returns
-    -------
-    failed : ndarray of bool, shape (n,)
-        Where the original fails a requirement, or could not be run.
-    exposed : ndarray of bool, shape (n, m)
-        Where it fails none, and the mutant fails one.
+    `requirements` are those of each scenario. Returns a mask (n,) of scenarios in which the original violates a
+    requirement or could not run, and a mask (n, m) of those in which it does not and the mutant violates one.
     """
     original, mutants = drivers
-    names = [original, *(one.driver for one in mutants)]
+    names = [original, *(mutant.driver for mutant in mutants)]
     failed = np.zeros((len(names), len(concretes)), dtype=np.bool_)
     broken = np.zeros_like(failed)
     bar = ProgressBar(len(names), "mutants", "drivers") if flag("progress", progress) else None
     try:
-        with noted_interrupts() as check:
+        with noted_interrupts() as raise_interrupt:
             for k, name in enumerate(names):
-                at_wheel: dict[str, str | Driver] = {**options["drivers"], who[0]: name}
-                with start_simulator(_BUILTIN, {**options, "drivers": at_wheel}, cluster=client) as simulator:
+                assigned: dict[str, str | Driver] = {**options["drivers"], who[0]: name}
+                with start_simulator(_BUILTIN, {**options, "drivers": assigned}, cluster=client) as simulator:
                     for i, verdict in enumerate(_failures(simulator, concretes, who, requirements)):
                         broken[k, i], failed[k, i] = verdict is None, verdict is True
-                check()
+                raise_interrupt()
                 if bar is not None:
                     bar.update(k + 1, "")
     finally:
@@ -327,21 +246,21 @@ def _failures(
     who: tuple[str, Sequence[str]],
     requirements: Sequence[Sequence[Requirement]],
 ) -> Iterator[bool | None]:
-    """Whether each scenario fails a requirement; None where it could not be run."""
-    for mine, outcome in zip(requirements, outcomes_of(simulator, concretes), strict=True):
+    """Yield whether each scenario violates a requirement; None if it could not be run."""
+    for applicable, outcome in zip(requirements, outcomes_of(simulator, concretes), strict=True):
         if not isinstance(outcome, Recording):
             yield None
         else:
-            yield any(judge(one, outcome, *who).state == "failed" for one in mine)
+            yield any(judge(requirement, outcome, *who).state == "failed" for requirement in applicable)
 
 
 def _require_no_reference(requirements: Sequence[Requirement]) -> None:
-    for one in requirements:
-        if one.reference:
+    for requirement in requirements:
+        if requirement.reference:
             raise InputError(
-                f"`require` {one}: mutants are not judged by a reference driver; leave it out, or the mutants."
+                f"`require` {requirement}: mutants are not judged by a reference driver; leave it out, or the mutants."
             )
 
 
 def _requirements(given: Sequence[str]) -> list[Requirement]:
-    return [Requirement.parse(one) for one in dict.fromkeys(given or (NO_COLLISION,))]
+    return [Requirement.parse(text) for text in dict.fromkeys(given or (NO_COLLISION,))]

@@ -1,4 +1,4 @@
-"""Whether a recording fulfils a requirement."""
+"""Judge whether a recording fulfills a requirement."""
 
 from __future__ import annotations
 
@@ -42,19 +42,19 @@ def judge(
     ego : str
         Name of the entity under test.
     other : str or sequence of str
-        Whom formulas and bounds speak of. With several they are judged against each: failed where they are against any,
-        passed where they are against one at least and fail against none. The verdict is the one with the smallest
-        robustness, and names whom it is against.
+        Entity that formulas and bounds refer to. With several, each is judged: the requirement is failed if it is
+        failed against any, else passed if it is passed against at least one. The verdict is the one with the smallest
+        robustness, and names its entity.
     courses : mapping of str to ndarray of float64, shape (T,), optional
         Courses of metrics that are known already, by name; not used with several others.
     reference : ReferenceOutcome, optional
-        What came of the scenario with the driver at the wheel that the requirement names, where that was asked.
+        Outcome of the scenario with the reference driver of the requirement, if it was run.
 
     Returns
     -------
     Verdict
-        Inconclusive where what the requirement speaks of never arose, or where the recording ends before the time that
-        the ego has, or where a metric of somebody's own raised an exception.
+        Inconclusive if the situation of the requirement never occurred, if the recording ends before the time limit, or
+        if a custom metric raised an exception.
 
     Raises
     ------
@@ -91,54 +91,46 @@ def judge(
 
 
 def find_margin(requirement: Requirement, recording: Recording, ego: str, others: Sequence[str]) -> float | None:
-    """Find how far a recording is from the bound of a requirement.
+    """Margin of a recording to a requirement, negative if it is violated; None if unknown, and for collisions.
 
-    Parameters
-    ----------
-    requirement : Requirement
-    recording : Recording
-    ego : str
-    others : sequence of str
-        As for `judge`.
-
-    Returns
-    -------
-    float or None
-        The smallest robustness of a formula, how much nearer than asked the ego comes to a place, or how much farther
-        than asked it drives, in m; negative if
-        the requirement is violated. None if it is not known, and for collisions, which there are or are not.
+    It is the smallest robustness of a formula, or in m: how much closer than required the ego comes to a position, or
+    how much farther than required it drives.
     """
     margin = np.nan
     if requirement.formula is not None:
         signals = [signals_of(recording, ego, other) for other in others_there(recording, others)]
-        each = [float(requirement.formula.robustness(one)[0]) for one in signals]
-        margin = min((one for one in each if not np.isnan(one)), default=np.nan)
+        margins = [float(requirement.formula.robustness(signal)[0]) for signal in signals]
+        margin = min((signal for signal in margins if not np.isnan(signal)), default=np.nan)
     elif requirement.place is not None:
         x, y, radius = requirement.place
-        in_time = recording.time - recording.time[0] <= requirement.within + _CLOCK
-        away = np.hypot(*(recording.center(ego)[in_time] - (x, y)).T)
-        margin = radius - min(away[np.isfinite(away)], default=np.nan)
+        is_in_time = recording.time - recording.time[0] <= requirement.within + _CLOCK
+        distances = np.hypot(*(recording.center(ego)[is_in_time] - (x, y)).T)
+        margin = radius - min(distances[np.isfinite(distances)], default=np.nan)
     elif requirement.kind == "drive":
         margin = _driven(recording, ego)[-1] - requirement.distance
     return None if np.isnan(margin) else float(margin)
 
 
 def _judge_collision(requirement: Requirement, recording: Recording, ego: str) -> Verdict:
-    i, whom = recording.index(ego), requirement.entity
-    there = np.isfinite(recording.x[i])
-    if whom:
-        there &= np.isfinite(recording.x[recording.index(whom)])
-    if not there.any():
-        who = f"{quoted_name(ego)} and {quoted_name(whom)} are never there together" if whom else _never(ego)
-        return Verdict("inconclusive", requirement.text, who)
-    found = [one for one in recording.collisions if ego in one.entities and (not whom or whom in one.entities)]
-    if not found:
-        return Verdict("passed", requirement.text, f"{quoted_name(ego)} does not touch {_whom(whom)}")
-    return _collided(requirement, recording, ego, found[0])
+    i, entity = recording.index(ego), requirement.entity
+    is_present = np.isfinite(recording.x[i])
+    if entity:
+        is_present &= np.isfinite(recording.x[recording.index(entity)])
+    if not is_present.any():
+        reason = f"{quoted_name(ego)} and {quoted_name(entity)} are never there together" if entity else _never(ego)
+        return Verdict("inconclusive", requirement.text, reason)
+    collisions = [
+        collision
+        for collision in recording.collisions
+        if ego in collision.entities and (not entity or entity in collision.entities)
+    ]
+    if not collisions:
+        return Verdict("passed", requirement.text, f"{quoted_name(ego)} does not touch {_whom(entity)}")
+    return _collided(requirement, recording, ego, collisions[0])
 
 
 def _judge_reference(verdict: Verdict, name: str, outcome: ReferenceOutcome | None) -> Verdict:
-    """What becomes of a collision that a reference may have prevented."""
+    """Verdict on a collision that a reference driver may have prevented."""
     if outcome is None:
         return replace(verdict, state="inconclusive", reason=f"{verdict.reason}; {name} was not run")
     state: State = "failed"
@@ -150,13 +142,13 @@ def _judge_reference(verdict: Verdict, name: str, outcome: ReferenceOutcome | No
 def _judge_fault(requirement: Requirement, recording: Recording, ego: str) -> Verdict:
     if not np.isfinite(recording.x[recording.index(ego)]).any():
         return Verdict("inconclusive", requirement.text, _never(ego))
-    found = [one for one in recording.collisions if ego in one.entities]
-    at_fault = next((one for one in found if is_at_fault(recording, ego, one)), None)
+    collisions = [collision for collision in recording.collisions if ego in collision.entities]
+    at_fault = next((collision for collision in collisions if is_at_fault(recording, ego, collision)), None)
     if at_fault is not None:
         return _collided(requirement, recording, ego, at_fault, f", as {quoted_name(ego)} drives into it")
-    if not found:
+    if not collisions:
         return Verdict("passed", requirement.text, f"{quoted_name(ego)} does not touch anybody")
-    first = found[0]
+    first = collisions[0]
     reason = f"{_pair(first, ego)} collide at {first.time:.6g} s, but {quoted_name(ego)} does not drive into it"
     return Verdict("passed", requirement.text, reason, first.time)
 
@@ -164,48 +156,48 @@ def _judge_fault(requirement: Requirement, recording: Recording, ego: str) -> Ve
 def _judge_place(requirement: Requirement, recording: Recording, ego: str) -> Verdict:
     assert requirement.place is not None
     x, y, radius = requirement.place
-    there = f"({x:.6g}, {y:.6g})"
-    away = np.hypot(*(recording.center(ego) - (x, y)).T)
-    known = np.flatnonzero(np.isfinite(away))
-    if not len(known):
+    position = f"({x:.6g}, {y:.6g})"
+    distances = np.hypot(*(recording.center(ego) - (x, y)).T)
+    present = np.flatnonzero(np.isfinite(distances))
+    if not len(present):
         return Verdict("inconclusive", requirement.text, _never(ego))
-    since = recording.time - recording.time[0]
-    inside = known[since[known] <= requirement.within + _CLOCK]
-    reached = inside[away[inside] <= radius]
-    if len(reached):
-        at = float(recording.time[reached[0]])
-        reason = f"{quoted_name(ego)} reaches {there} at {at:.6g} s"
-        return Verdict("passed", requirement.text, reason, at, float(away[reached[0]]))
+    elapsed = recording.time - recording.time[0]
+    inside = present[elapsed[present] <= requirement.within + _CLOCK]
+    arrivals = inside[distances[inside] <= radius]
+    if len(arrivals):
+        at = float(recording.time[arrivals[0]])
+        reason = f"{quoted_name(ego)} reaches {position} at {at:.6g} s"
+        return Verdict("passed", requirement.text, reason, at, float(distances[arrivals[0]]))
     if not len(inside):
         return Verdict(
-            "inconclusive", requirement.text, f"{quoted_name(ego)} is not there before {since[known[0]]:.6g} s"
+            "inconclusive", requirement.text, f"{quoted_name(ego)} is not there before {elapsed[present[0]]:.6g} s"
         )
-    nearest = inside[away[inside].argmin()]
-    at, value = float(recording.time[nearest]), float(away[nearest])
-    said = f"{quoted_name(ego)} comes no nearer to {there} than {value:.4g} m, at {at:.6g} s"
+    nearest = inside[distances[inside].argmin()]
+    at, value = float(recording.time[nearest]), float(distances[nearest])
+    text = f"{quoted_name(ego)} comes no nearer to {position} than {value:.4g} m, at {at:.6g} s"
     # Where the ego leaves the scenario before, it will not come there any more.
-    if since[-1] < requirement.within - _CLOCK and known[-1] == len(since) - 1:
-        reason = f"{said}, but was observed for {since[-1]:.6g} s only"
+    if elapsed[-1] < requirement.within - _CLOCK and present[-1] == len(elapsed) - 1:
+        reason = f"{text}, but was observed for {elapsed[-1]:.6g} s only"
         return Verdict("inconclusive", requirement.text, reason, at, value)
-    return Verdict("failed", requirement.text, f"{said}, within {requirement.within:.6g} s", at, value)
+    return Verdict("failed", requirement.text, f"{text}, within {requirement.within:.6g} s", at, value)
 
 
 def _judge_distance(requirement: Requirement, recording: Recording, ego: str) -> Verdict:
     if not np.isfinite(recording.x[recording.index(ego)]).any():
         return Verdict("inconclusive", requirement.text, _never(ego))
-    driven, least = _driven(recording, ego), requirement.distance
-    enough = np.flatnonzero(driven >= least - _CLOCK)
-    if len(enough):
-        at = float(recording.time[enough[0]])
-        reason = f"{quoted_name(ego)} has driven {least:.6g} m at {at:.6g} s"
-        return Verdict("passed", requirement.text, reason, at, float(driven[enough[0]]))
-    at, most = float(recording.time[-1]), float(driven[-1])
-    reason = f"{quoted_name(ego)} drives {most:.4g} m until {at:.6g} s, less than {least:.6g} m"
-    return Verdict("failed", requirement.text, reason, at, most)
+    driven, required = _driven(recording, ego), requirement.distance
+    reached = np.flatnonzero(driven >= required - _CLOCK)
+    if len(reached):
+        at = float(recording.time[reached[0]])
+        reason = f"{quoted_name(ego)} has driven {required:.6g} m at {at:.6g} s"
+        return Verdict("passed", requirement.text, reason, at, float(driven[reached[0]]))
+    at, total = float(recording.time[-1]), float(driven[-1])
+    reason = f"{quoted_name(ego)} drives {total:.4g} m until {at:.6g} s, less than {required:.6g} m"
+    return Verdict("failed", requirement.text, reason, at, total)
 
 
 def _driven(recording: Recording, ego: str) -> FloatArray:
-    """Distance in m that an entity has driven at each instant, shape (T,)."""
+    """Distance in m that an entity has driven by each time, shape (T,)."""
     i = recording.index(ego)
     steps = np.hypot(np.diff(recording.x[i], prepend=np.nan), np.diff(recording.y[i], prepend=np.nan))
     return np.asarray(np.cumsum(np.where(np.isfinite(steps), steps, 0.0)))
@@ -216,34 +208,36 @@ def _judge_each(
 ) -> Verdict:
     """Judge a formula against each of several others."""
     signals = [signals_of(recording, ego, other) for other in others]
-    verdicts = [_judge_formula(requirement, formula, one) for one in signals]
-    if all(one == verdicts[0] for one in verdicts):
+    verdicts = [_judge_formula(requirement, formula, verdict) for verdict in signals]
+    if all(verdict == verdicts[0] for verdict in verdicts):
         # It does not depend on the other, or speaks of what never arose with any.
         return verdicts[0]
-    margins = [np.nan_to_num(float(formula.robustness(one)[0]), nan=np.inf) for one in signals]
-    worst = min(range(len(others)), key=lambda k: (_WORST_FIRST.index(verdicts[k].state), margins[k]))
-    chosen = verdicts[worst]
-    return replace(chosen, reason=f"against {quoted_name(others[worst])}: {chosen.reason}")
+    margins = [np.nan_to_num(float(formula.robustness(verdict)[0]), nan=np.inf) for verdict in signals]
+    index = min(range(len(others)), key=lambda k: (_WORST_FIRST.index(verdicts[k].state), margins[k]))
+    chosen = verdicts[index]
+    return replace(chosen, reason=f"against {quoted_name(others[index])}: {chosen.reason}")
 
 
 def _judge_formula(requirement: Requirement, formula: Formula, signals: Signals) -> Verdict:
     failed = not formula.holds(signals)[0]
     if not failed and not formula.observed(signals):
-        never = [one.text for one in formula.comparisons if np.isnan(one.margin(signals)).all()]
-        reason = f"what {' and '.join(never)} speaks of never arose"
+        unobserved = [
+            comparison.text for comparison in formula.comparisons if np.isnan(comparison.margin(signals)).all()
+        ]
+        reason = f"what {' and '.join(unobserved)} speaks of never arose"
         return Verdict("inconclusive", requirement.text, reason)
     if formula.bound is not None:
         return _judge_bound(requirement, formula.bound, signals, failed)
     state: State = "failed" if failed else "passed"
-    said = f"'{formula.text}' {'does not hold' if failed else 'holds'}"
+    text = f"'{formula.text}' {'does not hold' if failed else 'holds'}"
     decisive = formula.decisive(signals)
     if decisive is None:
-        reason = f"{said}; what decides is infinite, or an interval that holds no instant"
+        reason = f"{text}; what decides is infinite, or an interval that holds no instant"
         return Verdict(state, requirement.text, reason)
-    one, k = decisive
-    at, value = float(signals.time[k]), float(one.left.values(signals)[k])
-    found = f"{one.left.text} is {one.left.tell_value(value)} at {at:.6g} s"
-    reason = f"{said}: {found}, compared with {one.tell_right(signals, k)}"
+    comparison, k = decisive
+    at, value = float(signals.time[k]), float(comparison.left.values(signals)[k])
+    left = f"{comparison.left.text} is {comparison.left.tell_value(value)} at {at:.6g} s"
+    reason = f"{text}: {left}, compared with {comparison.tell_right(signals, k)}"
     return Verdict(state, requirement.text, reason, at, value)
 
 
@@ -258,11 +252,11 @@ def _judge_bound(requirement: Requirement, bound: Predicate, signals: Signals, f
     if not failed:
         reason = f"{bound.left.text} is {bound.left.tell_value(value)} at {'least' if lower else 'most'}, at {at:.6g} s"
         return Verdict("passed", requirement.text, reason, at, value)
-    goes, where = ("falls", "below") if lower else ("rises", "above")
+    verb, side = ("falls", "below") if lower else ("rises", "above")
     if margin[worst] == 0.0:
-        where = f"not {'above' if lower else 'below'}"
-    said = f"{goes} to {bound.left.tell_value(value)} at {at:.6g} s"
-    reason = f"{bound.left.text} {said}, {where} {bound.tell_right(signals, worst)}"
+        side = f"not {'above' if lower else 'below'}"
+    text = f"{verb} to {bound.left.tell_value(value)} at {at:.6g} s"
+    reason = f"{bound.left.text} {text}, {side} {bound.tell_right(signals, worst)}"
     first = float(signals.time[np.flatnonzero(bound.holds(signals) < 0.0)[0]])
     return Verdict(
         "failed", requirement.text, f"{reason}{f', first at {first:.6g} s' if first < at else ''}", at, value
@@ -283,8 +277,8 @@ def _collided(requirement: Requirement, recording: Recording, ego: str, one: Col
 
 
 def _pair(one: Collision, ego: str) -> str:
-    (other,) = (name for name in one.entities if name != ego)
-    return f"{quoted_name(ego)} and {quoted_name(other)}"
+    (partner,) = (name for name in one.entities if name != ego)
+    return f"{quoted_name(ego)} and {quoted_name(partner)}"
 
 
 def _whom(name: str) -> str:

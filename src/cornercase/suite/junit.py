@@ -1,4 +1,4 @@
-"""Verdicts as JUnit XML, which Jenkins, GitLab and others show."""
+"""Write verdicts as JUnit XML, which Jenkins, GitLab and others show."""
 
 from __future__ import annotations
 
@@ -19,33 +19,23 @@ JUNIT: Final = b"<?xml version='1.0' encoding='utf-8'?>\n<testsuites "
 
 
 def write_junit(result: SuiteResult, path: Path) -> None:
-    """Write a test case for each scenario, in a test suite of its own, since schemas know properties of suites alone.
+    """Write a test case for each scenario, in a test suite of its own, since only test suites can have properties.
 
-    What failed is a failure, what is inconclusive is skipped, and where the simulator failed is an error. The time of
-    a case is that in the scenario, so that the same results give the same bytes.
-
-    Parameters
-    ----------
-    result : SuiteResult
-    path : Path
-
-    Raises
-    ------
-    InputError
-        The file cannot be written.
+    A violated requirement is a failure, an inconclusive verdict is skipped, and a failed simulation is an error. Times
+    are those in the scenario, so that the same results give the same bytes.
     """
-    place = result.suite.resolve()
-    name = _text(place.parent.name if place.is_file() else place.name) or "suite"
+    path_ = result.suite.resolve()
+    name = _text(path_.parent.name if path_.is_file() else path_.name) or "suite"
     document = JUnitXml("cornercase")
-    for one in result.scenarios:
-        document.add_testsuite(_suite(one, name, result))
+    for scenario in result.scenarios:
+        document.add_testsuite(_suite(scenario, name, result))
     document.update_statistics()
     root = etree.fromstring(document.tostring())
     # Jenkins' schema knows it of a suite, but not of all suites together, and times to the millisecond.
     del root.attrib["skipped"]
-    times = [one.duration or 0.0 for one in result.scenarios]
-    for timed, seconds in zip((root, *root), (sum(times), *times), strict=True):
-        timed.set("time", f"{seconds:.3f}")
+    times = [scenario.duration or 0.0 for scenario in result.scenarios]
+    for element, seconds in zip((root, *root), (sum(times), *times), strict=True):
+        element.set("time", f"{seconds:.3f}")
     etree.indent(root)
     with written_whole(path) as temporary:
         temporary.write_bytes(etree.tostring(root, encoding="utf-8", xml_declaration=True) + b"\n")
@@ -68,8 +58,8 @@ def _case(one: ScenarioResult, suite: str, facts: Mapping[str, str]) -> TestCase
         case.result = [_filled(Error(_text(one.reason), "simulator"), one.verdicts, facts)]
     elif one.state == "failed":
         first = next(verdict for verdict in one.verdicts if verdict.state == "failed")
-        said = Failure(_text(f"{first.requirement}: {first.reason}"), _text(first.requirement))
-        case.result = [_filled(said, one.verdicts, facts)]
+        failure = Failure(_text(f"{first.requirement}: {first.reason}"), _text(first.requirement))
+        case.result = [_filled(failure, one.verdicts, facts)]
     elif one.state == "inconclusive":
         # By the schema of Surefire it has no type.
         case.result = [Skipped(_text(one.reason))]
@@ -77,8 +67,8 @@ def _case(one: ScenarioResult, suite: str, facts: Mapping[str, str]) -> TestCase
 
 
 def _filled(said: Error | Failure, verdicts: tuple[Verdict, ...], facts: Mapping[str, str]) -> Error | Failure:
-    """Put all verdicts into a failure, and the facts too, as not everybody shows properties."""
-    lines = [f"{one.state}: {one.requirement}: {one.reason}" for one in verdicts]
+    """Put all verdicts and facts into the text of a failure, as not every viewer shows properties."""
+    lines = [f"{verdict.state}: {verdict.requirement}: {verdict.reason}" for verdict in verdicts]
     said.text = "\n".join(map(_text, [*lines, "", *(f"{name}: {value}" for name, value in facts.items())]))
     return said
 
@@ -87,7 +77,7 @@ def _facts(one: ScenarioResult) -> dict[str, str]:
     facts = {"file": one.file, "scenario": str(one.id)}
     facts |= {f"parameter {name}": _number(value) for name, value in one.values.items()}
     facts |= {f"score {name}": _number(value) for name, value in one.scores.items()}
-    facts |= {f"score {name} against": whom for name, whom in one.others.items()}
+    facts |= {f"score {name} against": entity for name, entity in one.others.items()}
     facts |= {"kind": one.kind, "role": one.role, "why": one.why}
     if one.difference is not None:
         facts["recording"] = "the same" if one.difference.same else "another"
@@ -101,5 +91,5 @@ def _number(value: float | str) -> str:
 
 
 def _text(text: str) -> str:
-    """Write out what XML cannot hold."""
+    """Replace what XML cannot hold."""
     return "".join(c if c not in "\ufffe\uffff" else "\ufffd" for c in plain_text(text))

@@ -1,4 +1,4 @@
-"""The reduced set of a folder, read from the manifest that `reduce` wrote."""
+"""Read the reduced set of a folder from the manifest that `reduce` wrote."""
 
 from __future__ import annotations
 
@@ -28,23 +28,9 @@ _SETTINGS: Final[dict[str, Any]] = {"time_step": 0.05, "duration": 60.0, "on_col
 
 
 def read_manifest(path: Path) -> SuiteContents:
-    """Read a manifest, and the files that it names.
+    """Read a manifest and the files that it names, after completing a `reduce` that was interrupted.
 
-    Where a `reduce` was interrupted while it replaced them, that is ended first.
-
-    Parameters
-    ----------
-    path : Path
-        ``manifest.json``.
-
-    Returns
-    -------
-    SuiteContents
-
-    Raises
-    ------
-    InputError
-        It is none, or of another format; or a file is gone or has changed since.
+    Raises `InputError` if it is not a manifest or of another format, or if a file is missing or has changed since.
     """
     if path.name == MANIFEST:
         finish_set(path.parent)
@@ -101,22 +87,22 @@ def _contents(path: Path, plain: Mapping[str, Any]) -> SuiteContents:
     for place, digest in digests.items():
         _require_file(path, place, digest)
     space = ParameterSpace.from_json(plain["space"])
-    if len({str(one["file"]) for one in plain["scenarios"]}) < len(plain["scenarios"]):
+    if len({str(entry["file"]) for entry in plain["scenarios"]}) < len(plain["scenarios"]):
         raise InputError(f"{path}: names a file twice; run `reduce` again.")
     scenarios = []
-    for one in plain["scenarios"]:
-        if one["file"] not in digests:
-            raise InputError(f"{path}: says nothing of the content of {str(one['file'])[:100]}; run `reduce` again.")
-        file = folder / one["file"]
+    for entry in plain["scenarios"]:
+        if entry["file"] not in digests:
+            raise InputError(f"{path}: says nothing of the content of {str(entry['file'])[:100]}; run `reduce` again.")
+        file = folder / entry["file"]
         scenarios.append(
             SuiteScenario(
-                file=one["file"],
+                file=entry["file"],
                 scenario=Scenario.read(file),
-                values={_text(name): _value(value) for name, value in one["values"].items()},
-                kind=_text(one["kind"]),
-                role=_text(one["role"]),
-                why=_text(one["why"]),
-                origin=int(one["id"]),
+                values={_text(name): _value(value) for name, value in entry["values"].items()},
+                kind=_text(entry["kind"]),
+                role=_text(entry["role"]),
+                why=_text(entry["why"]),
+                origin=int(entry["id"]),
             )
         )
     if not scenarios:
@@ -124,7 +110,7 @@ def _contents(path: Path, plain: Mapping[str, Any]) -> SuiteContents:
     _require_values(path, space, scenarios)
     settings = dict(plain["settings"])
     metrics = tuple(METRICS.create(_text(name)).name for name in plain["metrics"])
-    time_step, duration, on_collision = (settings.get(name, usual) for name, usual in _SETTINGS.items())
+    time_step, duration, on_collision = (settings.get(name, default) for name, default in _SETTINGS.items())
     checked_settings(time_step, duration, on_collision, None)
     critical = plain["critical_threshold"]
     return SuiteContents(
@@ -164,26 +150,28 @@ def _require_file(path: Path, place: str, digest: str) -> None:
 
 
 def _require_values(path: Path, space: ParameterSpace, scenarios: Sequence[SuiteScenario]) -> None:
-    """Refuse values that are none of the parameters that the manifest holds, and those that a file does not have."""
-    for one in scenarios:
+    """Raise `InputError` if values do not fit the parameters in the manifest, or differ from those of the file."""
+    for scenario in scenarios:
         try:
-            found = space.points([one.values])
-            if set(one.values) != set(space.assigns) or not np.isfinite(found).all():
+            points = space.points([scenario.values])
+            if set(scenario.values) != set(space.assigns) or not np.isfinite(points).all():
                 raise ValueError("not those of the space")
         except _BROKEN as error:
             raise InputError(
-                f"{path}: the values of {one.file[:100]} do not fit the parameters of its space; run `reduce` again."
+                f"{path}: the values of {scenario.file[:100]} do not fit its parameter space; run `reduce` again."
             ) from error
-        _require_same_values(path, one)
+        _require_same_values(path, scenario)
 
 
 def _require_same_values(path: Path, one: SuiteScenario) -> None:
-    declared = {each.name: each for each in read_declarations(one.scenario.root, str(one.scenario.path))}
+    declared = {
+        declaration.name: declaration for declaration in read_declarations(one.scenario.root, str(one.scenario.path))
+    }
     one.scenario.require_parameters(list(one.values))
     # What lies beside the file has another path there than beside the logical scenario.
-    moved = one.scenario.path_parameters
+    path_names = one.scenario.path_parameters
     for name, value in one.values.items():
-        if name not in moved and _typed(value, declared[name]) != _typed(declared[name].value, declared[name]):
+        if name not in path_names and _typed(value, declared[name]) != _typed(declared[name].value, declared[name]):
             raise InputError(
                 f"{path}: says that {plain_text(name)} of {one.file[:100]} is {plain_text(str(value))[:60]}, and the"
                 f" file says {plain_text(declared[name].value)[:60]}; run `reduce` again."

@@ -1,4 +1,4 @@
-"""The recordings that a suite was made from."""
+"""Compare the recordings of a suite with those that it was made from."""
 
 from __future__ import annotations
 
@@ -16,26 +16,11 @@ _LONGEST: Final = 255
 
 
 def find_origin(suite: SuiteContents, against: Path | None) -> tuple[Path | None, str]:
-    """Find the study whose recordings those of a suite are compared with.
+    """Find the study to compare the recordings of a suite with.
 
-    Parameters
-    ----------
-    suite : SuiteContents
-    against : Path or None
-        A study that was named. By default it is looked for beside the manifest and in the folder above, by its name,
-        and known by its fingerprint.
-
-    Returns
-    -------
-    study : Path or None
-        None where there is none.
-    why : str
-        Why there is none, as a sentence without a full stop.
-
-    Raises
-    ------
-    InputError
-        The one that was named is of something else, or cannot be used.
+    By default it is looked for by name beside the manifest and in the folder above, and recognized by its fingerprint.
+    Returns None and the reason, a sentence without a period, if there is none. Raises `InputError` if the study
+    `against` is of something else, or cannot be used.
     """
     if against is not None:
         with Study.open(against, readonly=True) as study, damage_told(against):
@@ -58,37 +43,23 @@ def find_origin(suite: SuiteContents, against: Path | None) -> tuple[Path | None
 
 
 def find_differences(suite: SuiteContents, origin: Path, study: Study) -> dict[int, Difference]:
-    """Compare the recordings of a suite with those that it was made from.
-
-    Parameters
-    ----------
-    suite : SuiteContents
-    origin : Path
-        Study with the earlier recordings.
-    study : Study
-        Of the suite, open.
-
-    Returns
-    -------
-    dict of int to Difference
-        By id in the study of the suite; of those that ran in both.
-    """
+    """Compare the recordings of a suite with those of an earlier study, by id of each scenario that ran in both."""
     with Study.open(origin, readonly=True) as earlier, damage_told(origin):
         sources = _sources(suite, earlier)
-        found = {}
+        differences = {}
         for row in study.done():
-            before = sources.get(row.id)
-            if before is not None and before.state == "done":
-                mine, theirs = study.scores_of(row.id), earlier.scores_of(before.id)
-                scores = {name: (theirs[name], mine[name]) for name in mine if name in theirs}
-                found[row.id] = find_difference(
-                    earlier.recording(before.id), study.recording(row.id), study.meta.ego, scores
+            earlier_row = sources.get(row.id)
+            if earlier_row is not None and earlier_row.state == "done":
+                scores_now, scores_before = study.scores_of(row.id), earlier.scores_of(earlier_row.id)
+                scores = {name: (scores_before[name], scores_now[name]) for name in scores_now if name in scores_before}
+                differences[row.id] = find_difference(
+                    earlier.recording(earlier_row.id), study.recording(row.id), study.meta.ego, scores
                 )
-        return found
+        return differences
 
 
 def _read(suite: SuiteContents, study: Study) -> None:
-    """Read what is compared later, so that damage is told before anything is run."""
+    """Read everything that is compared later, so that damage is reported before anything is run."""
     for row in _sources(suite, study).values():
         if row.state == "done":
             study.recording(row.id)
@@ -96,27 +67,27 @@ def _read(suite: SuiteContents, study: Study) -> None:
 
 
 def _sources(suite: SuiteContents, study: Study) -> Mapping[int, Row]:
-    """Scenario of an earlier study, by the id in that of the suite."""
+    """Scenario of the earlier study, by the id in that of the suite."""
     rows = {row.id: row for row in study.rows()}
     if study.meta.suite:
-        places = {file: k for k, file in enumerate(study.meta.files, start=1)}
-        pairs = {k: places.get(one.file) for k, one in enumerate(suite.scenarios, start=1)}
-        found = {k: rows[place] for k, place in pairs.items() if place in rows}
-        if not found:
+        id_of = {file: k for k, file in enumerate(study.meta.files, start=1)}
+        matches = {k: id_of.get(scenario.file) for k, scenario in enumerate(suite.scenarios, start=1)}
+        sources = {k: rows[source] for k, source in matches.items() if source in rows}
+        if not sources:
             raise InputError(f"`against` {study.path}: has none of the files of {suite.place}; name another study.")
-        return found
+        return sources
     if study.meta.fingerprint != suite.fingerprint:
         raise InputError(
             f"`against` {study.path}: is not the study that {suite.place} was made from; name the one that was reduced,"
             " or an earlier run of the suite."
         )
-    found = {}
-    for k, one in enumerate(suite.scenarios, start=1):
-        row = rows.get(one.origin or 0)
-        if row is None or dict(row.values) != dict(one.values):
+    sources = {}
+    for k, scenario in enumerate(suite.scenarios, start=1):
+        row = rows.get(scenario.origin or 0)
+        if row is None or dict(row.values) != dict(scenario.values):
             raise InputError(
-                f"`against` {study.path}: has another scenario {one.origin} than {suite.place} was made from; name the"
-                " study that was reduced."
+                f"`against` {study.path}: has another scenario {scenario.origin} than {suite.place} was made from; name"
+                " the study that was reduced."
             )
-        found[k] = row
-    return found
+        sources[k] = row
+    return sources

@@ -1,4 +1,4 @@
-"""A suite from a folder or a manifest."""
+"""Read a suite from a folder or a manifest."""
 
 from __future__ import annotations
 
@@ -28,28 +28,11 @@ _FILE: Final = "file"
 
 
 def read_suite(place: Path | str) -> SuiteContents:
-    """Read a suite.
+    """Read a suite from a manifest that `cornercase.reduce` wrote, its folder, any folder of scenarios, or one file.
 
-    Parameters
-    ----------
-    place : path
-        A manifest that `cornercase.reduce` wrote, a folder with one, or any folder of concrete scenarios, whose
-        ``.xosc`` files are all run, or one such file. Distributions of parameters and catalogs in such a folder are no
-        scenarios.
-
-    Returns
-    -------
-    SuiteContents
-
-    Raises
-    ------
-    InputError
-        There is nothing to run, a file cannot be used, or one of a manifest is gone or has changed.
-
-    Warns
-    -----
-    NoticeWarning
-        Files in the folder are no scenarios.
+    Without a manifest, all ``.xosc`` files of the folder are run. Distributions of parameters and catalogs among them
+    are left out with a warning. Raises `InputError` if there is nothing to run, or if a file cannot be used, is missing
+    or has changed since the manifest was written.
     """
     path = path_argument("suite", place)
     if path.is_dir():
@@ -65,32 +48,32 @@ def read_suite(place: Path | str) -> SuiteContents:
 def _of_files(folder: Path, files: Sequence[Path]) -> SuiteContents:
     for file in files:
         # Databases and other files hold names as text in UTF-8.
-        if (odd := plain_text(file.name).replace("\n", "\\n").encode(errors="replace").decode()) != file.name:
-            raise InputError(f"{folder}: the name of its file '{odd}' is not plain text; rename the file.")
-    read, wrong = list[Scenario](), dict[Path, InputError]()
-    others = []
+        if (plain := plain_text(file.name).replace("\n", "\\n").encode(errors="replace").decode()) != file.name:
+            raise InputError(f"{folder}: the name of its file '{plain}' is not plain text; rename the file.")
+    scenarios, errors = list[Scenario](), dict[Path, InputError]()
+    ignored = []
     for file in files:
         try:
             if _is_of_something_else(Scenario(file)):
-                others.append(file.name)
+                ignored.append(file.name)
                 continue
-            read.append(Scenario.read(file))
+            scenarios.append(Scenario.read(file))
         except InputError as error:
-            wrong[file] = error
-            read.append(Scenario(file))
-    if others:
-        warnings.warn(f"not run, because they are not scenarios: {', '.join(others)}", NoticeWarning, stacklevel=3)
-    if not read:
+            errors[file] = error
+            scenarios.append(Scenario(file))
+    if ignored:
+        warnings.warn(f"not run, because they are not scenarios: {', '.join(ignored)}", NoticeWarning, stacklevel=3)
+    if not scenarios:
         raise InputError(f"{folder}: holds no scenario; name a folder with .xosc files, or with a manifest.json.")
-    if len(wrong) == len(read):
-        raise next(iter(wrong.values()))
-    values, space = _varied(read, wrong)
-    words = {path: failure_words(path, error) for path, error in wrong.items()}
+    if len(errors) == len(scenarios):
+        raise next(iter(errors.values()))
+    values, space = _varied(scenarios, errors)
+    reasons = {path: failure_words(path, error) for path, error in errors.items()}
     return SuiteContents(
         place=folder,
         scenarios=tuple(
-            SuiteScenario(one.path.name, one, its, wrong=words.get(one.path, ""))
-            for one, its in zip(read, values, strict=True)
+            SuiteScenario(scenario.path.name, scenario, parameters, wrong=reasons.get(scenario.path, ""))
+            for scenario, parameters in zip(scenarios, values, strict=True)
         ),
         space=space,
     )
@@ -102,29 +85,33 @@ def _is_of_something_else(scenario: Scenario) -> bool:
 
 
 def _varied(scenarios: Sequence[Scenario], wrong: Container[Path]) -> tuple[list[dict[str, Value]], ParameterSpace]:
-    """Parameters that all declare and that differ; where these do not tell all apart, which file it is besides."""
-    declared = [
-        {} if each.path in wrong else {one.name: one for one in read_declarations(each.root, str(each.path))}
-        for each in scenarios
+    """Parameters that all files declare and that differ; the file name too if these do not distinguish all files."""
+    declarations = [
+        {}
+        if scenario.path in wrong
+        else {declaration.name: declaration for declaration in read_declarations(scenario.root, str(scenario.path))}
+        for scenario in scenarios
     ]
     names = [
         name
-        for name, one in declared[0].items()
-        if all(name in each and each[name].kind == one.kind for each in declared)
+        for name, declaration in declarations[0].items()
+        if all(name in scenario and scenario[name].kind == declaration.kind for scenario in declarations)
     ]
-    found = {name: [_value(each[name]) for each in declared] for name in names}
-    found = {name: values for name, values in found.items() if len(set(values)) > 1}
-    parameters = [_parameter(name, values) for name, values in found.items()]
-    if len(set(zip(*found.values(), strict=True))) < len(scenarios):
-        files = [one.path.name for one in scenarios]
-        name = _FILE if _FILE not in found else "scenario file"
-        found[name] = list(files)
+    columns = {name: [_value(scenario[name]) for scenario in declarations] for name in names}
+    columns = {name: values for name, values in columns.items() if len(set(values)) > 1}
+    parameters = [_parameter(name, values) for name, values in columns.items()]
+    if len(set(zip(*columns.values(), strict=True))) < len(scenarios):
+        files = [declaration.path.name for declaration in scenarios]
+        name = _FILE if _FILE not in columns else "scenario file"
+        columns[name] = list(files)
         parameters.append(Parameter(name, 0.0, len(files) - 1.0, None, tuple(files)))
-    rows: list[dict[str, Value]] = [{name: values[k] for name, values in found.items()} for k in range(len(scenarios))]
+    rows: list[dict[str, Value]] = [
+        {name: values[k] for name, values in columns.items()} for k in range(len(scenarios))
+    ]
     # Whole numbers and truth values are told by their declarations.
-    known: Mapping[str, Declaration] = declared[0]
+    first_declared: Mapping[str, Declaration] = declarations[0]
     return rows, ParameterSpace(parameters).typed(
-        [known[name] for name in found if name in known], str(scenarios[0].path)
+        [first_declared[name] for name in columns if name in first_declared], str(scenarios[0].path)
     )
 
 
@@ -137,8 +124,8 @@ def _value(declaration: Declaration) -> Value:
 
 
 def _parameter(name: str, values: Sequence[Value]) -> Parameter:
-    if all(isinstance(one, int | float) for one in values):
-        numbers = [float(one) for one in values]
+    if all(isinstance(value, int | float) for value in values):
+        numbers = [float(value) for value in values]
         return Parameter(name, min(numbers), max(numbers))
-    choices = tuple(sorted({str(one) for one in values}))
+    choices = tuple(sorted({str(value) for value in values}))
     return Parameter(name, 0.0, len(choices) - 1.0, None, choices)

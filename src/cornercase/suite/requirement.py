@@ -1,4 +1,4 @@
-"""What a scenario has to fulfil."""
+"""Requirements on scenarios."""
 
 from __future__ import annotations
 
@@ -38,29 +38,29 @@ _LARGEST: Final = 1e6
 
 @dataclass(frozen=True)
 class Requirement:
-    """What a scenario has to fulfil; made of a text with `parse`.
+    """A requirement on a scenario; made from a text with `parse`.
 
     Attributes
     ----------
     text : str
-        As it stands in studies and messages.
+        Its text in studies and messages.
     kind : str
-        As in `Kind`.
+        One of `Kind`.
     entity : str
-        Whom the ego must not touch; empty where the requirement names nobody.
+        Entity that the ego must not touch; empty if the requirement names none.
     reference : str
-        Driver that is put at the wheel of the ego where that collides; empty where the requirement names none.
+        Reference driver that is put in the ego if it collides; empty if the requirement names none.
     place : tuple of three float, or None
-        x and y in m of where the ego has to come, and how near in m.
+        x and y of the position the ego has to reach, and the radius around it, in m.
     within : float
-        s that the ego has for it.
+        Time limit for it in s.
     distance : float
-        m that the ego has to drive.
+        Distance in m that the ego has to drive.
     formula : Formula or None
     pattern : str
-        Which files it is for, with ``*`` and ``?``; empty for all.
+        Pattern of the names of files that it applies to, with ``*`` and ``?``; empty for all.
     by_kind : bool
-        Whether the pattern is one of the names of kinds, in place of those of files.
+        Whether the pattern is for names of clusters instead of files.
     """
 
     text: str
@@ -79,17 +79,17 @@ class Requirement:
 
     @classmethod
     def parse(cls, requirement: str) -> Requirement:
-        """Read a requirement.
+        """Parse a requirement.
 
         Parameters
         ----------
         requirement : str
-            ``"no collision"`` with anybody, ``"no collision with NAME"``, ``"no collision at fault"``, ``"no
-            collision unless NAME collides"`` with the driver NAME at the wheel of the ego, ``"reach X,Y[,R] within T"``
-            in m and s, ``"drive D"`` in m, or a formula as `cornercase.metrics.Formula` reads it, such as ``"ttc >
-            1.5"``. After ``"for PATTERN: "`` it is one of the files of that name only, after ``'for kind "PATTERN": '``
-            one of the scenarios of that kind; ``*`` stands for any characters and ``?`` for one. A pattern with spaces
-            stands between quotation marks, as JSON has them.
+            ``"no collision"`` with any entity, ``"no collision with NAME"``, ``"no collision at fault"``, ``"no
+            collision unless NAME collides"`` with the reference driver NAME in the ego, ``"reach X,Y[,R] within T"`` in
+            m and s, ``"drive D"`` in m, or a formula as `cornercase.metrics.Formula` reads it, such as ``"ttc > 1.5"``.
+            With the prefix ``"for PATTERN: "`` it applies to files of that name only, with ``'for kind "PATTERN": '``
+            to scenarios of that cluster; ``*`` stands for any characters and ``?`` for one. A pattern with spaces is
+            quoted as in JSON.
 
         Returns
         -------
@@ -98,7 +98,7 @@ class Requirement:
         Raises
         ------
         InputError
-            It is none, a unit does not fit, or it names a metric that there is not.
+            The text is not a requirement, a unit does not fit, or it names an unknown metric.
 
         Examples
         --------
@@ -106,31 +106,33 @@ class Requirement:
         >>> Requirement.parse("for *-00012.xosc:  reach 60, -1.75 within 20 s").text
         'for *-00012.xosc: reach 60,-1.75,2 within 20'
         """
-        given = " ".join(text("require", requirement).split())
+        plain = " ".join(text("require", requirement).split())
         try:
-            require_whole(given)
+            require_whole(plain)
         except ValueError as error:
-            raise InputError(f"`require` {given}: {error}, which no file can hold.") from error
-        found = _FOR.fullmatch(requirement)
-        by_kind, pattern, body = (bool(found[1]), _unquoted(found[2], given), found[3]) if found else (False, "", given)
+            raise InputError(f"`require` {plain}: {error}, which no file can hold.") from error
+        prefix = _FOR.fullmatch(requirement)
+        by_kind, pattern, body = (
+            (bool(prefix[1]), _unquoted(prefix[2], plain), prefix[3]) if prefix else (False, "", plain)
+        )
         body = " ".join(body.split())
-        if not found and given.startswith("for "):
+        if not prefix and plain.startswith("for "):
             raise InputError(
-                f"`require` {given}: names no pattern; write 'for PATTERN: REQUIREMENT', with a space after the colon."
+                f"`require` {plain}: names no pattern; write 'for PATTERN: REQUIREMENT', with a space after the colon."
             )
-        one = _collision(body) or _place(body) or _distance(body) or _formula(body, given)
-        shown = f"{prefix_for(pattern, by_kind=by_kind)}{one.text}" if pattern else one.text
-        return replace(one, text=shown, pattern=pattern, by_kind=by_kind)
+        parsed = _collision(body) or _place(body) or _distance(body) or _formula(body, plain)
+        full_text = f"{prefix_for(pattern, by_kind=by_kind)}{parsed.text}" if pattern else parsed.text
+        return replace(parsed, text=full_text, pattern=pattern, by_kind=by_kind)
 
     def concerns(self, file: str, kind: str = "") -> bool:
-        """Tell whether it is one of a scenario.
+        """Tell whether it applies to a scenario.
 
         Parameters
         ----------
         file : str
             Name of its file.
         kind : str, default ""
-            What kind it is of, in words; empty where it is not known.
+            Name of its cluster; empty if unknown.
 
         Returns
         -------
@@ -141,20 +143,7 @@ class Requirement:
 
 
 def prefix_for(pattern: str, *, by_kind: bool = False) -> str:
-    """Write what makes a requirement one of some scenarios only.
-
-    Parameters
-    ----------
-    pattern : str
-        Of names, with ``*`` and ``?``.
-    by_kind : bool, default False
-        Whether these are of kinds, in place of files.
-
-    Returns
-    -------
-    str
-        What stands before the requirement.
-    """
+    """Prefix that limits a requirement to files, or clusters, whose name matches a pattern."""
     if by_kind or not _PLAIN.fullmatch(pattern):
         return f"for {'kind ' if by_kind else ''}{json.dumps(pattern, ensure_ascii=False)}: "
     return f"for {pattern}: "
@@ -164,39 +153,39 @@ def _unquoted(pattern: str, given: str) -> str:
     if not pattern.startswith('"'):
         return pattern
     try:
-        found = str(loaded_json(pattern))
+        text_ = str(loaded_json(pattern))
     except ValueError:
-        found = ""
-    if not found.strip():
+        text_ = ""
+    if not text_.strip():
         raise InputError(f"`require` {given}: {pattern} is not a pattern of names; write it as in JSON.")
-    return found
+    return text_
 
 
 def _collision(body: str) -> Requirement | None:
     words = body.split(" ", 3)
     if words[0].lower() != "no":
         return None
-    plain = body.lower()
-    if plain == "no collision":
-        return Requirement(plain, "no collision")
-    if plain == "no collision at fault":
-        return Requirement(plain, "no collision at fault")
-    if plain.startswith("no collision with ") and len(words) == 4:
+    lowered = body.lower()
+    if lowered == "no collision":
+        return Requirement(lowered, "no collision")
+    if lowered == "no collision at fault":
+        return Requirement(lowered, "no collision at fault")
+    if lowered.startswith("no collision with ") and len(words) == 4:
         return Requirement(f"no collision with {words[3]}", "no collision with", entity=words[3])
-    if (found := _UNLESS.fullmatch(body)) is not None:
-        return Requirement(f"no collision unless {found[1]} collides", "no collision unless", reference=found[1])
+    if (match_ := _UNLESS.fullmatch(body)) is not None:
+        return Requirement(f"no collision unless {match_[1]} collides", "no collision unless", reference=match_[1])
     raise InputError(f"`require` {body}: is not a requirement; write {_FORMS}.")
 
 
 def _place(body: str) -> Requirement | None:
     if body.split(" ", 1)[0] != "reach":
         return None
-    found = _REACH.fullmatch(body)
-    if found is None:
+    match_ = _REACH.fullmatch(body)
+    if match_ is None:
         raise InputError(f"`require` {body}: is not a place and time; write 'reach X,Y[,R] within T', in m and s.")
-    x, y, radius, within = (float(one) if one else REACHED for one in found.groups()[:4])
-    if found[5] not in ("", "s"):
-        raise InputError(f"`require` {body}: the unit '{found[5]}' does not fit; give the time in s.")
+    x, y, radius, within = (float(group) if group else REACHED for group in match_.groups()[:4])
+    if match_[5] not in ("", "s"):
+        raise InputError(f"`require` {body}: the unit '{match_[5]}' does not fit; give the time in s.")
     if not (0.0 < radius <= _LARGEST and 0.0 < within <= _LARGEST and max(abs(x), abs(y)) <= _LARGEST):
         raise InputError(f"`require` {body}: give a place within 1000 km, and a radius and a time above 0.")
     return Requirement(
@@ -207,16 +196,16 @@ def _place(body: str) -> Requirement | None:
 def _distance(body: str) -> Requirement | None:
     if body.split(" ", 1)[0] != "drive":
         return None
-    found = _DRIVE.fullmatch(body)
-    if found is None or found[2] not in ("", "m") or not 0.0 < float(found[1]) <= _LARGEST:
+    match_ = _DRIVE.fullmatch(body)
+    if match_ is None or match_[2] not in ("", "m") or not 0.0 < float(match_[1]) <= _LARGEST:
         raise InputError(f"`require` {body}: is not a distance; write 'drive D', above 0 and at most 1000 km, in m.")
-    return Requirement(f"drive {float(found[1]):.15g}", "drive", distance=float(found[1]))
+    return Requirement(f"drive {float(match_[1]):.15g}", "drive", distance=float(match_[1]))
 
 
 def _formula(body: str, given: str) -> Requirement:
     try:
         formula = Formula.parse(body)
     except InputError as error:
-        why = str(error)
-        raise InputError(why if body in why else f"`require` {given}: {why}") from error
+        reason = str(error)
+        raise InputError(reason if body in reason else f"`require` {given}: {reason}") from error
     return Requirement(formula.text, "formula", formula=formula)

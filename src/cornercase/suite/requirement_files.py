@@ -1,4 +1,4 @@
-"""Requirements from a TOML or YAML file."""
+"""Read requirements from a TOML or YAML file."""
 
 from __future__ import annotations
 
@@ -17,43 +17,31 @@ _LARGEST: Final = 1_000_000
 
 
 def read_requirements(path: Path) -> list[Requirement]:
-    """Read requirements from a file.
+    """Read requirements from a TOML file, or from a YAML file if it ends in ``.yaml`` or ``.yml``.
 
-    Parameters
-    ----------
-    path : Path
-        TOML, or YAML where the file ends in ``.yaml`` or ``.yml``: a list called ``require``, and tables called
-        ``for`` and ``kind`` of further lists by the pattern of file names, or of names of kinds, that they are for.
-
-    Returns
-    -------
-    list of Requirement
-
-    Raises
-    ------
-    InputError
-        The file cannot be used, one of its texts is no requirement, or PyYAML is not there to read YAML.
+    It has a list ``require``, and tables ``for`` and ``kind`` of further lists by the pattern of file names, or of
+    names of clusters, that they apply to. Raises `InputError` if the file cannot be used.
     """
-    plain = _loaded(path)
-    if not isinstance(plain, dict):
+    content = _loaded(path)
+    if not isinstance(content, dict):
         raise InputError(f"{path}: holds no list called '{_KEY}'; write {_KEY} = [\"no collision\"].")
-    for name in plain:
+    for name in content:
         if name not in (_KEY, *_TABLES):
             advice = suggestion(str(name), (_KEY, *_TABLES))
             raise InputError(f"{path}: has '{str(name)[:60]}', which is not known; {advice}")
-    found = _texts(path, _KEY, plain.get(_KEY, []))
-    for name, of in _TABLES.items():
-        patterns = plain.get(name, {})
+    lines = _texts(path, _KEY, content.get(_KEY, []))
+    for name, subject in _TABLES.items():
+        patterns = content.get(name, {})
         if not isinstance(patterns, dict):
-            raise InputError(f"{path}: '{name}' holds no lists by the pattern of {of}.")
+            raise InputError(f"{path}: '{name}' holds no lists by the pattern of {subject}.")
         for pattern, requirements in patterns.items():
             if not isinstance(pattern, str) or not pattern.strip():
-                raise InputError(f"{path}: '{str(pattern)[:60]}' in '{name}' is not a pattern of {of}.")
+                raise InputError(f"{path}: '{str(pattern)[:60]}' in '{name}' is not a pattern of {subject}.")
             prefix = prefix_for(pattern, by_kind=name == "kind")
-            found += [f"{prefix}{one}" for one in _texts(path, pattern, requirements)]
-    if not found:
+            lines += [f"{prefix}{line}" for line in _texts(path, pattern, requirements)]
+    if not lines:
         raise InputError(f'{path}: holds no requirement; write {_KEY} = ["no collision"].')
-    return [_parsed(path, one) for one in found]
+    return [_parsed(path, line) for line in lines]
 
 
 def _parsed(path: Path, text: str) -> Requirement:
@@ -64,7 +52,7 @@ def _parsed(path: Path, text: str) -> Requirement:
 
 
 def _texts(path: Path, name: str, value: object) -> list[str]:
-    if not isinstance(value, list) or not all(isinstance(one, str) and one.strip() for one in value):
+    if not isinstance(value, list) or not all(isinstance(item, str) and item.strip() for item in value):
         raise InputError(f"{path}: '{name[:60]}' is not a list of texts, such as [\"no collision\"].")
     return value
 

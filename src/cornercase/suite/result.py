@@ -1,4 +1,4 @@
-"""What came out of a suite."""
+"""Results of a suite."""
 
 from __future__ import annotations
 
@@ -16,31 +16,32 @@ from cornercase.suite.verdict import State, Verdict, worst_state
 
 @dataclass(frozen=True)
 class ScenarioResult:
-    """What came out of one scenario of a suite.
+    """Result of one scenario of a suite.
 
     Attributes
     ----------
     id : int
-        In the study of the suite.
+        Id in the study of the suite.
     file : str
     state : {"passed", "failed", "inconclusive", "error"}
-        Of all verdicts the worst; an error where the simulator failed.
+        The worst of all verdicts; an error if the simulator failed.
     values : mapping of str to float or str
-        Parameters.
+        Parameter values.
     scores : mapping of str to float
-        By metric; empty where the simulator failed.
+        By metric; empty if the simulator failed.
     duration : float or None
-        Of the recording in s; None where the simulator failed.
+        Duration of the recording in s; None if the simulator failed.
     verdicts : tuple of Verdict
-        By requirement. Without any there is one that tells whether the scenario ran.
+        By requirement. Without requirements there is one that says whether the scenario ran.
     kind, role, why : str
-        Which cluster it represents, in which role, and why it was kept; empty where it is not known.
+        The cluster that it represents, its role, and why it was selected; empty if unknown.
     origin : int or None
-        Id in the study that it was kept from.
+        Id in the study that it was selected from.
     difference : Difference or None
-        From the earlier recording; None where there is none.
+        Difference from the earlier recording; None if there is none.
     others : mapping of str to str
-        Of several others, whom each score is against, by metric; metrics that are against none of them are left out.
+        With several others, the entity that each score is against, by metric; metrics against none of them are left
+        out.
     """
 
     id: int
@@ -59,19 +60,19 @@ class ScenarioResult:
 
     @property
     def reason(self) -> str:
-        """Why it is in its state, by the first verdict that says so."""
+        """Reason for its state, from the first verdict with that state."""
         worst = worst_state(self.verdicts)
-        return next((one.reason for one in self.verdicts if one.state == worst), "no requirement is for it")
+        return next((verdict.reason for verdict in self.verdicts if verdict.state == worst), "no requirement is for it")
 
 
 @dataclass(frozen=True, repr=False)
 class SuiteResult:
-    """What came out of a suite.
+    """Result of a suite.
 
     Attributes
     ----------
     study : Path
-        Of the suite.
+        Study of the suite.
     suite : Path
         The manifest, or the folder.
     simulator : str
@@ -79,13 +80,13 @@ class SuiteResult:
     scenarios : tuple of ScenarioResult
         In the order of the suite.
     against : Path or None
-        Study whose recordings they were compared with.
+        Study that the recordings were compared with.
     why_not_compared : str
-        Why there is none, as a sentence without a full stop.
+        Why there is none, as a sentence without a period.
     ran_before : int
-        Scenarios that the study held already, and that were judged without being run again.
-    exposure : Exposure or None
-        Which scenarios, by id, expose which mutants of the ego's driver; None where none were run.
+        Number of scenarios that the study held already, and that were judged without running them again.
+    exposure : KillMatrix or None
+        Which scenarios, by id, kill which mutants of the ego's driver; None if none were run.
     """
 
     study: Path
@@ -109,56 +110,56 @@ class SuiteResult:
         -------
         int
         """
-        return sum(one.state == state for one in self.scenarios)
+        return sum(scenario.state == state for scenario in self.scenarios)
 
     def has_passed(self, *, strict: bool = False) -> bool:
-        """Tell whether the suite as a whole passed: nothing failed, neither a requirement nor the simulator.
+        """Tell whether the suite passed: no requirement was violated, and no simulation failed.
 
         Parameters
         ----------
         strict : bool, default False
-            Whether nothing may be inconclusive either.
+            Whether inconclusive verdicts count as failed.
 
         Returns
         -------
         bool
         """
         refused = ("failed", "error", "inconclusive") if strict else ("failed", "error")
-        return not any(one.state in refused for one in self.scenarios)
+        return not any(scenario.state in refused for scenario in self.scenarios)
 
     @property
     def text(self) -> str:
-        """How it went, in a sentence without a full stop."""
+        """Summary in a sentence without a period."""
         names = {"error": "not run"}
-        counts = Counter(one.state for one in self.scenarios)
-        said = [
+        counts = Counter(scenario.state for scenario in self.scenarios)
+        parts = [
             f"{counts[state]} {names.get(state, state)}"
             for state in ("passed", "failed", "inconclusive", "error")
             if counts[state]
         ]
-        return f"{', '.join(said)} of {len(self.scenarios)} scenario{'' if len(self.scenarios) == 1 else 's'}"
+        return f"{', '.join(parts)} of {len(self.scenarios)} scenario{'' if len(self.scenarios) == 1 else 's'}"
 
     @property
     def comparison(self) -> str:
-        """How the recordings compare with the earlier ones, in a sentence without a full stop."""
+        """How the recordings compare with the earlier ones, in a sentence without a period."""
         if self.against is None:
             return f"Not compared: {self.why_not_compared}"
-        compared = [one.difference for one in self.scenarios if one.difference is not None]
-        same = sum(one.same for one in compared)
-        far = [one.distance for one in compared if one.distance is not None and not one.same]
-        most = f"; the ego is up to {max(far):.3g} m elsewhere" if far else ""
-        return f"{same} of {len(compared)} recordings are byte for byte those in {self.against.name}{most}"
+        compared = [item.difference for item in self.scenarios if item.difference is not None]
+        n_same = sum(item.same for item in compared)
+        distances = [item.distance for item in compared if item.distance is not None and not item.same]
+        note = f"; the ego is up to {max(distances):.3g} m elsewhere" if distances else ""
+        return f"{n_same} of {len(compared)} recordings are byte for byte those in {self.against.name}{note}"
 
     def __repr__(self) -> str:
         return f"<SuiteResult: {self.text}, in {str(self.study)!r}>"
 
     def to_json(self) -> dict[str, Any]:
-        """Put it into plain values.
+        """Return plain values.
 
         Returns
         -------
         dict of str to object
-            What ``cornercase test --json`` prints.
+            The output of ``cornercase test --json``.
         """
         return {
             "study": str(self.study),
@@ -171,5 +172,5 @@ class SuiteResult:
             "errors": self.count("error"),
             "ran_before": self.ran_before,
             "against": None if self.against is None else str(self.against),
-            "scenarios": [asdict(one) | {"reason": one.reason} for one in self.scenarios],
+            "scenarios": [asdict(scenario) | {"reason": scenario.reason} for scenario in self.scenarios],
         } | ({} if self.exposure is None else {"mutants": self.exposure.to_json()})

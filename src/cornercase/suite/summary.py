@@ -1,4 +1,4 @@
-"""Verdicts as a table in Markdown, which GitHub shows on the page of a job."""
+"""Write verdicts as a Markdown table, which GitHub shows on the page of a job."""
 
 from __future__ import annotations
 
@@ -18,36 +18,25 @@ HEADING: Final = b"### "
 
 
 def write_summary(result: SuiteResult, path: Path) -> None:
-    """Write a table with a row for each scenario.
-
-    Parameters
-    ----------
-    result : SuiteResult
-    path : Path
-
-    Raises
-    ------
-    InputError
-        The file cannot be written.
-    """
+    """Write a table with one row per scenario."""
     head = ["scenario", "kind", "verdict", "why", "recording"]
     rows = [
         [
-            one.file,
-            one.kind,
-            "not run" if one.state == "error" else one.state,
-            one.reason,
-            "" if one.difference is None else one.difference.text,
+            scenario.file,
+            scenario.kind,
+            "not run" if scenario.state == "error" else scenario.state,
+            scenario.reason,
+            "" if scenario.difference is None else scenario.difference.text,
         ]
-        for one in result.scenarios
+        for scenario in result.scenarios
     ]
-    shown = [k for k in range(len(head)) if any(row[k] for row in rows)]
+    used = [k for k in range(len(head)) if any(row[k] for row in rows)]
     lines = [
         f"{HEADING.decode()}{_text(result.text)}",
         "",
-        _line([head[k] for k in shown]),
-        _line(["---"] * len(shown)),
-        *(_line([_text(row[k]) for k in shown]) for row in rows),
+        _line([head[k] for k in used]),
+        _line(["---"] * len(used)),
+        *(_line([_text(row[k]) for k in used]) for row in rows),
         "",
         f"{_text(result.comparison)}.",
     ]

@@ -1,4 +1,4 @@
-"""From a reduced set to verdicts."""
+"""Run a suite and judge its scenarios."""
 
 from __future__ import annotations
 
@@ -70,67 +70,68 @@ def test(
     seed: int = 0,
     progress: bool = False,
 ) -> SuiteResult:
-    """Run the scenarios of a suite again, judge them, and compare them with those that they were kept from.
+    """Run the scenarios of a suite again, judge them, and compare them with those that they were selected from.
 
-    Each scenario is stored the moment it has ended. The same call again goes on where it stopped; with other
-    requirements it judges what has run.
+    Each scenario is stored when it has ended. The same call again resumes an interrupted run; with other requirements
+    it judges what has run.
 
     Parameters
     ----------
     suite : path
         Folder of a reduced set or its manifest, or any folder of concrete scenarios.
     study : path
-        Study to write or continue.
+        Study to create or continue.
     require : sequence of str
-        What each scenario has to fulfil, as `cornercase.suite.Requirement.parse` reads it.
+        Requirements on each scenario, as `cornercase.suite.Requirement.parse` reads them.
     requirements : path, optional
-        TOML or YAML file with more of them.
+        TOML or YAML file with further requirements.
     require_from_file : bool, default False
-        Take the criteria of ScenarioRunner that the scenarios ask for as requirements, where a recording can tell; a
-        notice names the others.
+        Use the criteria for ScenarioRunner in the files as requirements, if a recording can answer them; a notice names
+        the others.
     ego : str, optional
         Name of the entity under test; by default that of the manifest.
     other : str or sequence of str, optional
-        Whom it is measured against; of several the one counts to whom it is most critical, and ``"*"`` stands for all
-        others in the files. By default as in the manifest.
+        Entity that the ego is measured against. With several, the most critical one counts; ``"*"`` stands for all
+        others in the files. By default that of the manifest.
     metrics : sequence of str
-        Criticality metrics that are stored; by default those of the manifest, without one those that the requirements
-        speak of, or else the clearance.
+        Criticality metrics to store; by default those of the manifest, without one those in the requirements, or else
+        ``clearance``.
     simulator : str, optional
         By default that of the manifest; without one the builtin simulator.
     workers : int, default 1
-        Simulators side by side.
+        Number of parallel simulators.
     cluster : str or distributed.Client, optional
-        Dask cluster to run on: ``"local"`` for `workers` processes here, the address of a scheduler, the file that a
-        scheduler wrote, or a connection, which stays open.
+        Dask cluster to run on: ``"local"`` for `workers` processes here, the address of a scheduler, the scheduler
+        file, or a client, which stays open.
     timeout : float, optional
-        Time in s after which a scenario is given up.
+        Time in s after which a scenario is stopped.
     retries : int, default 1
-        How often a scenario is run again after the simulator died or hung.
+        How often a scenario is run again after the simulator crashed or hung.
     max_failures : int, default 5
-        Scenarios in a row in which the simulator dies or hangs, after which nothing more is run; 0 for no limit.
+        Number of consecutive scenarios in which the simulator crashes or hangs, after which the run stops; 0 for no
+        limit.
     time_step, duration : float, optional
         s; by default those of the manifest, without one 0.05 s and 60 s.
     on_collision : {"continue", "stop"}, optional
-        What a collision does to the run; by default as in the manifest, without one it goes on.
+        Effect of a collision on the run; by default as in the manifest, without one ``"continue"``.
     drivers : mapping of str to str or Driver, optional
-        Who drives, by entity: a preset or ``package.module:Class``, either with options after a colon, or a driver. By
-        default what the files say.
+        Drivers by entity: a preset or ``package.module:Class``, either with options after a colon, or an instance. By
+        default those in the files.
     against : path, optional
-        Study with earlier recordings: the one that was reduced, or another run of the suite. By default the former,
-        where it lies beside the manifest or in the folder above.
+        Study with earlier recordings: the one that was reduced, or another run of the suite. By default the former, if
+        it is beside the manifest or in the folder above.
     junit : path, optional
-        JUnit file to write. One that is there is removed before anything is run; anything else is refused.
+        JUnit file to write. An existing one is removed before anything is run; any other file is refused.
     summary : path, optional
-        File with a table in Markdown to write, in place of one that is there, as with `junit`.
+        Markdown file with a table to write, replacing an existing one like `junit`.
     mutants : int, optional
-        Run the scenarios with so many mutants of the ego's driver besides, in the builtin simulator: how many of them
-        fail a requirement, or collide where there is none, in a scenario in which the driver does not? They are not
-        stored, but run again each time.
+        Also run the scenarios with this number of mutants of the ego's driver in the builtin simulator, and count those
+        that are killed: they violate a requirement, or collide if there is none, in a scenario in which the driver does
+        not. They are not stored, but run again each time.
     seed : int, default 0
-        The same seed gives the same mutants, as `cornercase.drivers.mutants_of` draws them.
+        The same seed gives the same mutants; see `cornercase.drivers.mutants_of`.
     progress : bool, default False
-        Show how far it is on standard error.
+        Show progress on standard error.
 
     Returns
     -------
@@ -139,7 +140,7 @@ def test(
     Raises
     ------
     InputError
-        Something cannot be used, a file of the manifest is gone or has changed, none of the scenarios can be run, or
+        An argument or file cannot be used, a file of the manifest is missing or has changed, no scenario can be run, or
         the study is of something else.
 
     Warns
@@ -148,48 +149,55 @@ def test(
         Something in the files has no effect in the simulator.
     """
     path = path_argument("study", study)
-    known = _required(require, requirements)
+    parsed = _required(require, requirements)
     contents = read_suite(suite)
     if flag("require_from_file", require_from_file):
-        known = _distinct([*known, *required_by_files(contents)])
-    found, why_not = find_origin(contents, None if against is None else path_argument("against", against))
-    given_file = None if requirements is None else path_argument("requirements", requirements)
-    read = [*contents.files, *(one for one in (found, given_file) if one is not None)]
-    for one in read:
-        require_other_file(path, one)
+        parsed = _distinct([*parsed, *required_by_files(contents)])
+    source, why = find_origin(contents, None if against is None else path_argument("against", against))
+    requirements_file = None if requirements is None else path_argument("requirements", requirements)
+    read = [*contents.files, *(item for item in (source, requirements_file) if item is not None)]
+    for item in read:
+        require_other_file(path, item)
     outputs = _outputs(junit, summary, path, read)
-    contents, who = _entities(contents, ego, other, known, drivers or {})
+    contents, entities = _entities(contents, ego, other, parsed, drivers or {})
     workers = whole_number("workers", workers, 1, MOST_WORKERS)
     options = {name: contents.settings.get(name, plain) for name, plain in _PLAIN.items()}
-    given = {"time_step": time_step, "duration": duration, "on_collision": on_collision}
-    options |= {name: value for name, value in given.items() if value is not None}
+    overrides = {"time_step": time_step, "duration": duration, "on_collision": on_collision}
+    options |= {name: value for name, value in overrides.items() if value is not None}
     name = _simulator(contents, simulator)
     options["drivers"] = _drivers(contents, drivers)
     if mutants is not None:
         # Looked at before anything is run.
         require_builtin(name)
-        drawn = draw_mutants(contents, who[0], options["drivers"], known, mutants, seed)
-    asked = dict.fromkeys(one.reference for one in known if one.reference)
+        driver_and_mutants = draw_mutants(contents, entities[0], options["drivers"], parsed, mutants, seed)
+    reference_names = dict.fromkeys(item.reference for item in parsed if item.reference)
     with connected(cluster, workers) as client:
-        start: Callable[..., Simulator] = partial(start_simulator, name, ego=who[0], timeout=timeout, retries=retries)
+        start: Callable[..., Simulator] = partial(
+            start_simulator, name, ego=entities[0], timeout=timeout, retries=retries
+        )
         start = partial(start, max_failures=max_failures)
         start = partial(start, workers=workers) if client is None else partial(start, cluster=client)
         with start(options) as started, ExitStack() as stack:
             contents = sort_out(contents, started)
-            references = {one: stack.enter_context(_with_reference(start, options, who[0], one)) for one in asked}
-            meta = _meta(contents, who, _metrics(contents, metrics, known), known, name, started.settings, path)
-            side_by_side = workers if client is None else None
-            before = run_suite(contents, meta, started, path, side_by_side, flag("progress", progress))
+            references = {
+                item: stack.enter_context(_with_reference(start, options, entities[0], item))
+                for item in reference_names
+            }
+            meta = _meta(contents, entities, _metrics(contents, metrics, parsed), parsed, name, started.settings, path)
+            n_parallel = workers if client is None else None
+            n_before = run_suite(contents, meta, started, path, n_parallel, flag("progress", progress))
             if references:
                 with Study.open(path, readonly=False) as opened:
-                    ask_references(contents, opened, known, references)
+                    ask_references(contents, opened, parsed, references)
         with Study.open(path, readonly=True) as opened:
-            result = replace(_result(contents, opened, known, found, why_not), ran_before=before)
-        for write, place in outputs:
-            write(result, place)
+            result = replace(_result(contents, opened, parsed, source, why), ran_before=n_before)
+        for write, target in outputs:
+            write(result, target)
         if mutants is not None:
-            exposure = expose_suite(contents, who, drawn, known, options, client=client, progress=progress)
-            result = replace(result, exposure=exposure)
+            kills = expose_suite(
+                contents, entities, driver_and_mutants, parsed, options, client=client, progress=progress
+            )
+            result = replace(result, exposure=kills)
     return result
 
 
@@ -203,29 +211,29 @@ def _with_reference(start: Callable[..., Simulator], options: dict[str, Any], eg
 def _outputs(
     junit: Path | str | None, summary: Path | str | None, study: Path, read: Sequence[Path]
 ) -> list[tuple[Callable[[SuiteResult, Path], None], Path]]:
-    """What is to be written besides the study, once nothing of another run stands there."""
-    found: list[tuple[Callable[[SuiteResult, Path], None], Path]] = []
+    """Writers and paths of the outputs besides the study, after removing those of an earlier run."""
+    targets: list[tuple[Callable[[SuiteResult, Path], None], Path]] = []
     outputs = (("junit", junit, write_junit, JUNIT), ("summary", summary, write_summary, HEADING))
-    for name, given, write, begin in outputs:
-        if given is not None:
-            place = path_argument(name, given)
-            for one in read:
-                require_other_file(place, one, name)
+    for name, target, write, first_bytes in outputs:
+        if target is not None:
+            file = path_argument(name, target)
+            for source in read:
+                require_other_file(file, source, name)
             # Not after an hour of simulations.
-            require_place(name, place)
-            require_apart(place, study, name)
-            _require_own(name, place, begin)
-            if any(place.resolve() == other.resolve() for _, other in found):
-                raise InputError(f"`{name}` {place}: is the JUnit file, too; choose another name.")
-            found.append((write, place))
-    for _, place in found:
+            require_place(name, file)
+            require_apart(file, study, name)
+            _require_own(name, file, first_bytes)
+            if any(file.resolve() == other.resolve() for _, other in targets):
+                raise InputError(f"`{name}` {file}: is the JUnit file, too; choose another name.")
+            targets.append((write, file))
+    for _, file in targets:
         # What is there is of another run, and would be taken for one of this where nothing can be run.
-        place.unlink(missing_ok=True)
-    return found
+        file.unlink(missing_ok=True)
+    return targets
 
 
 def _require_own(name: str, place: Path, begin: bytes) -> None:
-    """Refuse to write over a file that no earlier run wrote, as that may be somebody's only copy of what is in it."""
+    """Raise `InputError` if the file is not from an earlier run, as it may be the only copy of something."""
     if place.exists():
         with place.open("rb") as file:
             content = file.read(len(begin))
@@ -234,15 +242,15 @@ def _require_own(name: str, place: Path, begin: bytes) -> None:
 
 
 def _required(require: Sequence[str], requirements: Path | str | None) -> list[Requirement]:
-    known = [Requirement.parse(one) for one in texts("require", require)]
+    parsed = [Requirement.parse(one) for one in texts("require", require)]
     if requirements is not None:
-        known += read_requirements(path_argument("requirements", requirements))
-    return _distinct(known)
+        parsed += read_requirements(path_argument("requirements", requirements))
+    return _distinct(parsed)
 
 
 def _distinct(requirements: Sequence[Requirement]) -> list[Requirement]:
-    """Requirements, of which what stands twice counts once."""
-    return list({one.text: one for one in requirements}.values())
+    """Requirements without duplicates."""
+    return list({requirement.text: requirement for requirement in requirements}.values())
 
 
 def _entities(
@@ -252,44 +260,46 @@ def _entities(
     requirements: Sequence[Requirement],
     drivers: Mapping[str, object],
 ) -> tuple[SuiteContents, tuple[str, tuple[str, ...]]]:
-    """Names of the ego and of the others; of files that lack one that is named, but not all do, say that they do."""
+    """Resolve the names of the ego and the others; mark files that lack an entity, unless all do."""
     for role, given, own in (("ego", ego, suite.ego), ("other", other, suite.other)):
         if given is None and not own:
             raise InputError(f"`{role}`: {suite.place} does not say it; name an entity.")
-    tested = suite.ego if ego is None else text("ego", ego)
+    ego_name = suite.ego if ego is None else text("ego", ego)
     suite = _only_with(suite, {})
-    known = dict.fromkeys(name for one in suite.usable for name in one.scenario.entities)
-    others = name_others(suite.other if other is None else other, tested, list(known))
-    asked = {tested: "ego"} | dict.fromkeys(others, "other")
+    names = dict.fromkeys(name for item in suite.usable for name in item.scenario.entities)
+    others = name_others(suite.other if other is None else other, ego_name, list(names))
+    roles = {ego_name: "ego"} | dict.fromkeys(others, "other")
     if other is not None and EVERYBODY in texts("other", other):
         # They need not all be in each file.
-        asked = {tested: "ego"}
-    asked |= {one.entity: "one that must not be touched" for one in requirements if one.entity}
-    asked |= dict.fromkeys(by_name("drivers", drivers), "driven entity")
-    suite = _only_with(suite, asked)
+        roles = {ego_name: "ego"}
+    roles |= {item.entity: "one that must not be touched" for item in requirements if item.entity}
+    roles |= dict.fromkeys(by_name("drivers", drivers), "driven entity")
+    suite = _only_with(suite, roles)
     for required in requirements:
-        if required.entity == tested:
+        if required.entity == ego_name:
             raise InputError(f"`require` {required}: is the ego itself; name another entity.")
-        if not any(required.concerns(one.file, one.kind) for one in suite.scenarios):
+        if not any(required.concerns(item.file, item.kind) for item in suite.scenarios):
             raise InputError(f"`require` {required}: {_none_concerned(suite, required)}.")
-    return suite, (tested, others)
+    return suite, (ego_name, others)
 
 
 def _only_with(suite: SuiteContents, asked: Mapping[str, str]) -> SuiteContents:
-    """Say of the scenarios of a suite which lack an entity, by its role; if all do, the first is refused."""
+    """Mark the scenarios that lack an entity (name to role); raises `InputError` if all do."""
     lacking: dict[str, InputError] = {}
-    for one in suite.usable:
+    for scenario in suite.usable:
         try:
-            _ = one.scenario.entities
+            _ = scenario.scenario.entities
             for name, role in asked.items():
-                one.scenario.require_entity(name, role)
+                scenario.scenario.require_entity(name, role)
         except InputError as error:
-            lacking[one.file] = error
+            lacking[scenario.file] = error
     if lacking and len(lacking) == len(suite.usable):
         raise next(iter(lacking.values()))
     scenarios = tuple(
-        replace(one, wrong=failure_words(one.scenario.path, lacking[one.file])) if one.file in lacking else one
-        for one in suite.scenarios
+        replace(scenario, wrong=failure_words(scenario.scenario.path, lacking[scenario.file]))
+        if scenario.file in lacking
+        else scenario
+        for scenario in suite.scenarios
     )
     return replace(suite, scenarios=scenarios)
 
@@ -297,7 +307,7 @@ def _only_with(suite: SuiteContents, asked: Mapping[str, str]) -> SuiteContents:
 def _none_concerned(suite: SuiteContents, required: Requirement) -> str:
     if not required.by_kind:
         return f"none of the files of {suite.place} is called so"
-    kinds = dict.fromkeys(one.kind for one in suite.scenarios if one.kind)
+    kinds = dict.fromkeys(scenario.kind for scenario in suite.scenarios if scenario.kind)
     if not kinds:
         return f"{suite.place} does not say of what kinds its scenarios are"
     return f"none of the scenarios of {suite.place} is of such a kind; there are {'; '.join(kinds)}"
@@ -306,15 +316,17 @@ def _none_concerned(suite: SuiteContents, required: Requirement) -> str:
 def _metrics(suite: SuiteContents, given: Sequence[str], requirements: Sequence[Requirement]) -> tuple[str, ...]:
     # A condition needs runs of references beside those of the suite.
     names = list(texts("metrics", given)) or [name for name in suite.metrics if not condition_of([name])]
-    asked = [name for one in requirements if one.formula is not None for name in one.formula.metrics]
-    made = [METRICS.create(name) for name in dict.fromkeys(names or asked or ["clearance"])]
+    formula_metrics = [
+        name for requirement in requirements if requirement.formula is not None for name in requirement.formula.metrics
+    ]
+    instances = [METRICS.create(name) for name in dict.fromkeys(names or formula_metrics or ["clearance"])]
     # Asked before there is a study.
-    for metric in [*made, *map(METRICS.create, asked)]:
+    for metric in [*instances, *map(METRICS.create, formula_metrics)]:
         metric.require()
-    for one in requirements:
-        if one.formula is not None:
-            one.formula.require()
-    return tuple(metric.name for metric in made)
+    for requirement in requirements:
+        if requirement.formula is not None:
+            requirement.formula.require()
+    return tuple(metric.name for metric in instances)
 
 
 def _simulator(suite: SuiteContents, given: str | None) -> str:
@@ -338,9 +350,9 @@ def _drivers(suite: SuiteContents, given: Mapping[str, str | Driver] | None) -> 
             raise InputError(f"`drivers` {entity}={shown(driver)}: give the name of a driver, or an instance.")
     for entity, command in suite.lost_drivers.items():
         if entity not in drivers:
-            who = plain_text(command) or "an object that Python code made"
+            name = plain_text(command) or "an object that Python code made"
             raise InputError(
-                f"`drivers`: {who} drove {entity} when {suite.place} was made, and a file is no reason to run code;"
+                f"`drivers`: {name} drove {entity} when {suite.place} was made, and a file is no reason to run code;"
                 f" give a driver, as {entity}={plain_text(command) or 'normal'}."
             )
     return drivers
@@ -355,7 +367,7 @@ def _meta(
     settings: Mapping[str, object],
     study: Path,
 ) -> StudyMeta:
-    kinds = tuple(one.kind for one in suite.scenarios)
+    kinds = tuple(item.kind for item in suite.scenarios)
     # The threshold is one of the first metric.
     critical = suite.critical if suite.metrics[:1] == metrics[:1] else METRICS.create(metrics[0]).critical
     return StudyMeta(
@@ -371,9 +383,9 @@ def _meta(
         critical=critical,
         budget=len(suite.scenarios),
         batch=len(suite.scenarios),
-        files=tuple(one.file for one in suite.scenarios),
+        files=tuple(item.file for item in suite.scenarios),
         kinds=kinds if any(kinds) else (),
-        requirements=tuple(one.text for one in requirements),
+        requirements=tuple(item.text for item in requirements),
         suite=suite.digest,
         origin=suite.fingerprint,
     )
@@ -385,7 +397,7 @@ def _result(
     differences = {} if origin is None else find_differences(suite, origin, study)
     against = {name: study.against(name) for name in study.meta.metrics if len(study.meta.others) > 1}
     scenarios = []
-    for row, one in zip(study.rows(), suite.scenarios, strict=True):
+    for row, scenario in zip(study.rows(), suite.scenarios, strict=True):
         verdicts = judge_row(study, row, requirements)
         failed = row.state == "failed"
         duration = None
@@ -397,18 +409,20 @@ def _result(
         scenarios.append(
             ScenarioResult(
                 id=row.id,
-                file=one.file,
+                file=scenario.file,
                 state="error" if failed else worst_state(verdicts),
                 values=dict(row.values),
                 scores=study.scores_of(row.id),
                 duration=duration,
                 verdicts=tuple(verdicts),
-                kind=one.kind,
-                role=one.role,
-                why=one.why,
-                origin=one.origin,
+                kind=scenario.kind,
+                role=scenario.role,
+                why=scenario.why,
+                origin=scenario.origin,
                 difference=differences.get(row.id),
-                others={name: whom for name, of in against.items() if (whom := of.get(row.id)) is not None},
+                others={
+                    name: entity for name, entities in against.items() if (entity := entities.get(row.id)) is not None
+                },
             )
         )
     return SuiteResult(

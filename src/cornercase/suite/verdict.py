@@ -1,4 +1,4 @@
-"""What is said of one scenario and one requirement."""
+"""Verdicts on scenarios."""
 
 from __future__ import annotations
 
@@ -15,21 +15,20 @@ _ORDER: Final[tuple[State, ...]] = ("passed", "inconclusive", "failed")
 
 @dataclass(frozen=True)
 class Verdict:
-    """Whether one scenario met one requirement.
+    """Verdict on one scenario and one requirement.
 
     Attributes
     ----------
     state : {"passed", "failed", "inconclusive"}
-        Inconclusive where the situation never arose, where it was not observed long enough, or where the simulator
-        failed.
+        Inconclusive if the situation never occurred, was not observed long enough, or the simulator failed.
     requirement : str
-        In the words of a requirement of a suite.
+        Text of the requirement.
     reason : str
-        Why, in one sentence without a full stop.
+        Reason in one sentence without a period.
     time : float or None
-        Instant that decides, in s; None where there is none.
+        Decisive time in s; None if there is none.
     value : float or None
-        What was found at that instant, in the unit of the requirement; None where there is none.
+        Value at that time, in the unit of the requirement; None if there is none.
     """
 
     state: State
@@ -40,22 +39,5 @@ class Verdict:
 
 
 def worst_state(verdicts: Iterable[Verdict]) -> State:
-    """Say how a scenario did of which there are several verdicts.
-
-    Parameters
-    ----------
-    verdicts : iterable of Verdict
-
-    Returns
-    -------
-    {"passed", "failed", "inconclusive"}
-        Failed where one failed, else inconclusive where one is or there is none, else passed.
-
-    Examples
-    --------
-    >>> from cornercase.suite import Verdict, worst_state
-    >>> far = Verdict("passed", "ttc > 1.5", "ttc is at least 2.1 s")
-    >>> worst_state([far, Verdict("failed", "no collision", "Ego and Van collide at 3.2 s", 3.2)])
-    'failed'
-    """
-    return max((one.state for one in verdicts), key=_ORDER.index, default="inconclusive")
+    """The worst state of several verdicts: failed, inconclusive (also without verdicts), or passed."""
+    return max((verdict.state for verdict in verdicts), key=_ORDER.index, default="inconclusive")

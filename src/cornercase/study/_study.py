@@ -1,0 +1,1019 @@
+"""A study: everything that was run, in one SQLite file, whose schema is described in ``docs/study-format.md``."""
+
+from __future__ import annotations
+
+import json
+from collections import Counter
+from collections.abc import Iterator
+from contextlib import AbstractContextManager, closing, contextmanager, suppress
+from html import escape
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Final, Self
+
+import numpy as np
+
+from cornercase._common import arguments
+from cornercase._common.arguments import number, whole_number
+from cornercase._common.displays import DISPLAYS
+from cornercase._common.errors import InputError
+from cornercase._common.files import require_folder
+from cornercase._common.pending_files import written_together
+from cornercase._common.texts import loaded_json, require_whole
+from cornercase._common.typing import BoolArray, FloatArray
+from cornercase.drivers import ReferenceOutcome
+from cornercase.metrics import METRICS, condition_of
+from cornercase.recordings import Collision, Recording
+from cornercase.study._writer import StudyWriter, optional_tables
+from cornercase.study.arrays import read_arrays
+from cornercase.study.codec import unpack_arrays, unpack_collisions, unpack_recording
+from cornercase.study.connecting import remove_log
+from cornercase.study.damage import damage_told, require
+from cornercase.study.database import Database
+from cornercase.study.export import write_scenarios, write_table
+from cornercase.study.meta import StudyMeta, digest_of_scores
+from cornercase.study.notes import LONGEST_NOTE
+from cornercase.study.repeated_runs import shares_of_runs
+from cornercase.study.schema import TABLES
+from cornercase.study.second_runs import read_reference, row_name
+from cornercase.study.table import Row, scenario_table
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+# Largest integer of SQLite.
+_LARGEST_ID: Final = 2**63 - 1
+_SHOWN: Final = 10
+_CRITICAL_RUNS: Final = ("critical runs", "critical runs from", "critical runs to")
+
+# Files are read and checked; the optimizer proposes and learns; scenarios are simulated, measured and stored; the
+# critical set is judged; recordings are read back and compared; and so on.
+STAGES: Final = (
+    "files", "optimize", "simulate", "measure", "store", "judge", "read", "compare", "cluster", "reduce", "draw",
+)  # fmt: skip
+
+
+class Study:
+    """An open study; use it as a context manager. Make one with `create` or `open`.
+
+    Readers work while an exploration writes.
+
+    Attributes
+    ----------
+    path : Path
+        The file.
+    meta : StudyMeta
+        Description of the study.
+    space : ParameterSpace
+        The parameter space.
+    """
+
+    def __init__(self, database: Database) -> None:
+        self._database = database
+        self.path = database.path
+        self.meta = self.stored_meta()
+        self.space = self.meta.space
+        self._asked: float | None = None
+        self._known: tuple[tuple[int, int], list[Row]] | None = None
+
+    @classmethod
+    def create(cls, path: Path | str, meta: StudyMeta) -> Study:
+        """Create a study in a new file, and open it for writing.
+
+        Parameters
+        ----------
+        path : path
+        meta : StudyMeta
+            Its description.
+
+        Returns
+        -------
+        Study
+
+        Raises
+        ------
+        InputError
+            The file exists already, or cannot be written.
+        """
+        plain = sorted(meta.to_json().items())
+        rows = [(key, json.dumps(value, sort_keys=True)) for key, value in plain]
+        try:
+            require_whole(json.dumps(plain, ensure_ascii=False))
+        except ValueError as error:
+            raise InputError(f"{path}: cannot be created, since {error}; rename it.") from error
+        return cls(Database.create(Path(path), rows, *optional_tables(meta)))
+
+    @classmethod
+    def open(cls, path: Path | str, readonly: bool = True) -> Study:
+        """Open a study.
+
+        Parameters
+        ----------
+        path : path
+        readonly : bool, default True
+            Open it for reading only. Any number of processes can read at a time, also while one writes; only one at a
+            time can have it open for writing.
+
+        Returns
+        -------
+        Study
+
+        Raises
+        ------
+        InputError
+            There is no such file, it is not a study or of another schema version, it is damaged, or another process has
+            it open for writing.
+        """
+        database: Database | None = None
+        try:
+            file = arguments.path("path", path)
+            # Its description may be damaged.
+            with damage_told(file):
+                database = Database.open(file, readonly)
+                return cls(database)
+        except InputError:
+            if database is not None:
+                database.close()
+            raise
+
+    @property
+    def writer(self) -> StudyWriter:
+        """Writes to the study, if it was not opened for reading only."""
+        return StudyWriter(self, self._database)
+
+    @property
+    def readonly(self) -> bool:
+        """Whether the study is open for reading only."""
+        return self._database.readonly
+
+    def close(self) -> None:
+        """Close the file."""
+        self._database.close()
+
+    def snapshot(self) -> AbstractContextManager[None]:
+        """Read the study at one moment, while an exploration goes on writing.
+
+        Returns
+        -------
+        context manager
+            Everything that is read within it is of one moment.
+        """
+        return self._database.snapshot()
+
+    def changes(self) -> int | None:
+        """Count writes of other connections, so that a reader knows when to read again.
+
+        Returns
+        -------
+        int or None
+            It differs from the last value if another connection has written since. None if this reader cannot see what
+            others write, since nobody could write to the file when it was opened.
+        """
+        return self._database.changes()
+
+    def stored_meta(self) -> StudyMeta:
+        """Read the description of the study anew: an exploration that continues it may change the budget.
+
+        Returns
+        -------
+        StudyMeta
+        """
+        pairs = self._database.rows("meta")
+        return StudyMeta.from_json({key: loaded_json(value) for key, value in pairs})
+
+    def rows(self) -> list[Row]:
+        """List all scenarios.
+
+        Returns
+        -------
+        list of ScenarioRecord
+            In the order in which they were proposed.
+        """
+        # Checking 50,000 rows takes seconds, so it is repeated only after a write.
+        version = self._database.written()
+        if self._known is None or self._known[0] != version:
+            stored = self._database.rows("scenarios")
+            with damage_told(self.path):
+                rows = [self._row(*columns) for columns in stored]
+            self._known = version, rows
+        return list(self._known[1])
+
+    def _row(self, number: int, turn: int, point: bytes, values: str, state: str, error: str | None) -> Row:
+        require(isinstance(number, int) and number > 0, f"a scenario is numbered {str(number)[:60]!r}")
+        row = Row(number, turn, np.frombuffer(point, "<f8"), loaded_json(values), state, error)
+        require(row.point.shape == (self.space.dimension,), f"the scenario {number} has another number of parameters")
+        require(bool(np.isfinite(row.point).all()), f"the point of the scenario {number} is not finite")
+        is_plain = all(isinstance(item, str | int | float) for item in row.values.values())
+        require(is_plain, f"the scenario {number} has values that are neither numbers nor texts")
+        for parameter in self.space.parameters:
+            value = parameter.read(row.values)
+            if parameter.choices:
+                require(
+                    str(value) in parameter.choices, f"the scenario {number} has an unknown choice of {parameter.name}"
+                )
+            else:
+                require(np.isfinite(float(value)), f"the scenario {number} has no number for {parameter.name}")
+        require(isinstance(turn, int) and isinstance(error, str | None), f"the scenario {number} is damaged")
+        return row
+
+    def rows_of(self, turn: int) -> list[Row]:
+        """List the scenarios of a round.
+
+        Parameters
+        ----------
+        round_number : int
+
+        Returns
+        -------
+        list of ScenarioRecord
+            In the order in which they were proposed.
+        """
+        self._database.require_all("scenarios")
+        stored = self._database.rows("scenarios", "round = ?", turn)
+        with damage_told(self.path):
+            return [self._row(*columns) for columns in stored]
+
+    def rows_from(self, first: int) -> list[Row]:
+        """List the scenarios from an id on.
+
+        Parameters
+        ----------
+        first_id : int
+
+        Returns
+        -------
+        list of ScenarioRecord
+            In the order in which they were proposed.
+        """
+        self._database.require_all("scenarios")
+        stored = self._database.rows("scenarios", "id >= ?", first)
+        with damage_told(self.path):
+            return [self._row(*columns) for columns in stored]
+
+    def done(self) -> list[Row]:
+        """List the scenarios that ran successfully.
+
+        Returns
+        -------
+        list of ScenarioRecord
+        """
+        return [row for row in self.rows() if row.state == "done"]
+
+    def failed(self) -> list[Row]:
+        """List the scenarios that failed.
+
+        Returns
+        -------
+        list of ScenarioRecord
+        """
+        self._database.require_all("scenarios")
+        stored = self._database.rows("scenarios", "state = ?", "failed")
+        with damage_told(self.path):
+            return [self._row(*columns) for columns in stored]
+
+    def points(self) -> FloatArray:
+        """Points of the scenarios that ran.
+
+        Returns
+        -------
+        ndarray of float64, shape (n, d)
+            In the unit cube.
+        """
+        return np.array([row.point for row in self.done()]).reshape(-1, self.space.dimension)
+
+    def audits(self) -> BoolArray:
+        """Mask of the scenarios that ran which are audits: drawn at random, and hidden from the search.
+
+        Returns
+        -------
+        ndarray of bool, shape (n,)
+        """
+        return np.array([self.meta.is_audit(row.id) for row in self.done()], dtype=np.bool_)
+
+    def scores(self, metric: str) -> FloatArray:
+        """Scores of the scenarios that ran.
+
+        Parameters
+        ----------
+        metric : str
+
+        Returns
+        -------
+        ndarray of float64, shape (n,)
+            In the metric's unit.
+
+        Raises
+        ------
+        InputError
+            The study has no such metric.
+        """
+        self._require_metric(metric)
+        with self.snapshot():
+            self._database.require_all("courses")
+            done = self.done()
+            score_of = {scenario: score for scenario, _, score in self._database.rows("courses", "metric = ?", metric)}
+        with damage_told(self.path):
+            return np.array([float(score_of[row.id]) for row in done], dtype=np.float64)
+
+    def scores_of(self, scenario: int) -> dict[str, float]:
+        """Scores of one scenario.
+
+        Parameters
+        ----------
+        scenario : int
+            Its id.
+
+        Returns
+        -------
+        dict of str to float
+            By metric, in the metric's unit; empty if it has not run.
+        """
+        scores = {name: score for _, name, score in self._database.rows("courses", "scenario = ?", scenario)}
+        with damage_told(self.path):
+            return {name: float(scores[name]) for name in self.meta.metrics if name in scores}
+
+    def references(self, driver: str) -> dict[int, ReferenceOutcome]:
+        """Outcomes of the scenarios that were run again with a reference driver in the ego.
+
+        Parameters
+        ----------
+        driver : str
+            Name of the reference driver.
+
+        Returns
+        -------
+        dict of int to ReferenceOutcome
+            By id of each scenario that was run with it.
+        """
+        self._database.require_all("courses")
+        stored = self._database.rows("courses", "metric = ?", row_name(driver), blob=True)
+        with damage_told(self.path):
+            return {scenario: read_reference(score, packed) for scenario, _, score, packed in stored}
+
+    def against(self, metric: str) -> dict[int, str | None]:
+        """Name the entity that each score is against, in a study of several others.
+
+        Parameters
+        ----------
+        metric : str
+
+        Returns
+        -------
+        dict of int to (str or None)
+            By id of each scenario that ran; None if the score is not against a single entity, see
+            `cornercase.metrics.MetricResult`. Empty in a study of one other.
+
+        Raises
+        ------
+        InputError
+            The study has no such metric.
+        """
+        self._require_metric(metric)
+        others = self.meta.others
+        if len(others) == 1:
+            return {}
+        with self.snapshot():
+            self._database.require_all("against")
+            done = self.done()
+            sources = {scenario: other for scenario, _, other in self._database.rows("against", "metric = ?", metric)}
+        with damage_told(self.path):
+            require(
+                all(scenario is None or scenario in others for scenario in sources.values()),
+                f"a score of {metric} is against an unknown entity",
+            )
+            return {row.id: sources[row.id] for row in done}
+
+    def against_of(self, scenario: int) -> dict[str, str | None]:
+        """Name the entity that each score of one scenario is against, in a study of several others.
+
+        Parameters
+        ----------
+        scenario : int
+            Its id.
+
+        Returns
+        -------
+        dict of str to (str or None)
+            By metric; empty in a study of one other, and if the scenario has not run.
+        """
+        if len(self.meta.others) == 1:
+            return {}
+        sources = {name: other for _, name, other in self._database.rows("against", "scenario = ?", scenario)}
+        with damage_told(self.path):
+            require(
+                all(source is None or source in self.meta.others for source in sources.values()),
+                "a score is against an unknown entity",
+            )
+            return {name: sources[name] for name in self.meta.metrics if name in sources}
+
+    def main_other(self) -> str:
+        """Choose the one of several others that describes how scenarios end, and that aspects compare.
+
+        Returns
+        -------
+        str
+            The one that most scores of the first round are against, by the first metric: that round does not depend on
+            scores, and the study may grow. Without rounds, as many scenarios count. In a tie, or if no score is against
+            a single entity, it is the first of the others.
+        """
+        others = self.meta.others
+        if len(others) == 1:
+            return others[0]
+        has_rounds = not self.meta.asynchronous
+        first_ids = {row.id for row in self.rows() if (row.round == 1 if has_rounds else row.id <= self.meta.batch)}
+        counts = Counter(
+            source for scenario, source in self.against(self.meta.metrics[0]).items() if scenario in first_ids
+        )
+        return max(others, key=counts.__getitem__)
+
+    def reference_of(self, scenario: int, driver: str) -> ReferenceOutcome | None:
+        """Outcome of one scenario that was run again with a reference driver in the ego.
+
+        Parameters
+        ----------
+        scenario : int
+            Its id.
+        driver : str
+            Name of the reference driver.
+
+        Returns
+        -------
+        ReferenceOutcome or None
+            None if it was not run with this driver.
+        """
+        condition = "scenario = ? AND metric = ?"
+        stored = self._database.rows("courses", condition, scenario, row_name(driver), blob=True)
+        with damage_told(self.path):
+            return read_reference(*stored[0][2:]) if stored else None
+
+    def spread(self, metric: str) -> FloatArray | None:
+        """Lowest and highest score among the runs of each scenario that ran.
+
+        Parameters
+        ----------
+        metric : str
+
+        Returns
+        -------
+        ndarray of float64, shape (n, 2), or None
+            None if each scenario has one run.
+
+        Raises
+        ------
+        InputError
+            The study has no such metric.
+        """
+        self._require_metric(metric)
+        if (scores := self._runs(metric)) is None:
+            return None
+        with damage_told(self.path):
+            return np.array([[min(run_scores), max(run_scores)] for run_scores in scores], dtype=np.float64)
+
+    def _runs(self, metric: str) -> list[Any] | None:
+        """Scores of all runs of each scenario that ran; None if each has one run."""
+        with self.snapshot():
+            self._database.require_all("repeats")
+            done = self.done()
+            texts = {scenario: text for scenario, _, text in self._database.rows("repeats", "metric = ?", metric)}
+        if not texts:
+            return None
+        with damage_told(self.path):
+            return [loaded_json(texts[row.id]) for row in done]
+
+    def course(self, scenario: int, metric: str) -> FloatArray:
+        """Course of a metric in one scenario.
+
+        Parameters
+        ----------
+        scenario : int
+            Its id.
+        metric : str
+
+        Returns
+        -------
+        ndarray of float64, shape (T,)
+            In the metric's unit.
+
+        Raises
+        ------
+        InputError
+            The scenario has not run, its id is not an integer, or the study has no such metric.
+        """
+        self._require_metric(metric)
+        scenario_id = whole_number("scenario", scenario, most=_LARGEST_ID)
+        rows = self._database.rows("courses", "scenario = ? AND metric = ?", scenario_id, metric, blob=True)
+        if not rows:
+            raise InputError(f"{self.path}: the scenario {scenario_id} was not run.")
+        with damage_told(self.path):
+            course = np.asarray(unpack_arrays(rows[0][-1])["course"])
+            require(
+                course.ndim == 1 and course.dtype.kind in "fiu", f"the course of {metric} in the scenario {scenario_id}"
+            )
+            return course
+
+    def recording(self, scenario: int) -> Recording:
+        """Recording of one scenario.
+
+        Parameters
+        ----------
+        scenario : int
+            Its id.
+
+        Returns
+        -------
+        Recording
+
+        Raises
+        ------
+        InputError
+            The scenario has not run, or its id is not an integer.
+        """
+        return self._unpacked(self._packed(scenario))
+
+    def _packed(self, scenario: int) -> bytes:
+        scenario_id = whole_number("scenario", scenario, most=_LARGEST_ID)
+        rows = self._database.rows("scenarios", "id = ?", scenario_id, blob=True)
+        if not rows or rows[0][-1] is None:
+            raise InputError(f"{self.path}: the scenario {scenario_id} was not run.")
+        packed: bytes = rows[0][-1]
+        return packed
+
+    def _unpacked(self, packed: bytes) -> Recording:
+        with damage_told(self.path):
+            return unpack_recording(packed)
+
+    def collisions(self) -> dict[int, tuple[Collision, ...]]:
+        """Collisions in the scenarios that ran, without reading the rest of their recordings.
+
+        Returns
+        -------
+        dict of int to tuple of Collision
+            By id, in the order in which they were proposed.
+        """
+        self._database.require_all("scenarios")
+        iterator = self._database.each_row("scenarios", "state = 'done'", blob=True)
+        with damage_told(self.path), closing(iterator) as rows:
+            return {row[0]: unpack_collisions(row[-1]) for row in rows}
+
+    def outcomes(self) -> dict[int, str]:
+        """Describe how scenarios ended.
+
+        Returns
+        -------
+        dict of int to str
+            By id of each scenario that had run when the study was analyzed.
+        """
+        rows = self._database.rows("outcomes")
+        return {scenario: str(outcome) for scenario, outcome in rows}
+
+    def notes(self) -> dict[int, str]:
+        """Read the notes about scenarios.
+
+        Returns
+        -------
+        dict of int to str
+            By id of each scenario that has a note.
+        """
+        rows = self._database.rows("notes")
+        with damage_told(self.path):
+            for scenario, note in rows:
+                require(isinstance(note, str) and len(note) <= LONGEST_NOTE, f"the note on the scenario {scenario}")
+            return dict(rows)
+
+    def _require_metric(self, metric: str) -> None:
+        if metric not in self.meta.metrics:
+            raise InputError(
+                f"{self.path}: holds no course of the metric '{metric}'; it has {', '.join(self.meta.metrics)}."
+            )
+
+    @property
+    def critical(self) -> float | None:
+        """Threshold: that of the study, or the one that currently replaces it."""
+        return self.meta.critical if self._asked is None else self._asked
+
+    def ask(self, critical: float | None) -> float | None:
+        """Replace the threshold from now on; the file stays as it is.
+
+        Parameters
+        ----------
+        critical : float or None
+            Threshold in the unit of the objective; None for that of the study.
+
+        Returns
+        -------
+        float or None
+            The previous replacement.
+        """
+        previous, self._asked = self._asked, critical
+        return previous
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *exception: object) -> None:
+        self.close()
+
+    def __repr__(self) -> str:
+        meta, counts = self.meta, self._counts()
+        return (
+            f"<Study {str(self.path)!r}: {meta.title}, {meta.ego} and {', '.join(meta.others)}, by"
+            f" {', '.join(meta.metrics)}; {counts.get('done', 0)} scenarios run, {counts.get('failed', 0)} failed,"
+            f" {counts.get('pending', 0)} pending>"
+        )
+
+    def _repr_html_(self) -> str:
+        with suppress(InputError):
+            if "study" in DISPLAYS and (page := DISPLAYS.create("study", path=self.path)) is not None:
+                return page
+        table = self.table()
+        # If the package of a metric is missing, the first scenarios are shown.
+        with suppress(InputError):
+            metric = METRICS.create(self.meta.metrics[0])
+            table = table.sort_values(metric.name, ascending=metric.lower_is_critical, kind="stable")
+        return f"<p>{escape(repr(self))}</p>{table.head(_SHOWN).to_html(index=False)}"
+
+    def critical_runs(self) -> FloatArray | None:
+        """Probability that a run of each scenario is critical, if each was run several times.
+
+        Returns
+        -------
+        ndarray of float64, shape (n, 3), or None
+            Fraction of critical runs and its 90 % interval: if that contains 0.5, it is undecided whether the scenario
+            is critical. None if each scenario has one run, or if there is no threshold of a single metric.
+        """
+        if self.critical is None or self.meta.weights or self.meta.pareto:
+            return None
+        metric = METRICS.create(self.meta.metrics[0])
+        if (runs := self._runs(metric.name)) is None:
+            return None
+        with damage_told(self.path):
+            scores = [[metric.oriented(float(score)) for score in run_scores] for run_scores in runs]
+            return shares_of_runs(scores, metric.oriented(self.critical))
+
+    def elsewhere(self) -> tuple[FloatArray, FloatArray] | None:
+        """Read the points and scores of the study that the search was warm-started from.
+
+        Returns
+        -------
+        points : ndarray of float64, shape (n, d)
+            In the unit cube of this study's space.
+        scores : ndarray of float64, shape (n,)
+            To be minimized. None instead of both without a warm start.
+
+        Raises
+        ------
+        InputError
+            They are missing, as after a damage.
+        """
+        if not self.meta.elsewhere:
+            return None
+        with damage_told(self.path):
+            rows = self._database.rows("elsewhere")
+            points = np.array([np.frombuffer(point, dtype="<f8") for point, _ in rows], dtype=np.float64)
+            scores = np.array([score for _, score in rows], dtype=np.float64)
+            digest = digest_of_scores(points, scores)
+            require(digest == self.meta.elsewhere.get("sha256"), "the warm-start data is incomplete")
+            return points, scores
+
+    def analyses(self) -> list[str]:
+        """List the aspects that the study was analyzed by.
+
+        Returns
+        -------
+        list of str
+            ``ego-trajectory`` first, then the others in alphabetical order, the metrics last.
+        """
+        names = {str(name) for name, _ in self._database.rows("analyses")} - {"reduction", "estimate"}
+        metrics = [name for name in self.meta.metrics if name in names]
+        return [*sorted(names - set(metrics), key=lambda name: (name != "ego-trajectory", name)), *metrics]
+
+    def analysis(self, name: str, *arrays: str) -> tuple[dict[str, Any], dict[str, Any]]:
+        """Read the stored result of an analysis.
+
+        Parameters
+        ----------
+        name : str
+            Its aspect.
+        *arrays : str
+            Names of arrays to read, as large ones take time; all by default.
+
+        Returns
+        -------
+        arrays : dict of str to ndarray
+            In the shapes that were stored.
+        info : dict
+
+        Raises
+        ------
+        InputError
+            There is no such result.
+        """
+        rows = self._database.rows("analyses", "name = ?", name)
+        if not rows:
+            others = ", ".join(self.analyses())
+            advice = (
+                f", only by {others}; choose among these, or run `analyze` by it" if others else "; run `analyze` first"
+            )
+            raise InputError(f"{self.path}: holds no analysis by {name}{advice}.")
+        self._database.require_all("arrays")
+        # In the order in which they were written.
+        query = "SELECT name FROM arrays WHERE analysis = ? AND part = 0 ORDER BY rowid"
+        stored = [key for (key,) in self._database.found(query, name)]
+        if missing := sorted(set(arrays).difference(stored)):
+            raise InputError(f"{self.path}: its analysis by {name} lacks {', '.join(missing)}; run `analyze` again.")
+        with damage_told(self.path), self.snapshot():
+            values = read_arrays(self._database.rows, name, list(arrays or stored), sum(self._counts().values()))
+            return values, loaded_json(rows[0][1])
+
+    def reduction(self) -> dict[str, Any] | None:
+        """Read the description of the reduced set, as in its manifest.
+
+        Returns
+        -------
+        dict or None
+            None before the reduction.
+        """
+        return self._info("reduction")
+
+    def estimate(self) -> dict[str, Any] | None:
+        """Read the result of an estimate of probabilities.
+
+        Returns
+        -------
+        dict or None
+            None if the study is not an estimate, or has not ended.
+        """
+        return self._info("estimate")
+
+    def _info(self, name: str) -> dict[str, Any] | None:
+        self._database.require_all("analyses")
+        rows = self._database.rows("analyses", "name = ?", name)
+        with damage_told(self.path):
+            return dict(loaded_json(rows[0][1])) if rows else None
+
+    def results(self) -> list[tuple[int, int]]:
+        """Read the order in which the results of an asynchronous search came.
+
+        Returns
+        -------
+        list of (int, int)
+            Id of each scenario that has ended, and the number of the first round that was proposed, or will be, when
+            the optimizer knew the result; empty in a study with rounds.
+        """
+        if not self.meta.asynchronous:
+            return []
+        with self.snapshot():
+            stored = self._database.rows("results")
+            rows = {row.id: row for row in self.rows()}
+        ended_ids = {row.id for row in rows.values() if row.state != "pending"}
+        with damage_told(self.path):
+            rounds = [round_number for _, _, round_number in stored]
+            require(
+                all(isinstance(round_number, int) for round_number in rounds) and rounds == sorted(rounds),
+                "the order of its results",
+            )
+            last = max((row.round for row in rows.values()), default=0)
+            require(
+                all(rows[scenario_id].round < round_number <= last + 1 for _, scenario_id, round_number in stored),
+                "a result's round",
+            )
+            require(
+                len(stored) == len(ended_ids) and {scenario_id for _, scenario_id, _ in stored} == ended_ids,
+                "a result is missing, there twice, or of a scenario that has not ended",
+            )
+            return [(scenario, round_number) for _, scenario, round_number in stored]
+
+    def elapsed(self) -> dict[str, float]:
+        """Time spent by stage.
+
+        Returns
+        -------
+        dict of str to float
+            s, in the order of the stages.
+        """
+        rows = self._database.rows("elapsed")
+        with damage_told(self.path):
+            seconds_of = {str(stage): float(seconds) for stage, seconds in rows}
+        return {stage: seconds_of[stage] for stage in (*STAGES, *seconds_of) if stage in seconds_of}
+
+    def table(self) -> pd.DataFrame:
+        """Make a table of all scenarios.
+
+        Returns
+        -------
+        DataFrame
+            One row per scenario, in the order of the ids, with the columns ``id``, ``round`` and ``state``, and
+            ``audit`` if there are audits; a column for each parameter; for each metric one of the score, and ``lowest
+            …`` and ``highest …`` of its runs if each scenario was run several times, ``critical runs`` as in
+            `critical_run_rates`, and ``runs``, the number of runs that did not fail, if it may vary; with several
+            others ``other by …`` for each metric, the entity that the score is against; ``cluster by …`` for each
+            aspect that the study was analyzed by, -1 for noise; ``outcome`` once it was analyzed; ``note`` if there are
+            notes; ``error``. Empty if there is no value. A parameter with the name of another column becomes
+            ``parameter …``.
+        """
+        with self.snapshot():
+            scores = {}
+            for name in self.meta.metrics:
+                scores[name] = self.scores(name)
+                if (spread := self.spread(name)) is not None:
+                    scores[f"lowest {name}"], scores[f"highest {name}"] = spread.T
+            with suppress(InputError):  # The package of a metric may be missing.
+                if (runs := self.critical_runs()) is not None:
+                    scores |= dict(zip(_CRITICAL_RUNS, runs.T, strict=True))
+            clusters = {}
+            for name in self.analyses():
+                arrays, _ = self.analysis(name, "ids", "labels")
+                clusters[name] = arrays["ids"], arrays["labels"]
+            rows = self.rows()
+            ids = {row.id for row in rows}
+            with damage_told(self.path):
+                for name, ids_and_labels in clusters.items():
+                    is_valid = all(
+                        array.ndim == 1 and array.dtype.kind == "i" and len(array) == len(ids_and_labels[0])
+                        for array in ids_and_labels
+                    )
+                    require(
+                        is_valid and set(ids_and_labels[0].tolist()) <= ids,
+                        f"its clusters by {name} are of other scenarios",
+                    )
+                audits = [self.meta.is_audit(row.id) for row in rows] if self.meta.audit else None
+                against = {name: self.against(name) for name in self.meta.metrics if len(self.meta.others) > 1}
+                counts = self._counts_of_runs() if self.meta.most_repeats is not None else None
+                return scenario_table(
+                    rows, self.space, scores, clusters, self.outcomes(), audits, self.notes(), against, counts
+                )
+
+    def _counts_of_runs(self) -> dict[int, int]:
+        """Number of runs that did not fail, by id of each scenario that ran."""
+        runs = self._runs(self.meta.metrics[0]) or []
+        return {row.id: len(scores) for row, scores in zip(self.done(), runs, strict=True)}
+
+    def export(self, folder: Path | str, parquet: bool = False) -> None:
+        """Write everything as CSV: one table of scenarios, and recording and courses of each.
+
+        Parameters
+        ----------
+        folder : path
+            Gets ``scenarios.csv`` as in `table`, with underscores for spaces in names of columns, and for each scenario
+            ``recordings/ID.csv`` and ``courses/ID.csv``.
+        parquet : bool, default False
+            Also write ``scenarios.parquet``, ``recordings.parquet`` and ``courses.parquet`` of all scenarios; the last
+            two have their ids in the column ``scenario``.
+
+        Raises
+        ------
+        InputError
+            The folder cannot be written, or the package that writes Parquet is not installed; no file has changed then.
+        """
+        folder = require_folder("folder", folder)
+        table = self.table()
+        # All files appear at the end, so that a damaged study leaves no partial export.
+        with written_together():
+            write_table(folder, table, parquet)
+            write_scenarios(folder, self.recorded(), parquet)
+
+    def recordings_beside(self, scenario: int, other: Study, its: int) -> tuple[Recording, Recording]:
+        """Recordings of a scenario and of one of another study.
+
+        Parameters
+        ----------
+        scenario : int
+            Id in this study.
+        other : Study
+        other_scenario : int
+            Id in the other study.
+
+        Returns
+        -------
+        Recording
+            Of this study.
+        Recording
+            Of the other one; the same object if the stored bytes are equal, so that they are unpacked once.
+
+        Raises
+        ------
+        InputError
+            As by `recording`.
+        """
+        packed, other_packed = self._packed(scenario), other._packed(its)
+        recording = self._unpacked(packed)
+        return recording, recording if packed == other_packed else other._unpacked(other_packed)
+
+    def recorded(self) -> Iterator[tuple[int, Recording, dict[str, FloatArray]]]:
+        """Yield recording and courses of each scenario that ran.
+
+        Yields
+        ------
+        int
+            Its id.
+        Recording
+        dict of str to ndarray of float64, shape (T,)
+            Course by metric.
+
+        Raises
+        ------
+        InputError
+            A course has another length than its recording.
+        """
+        for row in self.done():
+            recording = self.recording(row.id)
+            courses = {name: self.course(row.id, name) for name in self.meta.metrics}
+            with damage_told(self.path):
+                for name, course in courses.items():
+                    require(
+                        len(course) == len(recording.time),
+                        f"{len(course)} instants of {name} in the scenario {row.id}, of which the recording has"
+                        f" {len(recording.time)}",
+                    )
+            yield row.id, recording, courses
+
+    def require_sound(self) -> None:
+        """Check all checksums without unpacking anything.
+
+        Raises
+        ------
+        InputError
+            Something is damaged.
+        """
+        tables = {name for (name,) in self._database.found("SELECT name FROM sqlite_master WHERE type = 'table'")}
+        for table in (name for name in TABLES if name in tables):
+            self._database.require_all(table)
+            with closing(self._database.each_row(table, blob=True)) as rows:
+                for _ in rows:
+                    pass
+
+    def tallies(self) -> dict[str, tuple[int, int]]:
+        """Row counts and checksums of all tables, to compare studies by.
+
+        Returns
+        -------
+        dict of str to (int, int)
+            Number of rows, and the XOR of their checksums, by table.
+        """
+        return {name: (rows, sums) for name, rows, sums in self._database.rows("tallies")}
+
+    def _counts(self) -> dict[str, int]:
+        """Number of scenarios by state."""
+        return Counter(row.state for row in self.rows())
+
+
+@contextmanager
+def open_study(study: Study | Path | str, readonly: bool = False, critical: float | None = None) -> Iterator[Study]:
+    """Give an open study, or open the one at a path for as long as the block lasts.
+
+    `critical` replaces the threshold of the study within the block; the file stays as it is. Raises `InputError` if an
+    open study cannot be written but should be, or if the study has no single score that a threshold could apply to.
+    """
+    threshold = None if critical is None else number("critical", critical)
+    if isinstance(study, Study):
+        if study.readonly and not readonly:
+            raise InputError(f"{study.path}: is open for reading only; open it with readonly=False, or give its path.")
+        with _asked(study, threshold):
+            yield study
+        return
+    with Study.open(arguments.path("study", study), readonly) as opened, _asked(opened, threshold):
+        yield opened
+
+
+@contextmanager
+def _asked(study: Study, threshold: float | None) -> Iterator[None]:
+    """Replace the threshold of a study within the block."""
+    if threshold is None:
+        yield
+        return
+    meta = study.meta
+    if condition := condition_of(meta.metrics):
+        raise InputError(f"{study.path}: the condition '{condition}' replaces a threshold; leave out `critical`.")
+    if meta.pareto:
+        raise InputError(f"{study.path}: a Pareto front has no threshold; leave out `critical`.")
+    if study.estimate() is not None:
+        raise InputError(
+            f"{study.path}: its probabilities are for the threshold of the estimate; give `critical` to `estimate`."
+        )
+    previous = study.ask(threshold)
+    try:
+        yield
+    finally:
+        study.ask(previous)
+
+
+@contextmanager
+def begun_study(path: Path, meta: StudyMeta) -> Iterator[Study]:
+    """Open a study for writing for as long as the block lasts; create it if there is none.
+
+    A study that was created is removed again if the block raises `InputError` and no scenario has run.
+    """
+    if path.exists():
+        with Study.open(path, readonly=False) as study:
+            yield study
+        return
+    with Study.create(path, meta) as study:
+        try:
+            yield study
+        except InputError:
+            # The error of the block matters more than that of removing the file.
+            with suppress(InputError, OSError):
+                if not study.done() and not study.notes():
+                    study.close()
+                    path.unlink()
+                    remove_log(path)
+            raise
