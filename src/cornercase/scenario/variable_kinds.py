@@ -1,4 +1,4 @@
-"""Numbers of OpenSCENARIO that may be varied: names, units, bounds, and the ranges that are proposed."""
+"""Numbers of OpenSCENARIO files that can be varied: names, units, bounds, proposed ranges."""
 
 from __future__ import annotations
 
@@ -9,21 +9,10 @@ from typing import Final
 
 @dataclass(frozen=True)
 class Kind:
-    """What numbers of one kind have in common.
+    """What numbers of one physical quantity have in common.
 
-    Attributes
-    ----------
-    unit : str
-    share : float
-        The proposed range reaches as far to both sides, as a share of the value.
-    half : float
-        It reaches as far to both sides whatever the value is, where this is not 0.
-    zero : float
-        It reaches as far from a value of 0, to both sides where the value may be negative.
-    least : float or None
-        What the standard allows at least.
-    whole : bool
-        Whether it is a whole number.
+    The proposed range is the value ± `half` if that is not 0, else ± `share` times the value; for a value of 0 it is
+    ± `zero`. `least` is the minimum that the standard allows.
     """
 
     unit: str = ""
@@ -34,22 +23,22 @@ class Kind:
     whole: bool = False
 
     def proposed(self, value: float, least: float | None, most: float | None) -> tuple[float, float] | None:
-        """Propose a range around a value, within bounds; None where hardly anything would be left."""
+        """Propose a range around a value, within bounds; None if hardly anything would be left."""
         reach = self.half or abs(value) * self.share or self.zero
         if self.whole:
             low, high = value - round(reach), value + round(reach)
         else:
             low, high = value - reach, value + reach
-            # A standing car that drives backwards is not a variant of it.
+            # Do not let a standing car drive backwards.
             low = max(low, 0.0) if value == 0.0 and self.unit == "m/s" else low
-            low, high = (_readable(one, reach) for one in (low, high))
+            low, high = (_readable(bound, reach) for bound in (low, high))
         low = low if least is None else max(low, least)
         high = high if most is None else min(high, most)
         return (low, high) if low < high and low <= value <= high else None
 
 
 def _readable(value: float, reach: float) -> float:
-    """Round to about two digits of the reach, so that a range is quickly read."""
+    """Round to about two digits of the width, so that the range is easy to read."""
     digits = 1
     while digits < 6 and reach * 10**digits < 50.0:
         digits += 1
