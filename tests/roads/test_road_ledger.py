@@ -158,7 +158,7 @@ def test_links_between_roads_that_lie_apart_are_named(tmp_path):
     apart = [road("1", 100.0, links=linked("successor", "2", "start")), road("2", 100.0, at=(140.0, 0.0, 0.0))]
     found = told(write(tmp_path, *apart))
     assert list(found) == ["link between the roads 1 and 2"]
-    assert "lie 40 m apart" in found["link between the roads 1 and 2"]
+    assert "are 40 m apart" in found["link between the roads 1 and 2"]
 
 
 def test_a_file_that_includes_others_is_refused(tmp_path):

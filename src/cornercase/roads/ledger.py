@@ -1,4 +1,4 @@
-"""What happens with each element and attribute of a road file."""
+"""Support table of OpenDRIVE: what happens with each element and attribute."""
 
 from __future__ import annotations
 
