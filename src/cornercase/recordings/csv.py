@@ -19,7 +19,7 @@ from cornercase.recordings.samples import require_box, require_motion, require_s
 
 
 def read_csv(path: Path) -> Recording:
-    """Read a table with one row per entity and instant, with at least the columns `COLUMNS`."""
+    """Read a table with one row per entity and instant, with at least the columns `CSV_COLUMNS`."""
     rows = _Rows()
     for line, row in _read_rows(path):
         rows.add(path, line, row)

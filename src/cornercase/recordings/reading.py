@@ -25,7 +25,7 @@ def read_recording(path: Path | str) -> Recording:
         The extension selects the format: an ASAM OSI trace (``.osi``, ``.mcap``; extra ``osi``), a CommonRoad scenario
         (``.xml``; extra ``commonroad``), floating car data of SUMO (``.xml``), a result file of CarMaker (``.erg``), a
         file of CARLA's recorder (``.log``), otherwise CSV: a log of esmini, or a table with at least the columns
-        `COLUMNS`. Its rows may be in any order; an entity without a row at an instant does not exist then.
+        `CSV_COLUMNS`. Its rows may be in any order; an entity without a row at an instant does not exist then.
 
     Returns
     -------

@@ -276,7 +276,7 @@ class Recording:
             yield f"{time}{begin}{x!r},{y!r},{heading!r},{speed!r},{acceleration!r}{end}{met.get(k, '')}\n"
 
     def to_csv(self, path: Path | str) -> None:
-        """Write one row per instant and entity, with the columns `COLUMNS` and ``collision``.
+        """Write one row per instant and entity, with the columns `CSV_COLUMNS` and ``collision``.
 
         Reading gives the same bits. ``collision`` names the entities that it touches first at that instant, separated
         by semicolons. Texts that a spreadsheet would take for a formula get an apostrophe, which

@@ -15,7 +15,7 @@ _POINTS: Final = 400
 
 
 def tracks_as_svg(x: FloatArray, y: FloatArray) -> str:
-    """Draw tracks in the order of `COLORS`, with a dot at the start; empty if no entity ever exists.
+    """Draw tracks in the order of `TRACK_COLORS`, with a dot at the start; empty if no entity ever exists.
 
     x and y are in m, shape (A, T), NaN while an entity does not exist.
     """

@@ -147,7 +147,7 @@ def road_heading(roads, road, s):
 
 @kernel(error_model="numpy", forceinline=True, _nrt=False)
 def road_direction(roads, road, s):
-    """Return cosine and sine of `road_heading`."""
+    """Return cosine and sine of `reference_heading`."""
     piece = _piece(roads, road, s)
     if roads.shape[piece] == _TURNS and roads.numbers[piece, 0] == 0.0 and roads.numbers[piece, 1] == 0.0:
         return roads.cos[piece], roads.sin[piece]
@@ -191,7 +191,7 @@ def _plain_place(roads, piece, s):
 
 @kernel(error_model="numpy", forceinline=True, _nrt=False)
 def _parameter(roads, piece, along):
-    """Return the curve parameter at a distance, as `Geometry.parameter`."""
+    """Return the curve parameter at a distance, as `ReferenceGeometry.curve_parameter`."""
     length, steps, first = roads.numbers[piece, 0], roads.numbers[piece, 1], roads.parameters[piece]
     position = min(max(along, 0.0), length) / (length / steps)
     k = min(int(position), int(steps) - 1)

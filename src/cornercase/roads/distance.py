@@ -34,7 +34,7 @@ class LaneDistance:
         self._cells = np.unique(np.concatenate(around))
 
     def of(self, x: FloatArray, y: FloatArray) -> FloatArray:
-        """Return distances in m, shape (N,); 0 for points closer than `NEAR`, and for NaN."""
+        """Return distances in m, shape (N,); 0 for points closer than `NEAR_DISTANCE`, and for NaN."""
         result = np.zeros(len(x))
         finite = np.flatnonzero(np.isfinite(x + y))
         points = np.stack([x[finite], y[finite]], axis=1)

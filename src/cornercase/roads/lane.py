@@ -48,8 +48,8 @@ Section = tuple[float, "dict[int, Lane]"]
 class Lane:
     """A lane of one lane section; `borders` are used only if there are no `widths`, as the standard demands.
 
-    If `reverse`, traffic runs against the usual direction of its side. Several predecessors or successors mean that it
-    splits or merges.
+    If `is_reversed`, traffic runs against the usual direction of its side. Several predecessors or successors mean
+    that it splits or merges.
     """
 
     kind: str
@@ -77,8 +77,8 @@ def read_sections(
 ) -> list[Section]:
     """Read the lane sections of a road, in the order of their starts.
 
-    Each section holds the lanes of both sides, even if the file starts a new section on one side only. `cuts` are
-    positions in m at which a section has to start; `where` names file and road, for messages.
+    Each section holds the lanes of both sides, even if the file starts a new section on one side only.
+    `forced_starts` are positions in m at which a section has to start; `location` names file and road, for messages.
     """
     sides: dict[str, list[_Side]] = {"left": [], "right": []}
     begins = [read_number(element, "s", where, 0.0) for element in elements]
@@ -239,7 +239,7 @@ def lane_number(element: etree._Element, where: str, name: str = "id") -> int:
 
 
 def read_polynomials(elements: Iterable[etree._Element], name: str, where: str) -> tuple[Polynomial, ...]:
-    """Read piecewise cubics; attribute `name` holds the start of each."""
+    """Read piecewise cubics; attribute `start_attribute` holds the start of each."""
     cubics: list[Polynomial] = []
     elements = list(elements)
     for e in elements:

@@ -37,9 +37,9 @@ class Stretch(NamedTuple):
 
 
 class Walk(NamedTuple):
-    """Consecutive stretches.
+    """Consecutive directed lanes.
 
-    `passed` is the number of goals passed at the end of each; `ends` is whether the last one is a dead end.
+    `goals_passed` is the number of goals passed at the end of each; `is_dead_end` is whether the last one is one.
     """
 
     stretches: list[Stretch]
@@ -50,7 +50,7 @@ class Walk(NamedTuple):
 class LaneGraph:
     """Lanes of a road network, and how they are connected.
 
-    `connections` are those of each junction; `index` maps road ids to indices.
+    `connections` are those of each junction; `road_indices` maps road ids to indices.
     """
 
     def __init__(
@@ -60,10 +60,10 @@ class LaneGraph:
         self.roads = RoadGraph(roads, connections, index)
 
     def walk(self, here: Stretch, goals: Sequence[int], longest: float) -> Walk:
-        """Follow lanes from a stretch through the goals if they are reachable, else as straight on as possible.
+        """Follow lanes from a start through the goals if they are reachable, else as straight on as possible.
 
-        `goals` are roads in the order to pass them; the first may be that of the start. The walk is cut `longest` m
-        after the first stretch.
+        `goals` are roads in the order to pass them; the first may be that of the start. The walk is cut `max_length` m
+        after the first lane.
         """
         behind = int(bool(goals) and goals[0] == here.road)
         stretches, passed, length, seen = [here], [behind], 0.0, {here}
@@ -95,11 +95,11 @@ class LaneGraph:
         return options[int(np.flatnonzero(bends <= bends.min() + _AS_STRAIGHT)[-1])]
 
     def span(self, here: Stretch) -> tuple[float, float]:
-        """Return the s coordinates of a stretch, lower one first, in m."""
+        """Return the s coordinates of a lane's ends, lower one first, in m."""
         return self._roads[here.road].section_span(here.section)
 
     def piece(self, here: Stretch, passed: int = 0) -> LanePath:
-        """Return the center line of a stretch in the direction of travel; `passed` is the number of goals passed."""
+        """Return the center line in the direction of travel; `goals_passed` is the number of goals passed."""
         road = self._roads[here.road]
         start, end = self.span(here)
         s = np.linspace(start, end, max(2, int(np.ceil((end - start) / STEP)) + 1))
@@ -126,7 +126,7 @@ class LaneGraph:
         return replace(path, lane_s=(begin, until), lane_span=(0.0, float(path.distance[-1])))
 
     def exits(self, here: Stretch) -> list[Stretch]:
-        """Return the stretches that follow one in the direction of travel; none if the lane ends."""
+        """Return the directed lanes that follow one; none if it ends."""
         following = []
         for option in self._linked(here):
             meets = self._gap(here, option) <= 0.0
@@ -141,12 +141,12 @@ class LaneGraph:
 
     @cached_property
     def crossed(self) -> dict[tuple[int, int], float]:
-        """Distance in m of lane ends of linked roads that meet loosely, by pair of road indices; filled by `exits`."""
+        """Distance in m of lane ends of loosely linked roads, by pair of road indices; filled by `find_exits`."""
         return {}
 
     @cached_property
     def gaps(self) -> dict[tuple[int, int], float]:
-        """Distance in m of lane ends of linked roads that do not meet, by pair of road indices; filled by `exits`."""
+        """Distance in m of lane ends of roads that do not meet, by pair of road indices; filled by `find_exits`."""
         return {}
 
     def _at_ends(self, here: Stretch, option: Stretch) -> bool:
@@ -155,7 +155,7 @@ class LaneGraph:
         return here.road != option.road and all(s in (0.0, road.length) for s, road in ends)
 
     def _linked(self, here: Stretch) -> list[Stretch]:
-        """Return the stretches that are linked to the end of one, whether they meet or not."""
+        """Return the directed lanes that are linked to the end of one, whether they meet or not."""
         road = self._roads[here.road]
         lane = road.sections[here.section][1].get(here.lane)
         linked = () if lane is None else (lane.successors if here.along else lane.predecessors)
@@ -203,7 +203,7 @@ class LaneGraph:
     def _enter(self, link: Link, lanes: Sequence[int], along: bool) -> list[Stretch]:
         """Return lanes of a linked road, and the direction of travel on it.
 
-        `along` is the direction of travel on the road that has the link.
+        `forward` is the direction of travel on the road that has the link.
         """
         if link.element not in self._index:
             return []
@@ -227,7 +227,7 @@ class LaneGraph:
         return max(distance - wide - GAP, 0.0)
 
     def _apart(self, here: Stretch, option: Stretch) -> tuple[float, float]:
-        """Return the distance in m from the end of a stretch to another's start, and half their summed width."""
+        """Return the distance in m from the end of a lane to another's start, and half their summed width."""
         key = here, option
         if key not in self._distances:
             ends = []
@@ -250,7 +250,7 @@ class LaneGraph:
         return self.span(here)[1 if here.along else 0]
 
     def _bend(self, here: Stretch, option: Stretch) -> float:
-        """Return the change of heading from the end of a stretch to the far end of the next road, in rad."""
+        """Return the change of heading from the end of a lane to the far end of the next road, in rad."""
         road = self._roads[option.road]
         far_end = road.length if option.along else 0.0
         heading = self._roads[here.road].reference(np.array([self._end(here)]))[2][0] + (0.0 if here.along else np.pi)

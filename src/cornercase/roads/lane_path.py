@@ -92,7 +92,7 @@ class LanePath:
 
     @cached_property
     def addresses(self) -> IntArray:
-        """Memory addresses of `columns`, shape (14,)."""
+        """Memory addresses of `arrays`, shape (14,)."""
         return np.array([address_of(array) for array in self.columns])
 
     @cached_property
@@ -118,7 +118,7 @@ class LanePath:
     ) -> LanePath:
         """Create a path through points that are close together, shape (Q,); the attributes explain the arrays.
 
-        `jumped` marks points right after a sideways jump; the jump itself has no length.
+        `is_after_jump` marks points right after a sideways jump; the jump itself has no length.
         """
         keep = np.concatenate([[True], np.hypot(np.diff(x), np.diff(y)) > 1e-6])
         jumped = np.zeros(len(x), dtype=np.bool_) if jumped is None else jumped
@@ -186,7 +186,7 @@ class LanePath:
         return np.clip(np.interp(target, self.reference, self.distance), *self.lane_span)
 
     def ahead(self, distance: FloatArray, way: FloatArray) -> FloatArray:
-        """Return the positions `way` m further along the reference lines, as distances along the path, (N,)."""
+        """Return positions further along the reference lines, as distances along the path; m, shape (N,)."""
         along = np.interp(distance, self.distance, self.reference)
         return np.interp(along + way, self.reference, self.distance)
 
@@ -239,7 +239,7 @@ def _beside_chord(curvature: FloatArray, part: FloatArray, gap: FloatArray | flo
 
 
 def join(pieces: Sequence[LanePath], asked: int = 0) -> LanePath:
-    """Join pieces, each of which starts where the one before ends; `asked` is the piece of the requested lane."""
+    """Join pieces, each of which starts where the one before ends; `requested` is the piece of the requested lane."""
     offsets = np.cumsum([0.0, *(piece.reference[-1] for piece in pieces[:-1])])
     requested = pieces[asked]
     pieces = [

@@ -40,7 +40,7 @@ class Place(NamedTuple):
 
 
 class _Samples(NamedTuple):
-    """Samples of the center lines of all lanes; `apart` is their largest distance in m."""
+    """Samples of the center lines of all lanes; `spacing` is their largest distance in m."""
 
     nearest: NearestPoints
     points: FloatArray

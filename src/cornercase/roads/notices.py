@@ -29,7 +29,7 @@ def name_without_effect(
 ) -> tuple[Notice, ...]:
     """List what has no effect in a road file.
 
-    `network` is needed to find linked roads that do not meet. If not `read` to its end, unused elements are not listed.
+    `network` is needed to find linked roads that do not meet. Unless `fully_read`, unused elements are not listed.
     """
     elements = list(root.iter())
     reserved = [e for e in elements if local_name(e) == "lane" and e.attrib.get("type") in _RESERVED]

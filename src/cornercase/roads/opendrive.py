@@ -38,8 +38,8 @@ _JUMP: Final = 0.3
 class RoadNetwork:
     """All roads of an OpenDRIVE file.
 
-    `connections` are those of each junction. `left_out` maps ids of unusable roads to the reason; they are ignored.
-    `line` is that of the first road in the file, for messages.
+    `connections` are those of each junction. `excluded_roads` maps ids of unusable roads to the reason; they are
+    ignored. `first_line` is that of the first road in the file, for messages.
     """
 
     path: Path
@@ -169,7 +169,7 @@ class RoadNetwork:
     ) -> tuple[IntArray, FloatArray, BoolArray]:
         """Return road, s and direction (whether along s) at distances along a route, shape (N,).
 
-        `waypoints` are road, lane and s; `way` is in m from the first one.
+        `waypoints` are road, lane and s; `distance` is in m from the first one.
         """
         road, lane, s = waypoints[0]
         section = int(self.roads[road].section_at(np.array([s]))[0])
@@ -196,7 +196,7 @@ class RoadNetwork:
     def way(self, road: IntArray, s: FloatArray, along: BoolArray, goal: IntArray, goal_s: FloatArray) -> FloatArray:
         """Return distances along roads from positions to goals, in m, shape (N,); lanes are ignored.
 
-        Negative if the shorter route leads back, infinite if the roads are not connected. `along` is whether ahead
+        Negative if the shorter route leads back, infinite if the roads are not connected. `forward` is whether ahead
         means along s.
         """
         return self._graph.roads.way(road, s, along, goal, goal_s)
@@ -221,7 +221,7 @@ class RoadNetwork:
     def road_from(
         self, last: IntArray, last_s: FloatArray, x: FloatArray, y: FloatArray, heading: FloatArray
     ) -> tuple[IntArray, FloatArray]:
-        """Return road and s of moving points, given those of a moment ago (`last` is -1 if unknown), shape (N,).
+        """Return road and s of moving points, given those of a moment ago (`last_road` is -1 if unknown), shape (N,).
 
         Where roads overlap, as in a junction, a point stays on its road as long as it can, and then changes to the road
         whose direction is most similar to its heading.
@@ -263,8 +263,8 @@ class RoadNetwork:
     ) -> LanePath | None:
         """Return the path along a lane and those that follow and precede it; None if there is no such lane.
 
-        `s` is where the lane has this number, `along` whether the path runs along the road's s. `via` are waypoints
-        (road, lane, s) that choose the exits of junctions; beyond them the path goes as straight on as possible.
+        `s` is where the lane has this number, `forward` whether the path runs along the road's s. `waypoints` (road,
+        lane, s) choose the exits of junctions; beyond them the path goes as straight on as possible.
         """
         current = self.roads[road]
         section = int(current.section_at(np.array([s]))[0])

@@ -151,9 +151,9 @@ class Geometry:
 
 
 def read_geometry(element: etree._Element, where: str, begin: float = 0.0, end: str | None = None) -> Geometry:
-    """Read a ``geometry``.
+    """Read a ``geometry``; `location` names file and road.
 
-    `begin` is the default for its start in m, `end` for its end, as written in the file; `where` names file and road.
+    The defaults are used if its start in m, or its end as written in the file, is not given.
     """
     s = read_number(element, "s", where, begin)
     x, y, heading = (read_number(element, name, where, 0.0) for name in ("x", "y", "hdg"))
@@ -212,7 +212,7 @@ def turns_evenly(start: float, end: float, length: float) -> bool:
 
 
 def read_word(element: etree._Element, name: str, words: Sequence[str], missing: str, where: str) -> str:
-    """Read an attribute that is one of a few words, ignoring case; `missing` is the default."""
+    """Read an attribute that is one of a few words, ignoring case."""
     text = element.get(name)
     if not text:
         return missing
@@ -261,7 +261,7 @@ def _derivative(coefficients: tuple[float, ...] | list[float]) -> list[float]:
 
 
 def read_number(element: etree._Element, name: str, where: str, missing: float | None = None) -> float:
-    """Read a finite number; `missing` is the default, whose use is recorded. `where` names file and road."""
+    """Read a finite number; the use of `default` is recorded. `location` names file and road."""
     text = element.get(name)
     if missing is not None and not (text or "").strip():
         tag = local_name(element)

@@ -39,8 +39,8 @@ _STEEPEST: Final = 10.0
 class Link:
     """What a road is linked to at one end: another road's ``start`` or ``end``, a position along it, or a junction.
 
-    `kind` is ``"road"``, ``"junction"`` or empty until it is resolved. `s` is the position along a road in m, where
-    `forward` tells whether one continues along its s when coming along the s of the road that has the link.
+    `target_type` is ``"road"``, ``"junction"`` or empty until it is resolved. `s` is the position along a road in m,
+    where `forward` tells whether one continues along its s when coming along the s of the road that has the link.
     """
 
     kind: str
@@ -182,7 +182,7 @@ class Road:
         return usual ^ reverse[self.section_at(s)]
 
     def edges(self, section: int, lane: int, s: FloatArray, rate: bool = False) -> tuple[FloatArray, FloatArray]:
-        """Return the lateral coordinates t of a lane's inner and outer edge, or their `rate` by s, shape (N,) each."""
+        """Return the lateral coordinates t of a lane's inner and outer edge, or their derivatives by s, (N,)."""
         start, lanes = self.sections[section]
         sign = 1 if lane > 0 else -1
         zero = evaluate_polynomials(differentiated(self.offsets) if rate else self.offsets, s)
@@ -202,7 +202,7 @@ class Road:
 
 
 def read_road(element: etree._Element, where: str, cuts: Iterable[float] = ()) -> Road:
-    """Read a <road>; `cuts` are positions in m at which other roads start or end along it."""
+    """Read a <road>; `forced_starts` are positions in m at which other roads start or end along it."""
     geometries = _geometries(element, where)
     length = read_number(element, "length", where, max(geometry.s + geometry.length for geometry in geometries))
     if length < _SHORTEST_ROAD:

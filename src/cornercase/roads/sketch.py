@@ -147,7 +147,7 @@ def _class_of(kind: str, drivable: bool) -> str:
 
 
 def _simplified(points: FloatArray) -> FloatArray:
-    """Simplify a line so that no point is lost by more than `_CHORD` (Douglas and Peucker)."""
+    """Simplify a line so that no point is lost by more than `_MAX_DEVIATION` (Douglas and Peucker)."""
     keep = np.zeros(len(points), dtype=np.bool_)
     keep[[0, -1]] = True
     pending = [(0, len(points) - 1)]

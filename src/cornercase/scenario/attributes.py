@@ -33,9 +33,9 @@ _literal = lru_cache(4096)(finite_number)
 class Attributes:
     """Reads attributes, given the parameter values of N concrete scenarios.
 
-    `values` maps a parameter to a scalar or an array of shape (N,). `origins` maps it to the parameters of the logical
-    scenario that its value depends on. `used` collects those on which an attribute depended that was read as one value
-    for all N.
+    `parameter_values` maps a parameter to a scalar or an array of shape (N,), `origin_parameters` to the parameters
+    of the logical scenario that its value depends on. `split_parameters` collects those on which an attribute
+    depended that was read as one value for all N.
     """
 
     def __init__(self, source: str, scenarios: int, values: Mapping[str, Any], origins: Mapping[str, set[str]]) -> None:

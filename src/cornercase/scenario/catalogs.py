@@ -23,7 +23,7 @@ def holds_catalog(content: bytes) -> bool:
 
 
 class Catalogs:
-    """The catalogs among the files in a scenario's catalog locations; `source` is the scenario file, for messages."""
+    """The catalogs among the files in a scenario's catalog locations."""
 
     def __init__(self, source: Path, documents: Iterable[tuple[Path, etree._Element]]) -> None:
         self._source = source

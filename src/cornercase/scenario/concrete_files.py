@@ -60,7 +60,7 @@ def fill_concrete(
     drivers: Mapping[str, str] | None = None,
     description: str | None = None,
 ) -> ConcreteFile:
-    """Return what `write_concrete` writes, without writing it; `target` is for messages."""
+    """Return what `write_concrete_file` writes, without writing it; `target` is for messages."""
     scenario.require_parameters(list(values))
     tree = etree.ElementTree(etree.fromstring(etree.tostring(scenario.root)))
     root = tree.getroot()
@@ -169,7 +169,7 @@ def _keep_driver(root: etree._Element, entity: str) -> None:
 
 
 def copy_beside(source: Path, target: Path, root: str) -> None:
-    """Copy an XML file that a scenario needs, unless an identical copy exists; `root` is its root tag."""
+    """Copy an XML file that a scenario needs, unless an identical copy exists; `root_tag` is its root tag."""
     content = read_beside(source, root)
     if target.exists() and target.read_bytes() == content:
         return

@@ -129,7 +129,7 @@ class Declaration:
 
 
 def read_declarations(root: etree._Element, source: str) -> tuple[Declaration, ...]:
-    """Read the parameters that an element declares, in order; `source` is the file name, for messages."""
+    """Read the parameters that an element declares, in order; `file_name` is for messages."""
     return made_once(root, "declarations", lambda: _read(root, source))
 
 
@@ -152,7 +152,7 @@ def violations(
 ) -> dict[str, BoolArray]:
     """Return masks of shape (N,) of the scenarios that violate constraints, by parameter; only if there are any.
 
-    `value_of` maps a parameter to its value, `bound` the text of a constraint to its value; both scalars or shape (N,).
+    `get_value` maps a parameter to its value, `evaluate_bound` the text of a constraint; both scalars or shape (N,).
     """
     masks = {}
     for declaration in declarations:

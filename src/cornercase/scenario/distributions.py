@@ -47,7 +47,7 @@ class Distribution:
         return self.kind in ("poisson", "set")
 
     def quantiles(self, u: FloatArray) -> FloatArray:
-        """Return the quantiles of probabilities `u`, shape (n,); for continuous kinds."""
+        """Return the quantiles of probabilities, shape (n,); for continuous kinds."""
         if self.kind == "uniform":
             return self.low + u * (self.high - self.low)
         if self.kind == "histogram":

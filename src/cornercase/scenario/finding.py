@@ -23,7 +23,7 @@ def find_scenario(
     """Search folders, and two levels below them, for a scenario file with a fingerprint.
 
     Returns the first match; otherwise the path of a file of that name, which has been changed since; otherwise None.
-    In the folders themselves any file name matches. `name` is only compared and never opened as a path.
+    In the folders themselves any file name matches. `file_name` is only compared and never opened as a path.
     """
     for folder in folders:
         changed = None

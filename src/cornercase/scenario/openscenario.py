@@ -50,8 +50,8 @@ class Scenario:
     Each file is read once, when it is first needed. A pickled copy holds only path and fingerprint: it reads the files
     again in its process, and raises `InputError` if they have changed.
 
-    `roads` are road files that a varied parameter names, besides that of the file itself. `cache` is for objects that
-    others derive from the file, by their type.
+    `varied_roads` are road files that a varied parameter names, besides that of the file itself. `cache` is for
+    objects that others derive from the file, by their type.
     """
 
     def __init__(self, path: Path | str, fingerprint: str | None = None, roads: Sequence[str] = ()) -> None:
@@ -251,7 +251,7 @@ class Scenario:
                 raise InputError(f"{self.path}: declares no parameter '{name}'; {suggestion(name, self.parameters)}")
 
     def beside(self, reference: str, what: str) -> Path:
-        """Resolve a path of the file, relative to its folder; `what` is what the path is for, for messages.
+        """Resolve a path of the file, relative to its folder; `description` is what the path is for, for messages.
 
         Raises `InputError` for network addresses and invalid file names.
         """

@@ -211,7 +211,7 @@ class Parameter:
         return [values[k] for k in which.tolist()]
 
     def unit_place(self, value: Value) -> float:
-        """Return the position of a value in the unit interval, the inverse of `value`.
+        """Return the position of a value in the unit interval, the inverse of `value_at`.
 
         Parameters
         ----------

@@ -15,8 +15,8 @@ from cornercase.scenario.openscenario import Scenario
 class ScenarioParcel:
     """Content of a scenario file and its companion files, as they were when they were read.
 
-    `folder` is their common parent folder. `files` maps paths in it (with ``/``) to content, `main` is the path of the
-    scenario file. `roads` are road files that a varied parameter names, as the scenario would name them.
+    `files` maps paths in their `common_folder` (with ``/``) to content, `scenario_path` is that of the scenario file.
+    `varied_roads` are road files that a varied parameter names, as the scenario would name them.
     """
 
     folder: str

@@ -29,8 +29,8 @@ _DEEPEST = 20
 class Scope(Attributes):
     """Values of parameters for N concrete scenarios.
 
-    `catalogs` returns a catalog entry by the names of catalog and entry. If `left_handed`, positions that are read are
-    mirrored to the axes of the road file.
+    `catalog_lookup` returns a catalog entry by the names of catalog and entry. If `left_handed`, positions that are
+    read are mirrored to the axes of the road file.
     """
 
     def __init__(
@@ -73,7 +73,7 @@ class Scope(Attributes):
         concretes: Sequence[Mapping[str, Value]],
         catalogs: Catalogs | None = None,
     ) -> Scope:
-        """Create the scope of declared parameters; `concretes` has the values that differ from them.
+        """Create the scope of declared parameters; `scenario_values` has the values that differ from them.
 
         Raises `InputError` for undeclared parameters and values that cannot be evaluated, `BatchSplitError` if a
         parameter that is not a number has several values.
@@ -144,7 +144,7 @@ class Scope(Attributes):
     def declared(self, root: etree._Element, path: str, kind: str) -> dict[str, Any]:
         """Read the values of declarations such as variables, shape (N,), by name.
 
-        `path` leads to the declarations, `kind` is the attribute that holds the type.
+        `path` leads to the declarations; `type_attribute` holds their type.
         """
         values: dict[str, Any] = {}
         for declaration in root.iterfind(path):
@@ -194,7 +194,7 @@ class Scope(Attributes):
         return self.from_catalog(reference, tag)
 
     def from_catalog(self, reference: etree._Element, *tags: str) -> tuple[etree._Element, Scope]:
-        """Return the entry of a ``CatalogReference``, and the scope to read it in; `tags` are the allowed kinds."""
+        """Return the entry of a ``CatalogReference``, and the scope to read it in."""
         assert self._catalogs is not None
         if self._depth > _DEEPEST:
             raise InputError(

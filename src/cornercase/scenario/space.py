@@ -335,7 +335,7 @@ class ParameterSpace:
         Returns
         -------
         ndarray of float64, shape (n, d)
-            In the unit cube; the first is `middle`.
+            In the unit cube; the first is `center_point`.
         """
         count = max(len(parameter.choices) for parameter in self.parameters)
         points = np.full((max(count, 1), self.dimension), 0.5)
@@ -440,6 +440,7 @@ class ParameterSpace:
         Parameters
         ----------
         plain : mapping
+            As returned by `to_json`.
 
         Returns
         -------

@@ -11,8 +11,8 @@ from typing import Final
 class Kind:
     """What numbers of one physical quantity have in common.
 
-    The proposed range is the value ± `half` if that is not 0, else ± `share` times the value; for a value of 0 it is
-    ± `zero`. `least` is the minimum that the standard allows.
+    The proposed range is the value ± `half_width` if that is not 0, else ± `relative_width` times the value; for a
+    value of 0 it is ± `half_width_at_zero`. `minimum` is what the standard allows.
     """
 
     unit: str = ""

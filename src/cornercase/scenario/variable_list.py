@@ -279,7 +279,7 @@ class _Listing:
     def _below(
         self, top: etree._Element, base: str, qualifier: str, group: str, same: list[etree._Element] | None = None
     ) -> Iterator[_Found]:
-        """Numbers of an element and its descendants; `same` are elements with the same content, which share them."""
+        """Numbers of an element and its descendants; `identical_elements` share them."""
         rows = zip(*(_looked_into(twin) for twin in same or [top]), strict=True)
         entries = 0
         for row in rows:

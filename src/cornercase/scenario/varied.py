@@ -18,7 +18,7 @@ _RANGE = re.compile(r"(?P<name>[^=]+)=(?P<low>[^:]+):(?P<high>[^:]+)(?::(?P<step
 
 
 def read_ranges(texts: Sequence[str], given: str = "ranges") -> list[Parameter]:
-    """Read ``NAME=LOW:HIGH[:STEP]`` texts; `given` is the option that they were given for."""
+    """Read ``NAME=LOW:HIGH[:STEP]`` texts; `option` is the option that they were given for."""
     parameters = [_read_range(text, f"`{given}` {text}") for text in texts]
     require_names([parameter.name for parameter in parameters], f"`{given}`")
     return parameters

@@ -6,7 +6,7 @@ from __future__ import annotations
 class VariesError(Exception):
     """An attribute that shapes the storyboard differs between scenarios of a batch.
 
-    `names` are the varied parameters that it depends on; the batch has to be split by their values.
+    It depends on the varied parameters `parameter_names`; the batch has to be split by their values.
     """
 
     def __init__(self, names: set[str]) -> None:

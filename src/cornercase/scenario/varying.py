@@ -174,7 +174,7 @@ def vary(
     scenario : path or Scenario
         OpenSCENARIO file.
     ranges : sequence of str
-        ``NAME=LOW:HIGH[:STEP]``, or ``NAME`` for the proposed range; names as in `variables`.
+        ``NAME=LOW:HIGH[:STEP]``, or ``NAME`` for the proposed range; names as in `list_variables`.
     output : path
         Scenario to write, ``NAME.xosc``; the ranges are written to ``NAME.space.xosc``.
     proposed : bool, default False

@@ -79,8 +79,8 @@ def _facts(text: str) -> Iterator[tuple[str, str]]:
 def read_erg(path: Path | str, bodies: Mapping[str, EntityBox] | None = None) -> Recording:
     """Read the motion of ``Ego`` and of traffic objects (``T00``, ``T01``, …) from a result file.
 
-    Positions are those of the middle of the rear end, as in CarMaker's vehicle frame. Entities without box in `bodies`
-    are cars of 4.5 m x 1.8 m, since the file does not tell.
+    Positions are those of the middle of the rear end, as in CarMaker's vehicle frame. Entities without a box in
+    `entity_boxes` are cars of 4.5 m x 1.8 m, since the file does not tell.
     """
     path = Path(path)
     columns = read_erg_columns(path)
