@@ -26,31 +26,11 @@ _NUMBERS: Final = 8
 class RoadTables(NamedTuple):
     """Reference lines of R roads with P geometries in all, as arrays for kernels.
 
-    Attributes
-    ----------
-    known : ndarray of bool, shape (R,)
-        Whether kernels can compute the heading along the whole road.
-    plain : ndarray of bool, shape (R,)
-        Whether it has lines and arcs only, so that kernels can compute positions too.
-    length : ndarray of float64, shape (R,)
-        m.
-    first : ndarray of int64, shape (R + 1,)
-        First geometry of each road, and P.
-    s, x, y, heading : ndarray of float64, shape (P,)
-        Start of each geometry, in m and rad.
-    cos, sin : ndarray of float64, shape (P,)
-        Of that heading.
-    shape : ndarray of int64, shape (P,)
-        Line, arc or spiral, or a parametric curve.
-    numbers : ndarray of float64, shape (P, 8)
-        Curvature at the start in 1/m and its rate in 1/m²; or length in m, number of tabulated steps, and coefficients
-        of the derivatives of both polynomials, highest first.
-    parameters : ndarray of int64, shape (P,)
-        Start of each geometry's table in the next two arrays, of length Q.
-    parameter, rate : ndarray of float64, shape (Q,)
-        Curve parameter at equal distances, and its derivative by distance in 1/m.
-    edges : RoadEdges
-        Lateral extent of the roads.
+    By road: whether kernels can compute headings (`heading_known`) and positions (`position_known`), `length` in m, and
+    the `first_geometry`. By geometry: its start in m and rad, its type, and `coefficients`: curvature at the start in
+    1/m and its rate in 1/m²; or length in m, number of tabulated steps, and coefficients of the derivatives of both
+    polynomials, highest first. `table_start` points to the table of the curve `parameter` at equal distances and of its
+    derivative, the `parameter_rate` in 1/m.
     """
 
     known: BoolArray

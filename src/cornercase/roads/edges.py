@@ -23,22 +23,11 @@ _ROUNDING: Final = 1e-9
 class RoadEdges(NamedTuple):
     """Widths of R roads with S lane sections, L lanes and Q cubics in all, as arrays for kernels.
 
-    Attributes
-    ----------
-    sections : ndarray of int64, shape (R + 1,)
-        First section of each road, and S.
-    start : ndarray of float64, shape (S,)
-        Start of each section, in m.
-    lanes : ndarray of int64, shape (2 S + 1,)
-        First lane right and left of each section, from the center outwards, and L.
-    cubics : ndarray of int64, shape (R + L + 1,)
-        First cubic of each road's lane offset and of each lane's width or border, and Q.
-    bordered : ndarray of bool, shape (L,)
-        Whether the cubics of a lane are its border.
-    coefficients : ndarray of float64, shape (Q, 5)
-        Start in m, and coefficients, lowest first.
-    inner : ndarray of float64, shape (R, 2)
-        Lateral coordinates in m between which any point along the road is on it; (inf, -inf) if unknown.
+    `sections`, shape (R + 1,), has the first section of each road; `lanes`, (2 S + 1,), the first lane right and left
+    of each section, from the center outwards; `cubics`, (R + L + 1,), the first cubic of each road's lane offset and
+    of each lane's width or border (`is_border`). `coefficients`, (Q, 5), are the start in m and the coefficients,
+    lowest first. Between both values of `always_inside`, (R, 2), a lateral coordinate in m is on the road everywhere
+    along it.
     """
 
     sections: IntArray

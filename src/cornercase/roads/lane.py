@@ -253,7 +253,7 @@ def read_polynomials(elements: Iterable[etree._Element], name: str, where: str) 
             tag = element.tag
             adapt(element, f"<{tag}> at the place of another", reason, f"each <{tag}> begins after the one before")
         seen.add(start)
-    return tuple(sorted(cubics, key=lambda one: one[0]))
+    return tuple(sorted(cubics, key=lambda cubic: cubic[0]))
 
 
 def evaluate_polynomials(polynomials: tuple[Polynomial, ...], s: FloatArray) -> FloatArray:

@@ -28,39 +28,14 @@ KINK: Final = 0.1
 
 @dataclass(frozen=True, eq=False)
 class LanePath:
-    """A path sampled at equal distances.
+    """A path sampled at equal distances, shape (P,); in m, rad and 1/m.
 
-    Attributes
-    ----------
-    distance, x, y : ndarray of float64, shape (P,)
-        m; distance starts at 0.
-    heading : ndarray of float64, shape (P,)
-        rad, unwrapped.
-    curvature : ndarray of float64, shape (P,)
-        1/m, positive to the left.
-    s : ndarray of float64, shape (P,)
-        Coordinate on the road, in m.
-    road, lane : ndarray of int64, shape (P,)
-        Road index and lane.
-    along : ndarray of bool, shape (P,)
-        Whether the path runs along the road's s.
-    passed : ndarray of int64, shape (P,)
-        Number of goals passed.
-    reference : ndarray of float64, shape (P,)
-        Distance along the reference lines, in m.
-    center : ndarray of float64, shape (P,)
-        Offset from the reference line, to the left in the direction of the path, in m.
-    bend_at, bend : ndarray of float64, shape (K,)
-        Distances along the reference lines in m, and their curvature in 1/m; piecewise linear, with jumps at equal
-        distances.
-    lane_s, lane_span : tuple of (float, float)
-        Start and end of the requested lane: s, and distance along the path, in m.
-    lane_way : float
-        Distance along the reference lines at the start of that lane, in m.
-    ends, begins : bool
-        Whether the lane really ends and starts there; otherwise the path was cut.
-    jumps : tuple of float
-        Distances along the reference lines at which the path jumps sideways, in m.
+    `s`, `road`, `lane` and `forward` (whether along the road's s) locate samples on roads; `goals_passed` counts goals.
+    `reference_distance` is measured along the reference lines, `center_offset` to the left of them. Their curvature,
+    positive to the left, is given at K distances along them, piecewise linear with jumps at equal distances. `lane_s`,
+    `lane_span` and `lane_reference_distance` are start and end of the requested lane by s and by distance along the
+    path, and the distance along the reference lines of its start. Without `has_end` or `has_start` the path was cut
+    there. At `jumps`, distances along the reference lines, it jumps sideways.
     """
 
     distance: FloatArray

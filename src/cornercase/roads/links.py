@@ -45,9 +45,7 @@ def _settled(
     element, subject = unrecorded(elements[road.name], "link", end)[0], f"<{end}> of <road>"
     if not link.kind:
         link = replace(link, kind="junction" if link.element in junctions - {*by_name} else "road")
-        adapt(
-            element, subject, f"has no elementType; it is read as a {link.kind}", f"<{end}> has an elementType"
-        )
+        adapt(element, subject, f"has no elementType; it is read as a {link.kind}", f"<{end}> has an elementType")
     if link.element not in (by_name if link.kind == "road" else junctions):
         # Excluded roads are reported already.
         if link.kind == "junction" or link.element not in elements:
@@ -81,12 +79,7 @@ def _note_lanes(roads: Mapping[str, Road], elements: Mapping[str, etree._Element
                 for end in ("predecessor", "successor") if start in starts else ():
                     for link in unrecorded(lane, "link", end):
                         if (start, lane.attrib.get("id"), end, link.attrib.get("id")) in lost:
-                            adapt(
-                                link,
-                                f"<{end}> of <lane>",
-                                "leads to no lane that exists, so the lane ends",
-                                _RULE,
-                            )
+                            adapt(link, f"<{end}> of <lane>", "leads to no lane that exists, so the lane ends", _RULE)
 
 
 def _lost_links(road: Road, roads: Mapping[str, Road]) -> Iterator[tuple[float, str, str, str]]:

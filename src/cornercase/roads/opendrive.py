@@ -254,12 +254,7 @@ class RoadNetwork:
         return Locator(self.roads)
 
     def path_of_lane(
-        self,
-        road: int,
-        lane: int,
-        s: float,
-        along: bool,
-        via: tuple[tuple[int, int, float], ...] = (),
+        self, road: int, lane: int, s: float, along: bool, via: tuple[tuple[int, int, float], ...] = ()
     ) -> LanePath | None:
         """Return the path along a lane and those that follow and precede it; None if there is no such lane.
 

@@ -34,22 +34,12 @@ _STILL: Final = 1e-9
 
 @dataclass(frozen=True)
 class Geometry:
-    """One geometry of a reference line.
+    """One geometry of a reference line: start and length in m and rad, kind (name of its element) and numbers.
 
-    Attributes
-    ----------
-    s, x, y, heading, length : float
-        Start and length, in m and rad.
-    kind : str
-        ``"line"``, ``"arc"``, ``"spiral"``, ``"poly3"`` or ``"paramPoly3"``.
-    numbers : tuple of float
-        Curvature (arc), curvatures at start and end (spiral), coefficients (poly3), or largest parameter followed by
-        coefficients (paramPoly3).
-
-    Notes
-    -----
-    The parameter of a ``paramPoly3`` is not proportional to the distance, which is measured along the curve. If the
-    curve length differs from `length`, the curve is stretched to that. Beyond its ends it goes straight on.
+    `shape_parameters` are the curvature (arc), curvatures at both ends (spiral), coefficients (poly3), or largest
+    parameter followed by coefficients (paramPoly3). The parameter of a ``paramPoly3`` is not proportional to the
+    distance, which is measured along the curve. If the curve length differs from `length`, the curve is stretched to
+    that. Beyond its ends it goes straight on.
     """
 
     s: float
@@ -168,12 +158,7 @@ def read_geometry(element: etree._Element, where: str, begin: float = 0.0, end: 
         where = at_line(where, element)
         raise InputError(f"{where}: a <geometry> is not a line, arc, spiral, poly3 or paramPoly3.")
     kind = str(shape.tag)
-    names = {
-        "line": (),
-        "arc": ("curvature",),
-        "spiral": ("curvStart", "curvEnd"),
-        "poly3": ("a", "b", "c", "d"),
-    }
+    names = {"line": (), "arc": ("curvature",), "spiral": ("curvStart", "curvEnd"), "poly3": ("a", "b", "c", "d")}
     if kind != "paramPoly3":
         numbers = tuple(read_number(shape, name, where, 0.0) for name in names[kind])
         return Geometry(s, x, y, heading, length, kind, numbers)

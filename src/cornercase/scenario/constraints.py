@@ -222,7 +222,7 @@ def _known(rule: str) -> str:
 def _compare(rule: str, value: Any, bound: Any, kind: str) -> Any:
     """Compare values as their declared type; raises `ValueError` if one does not have that type."""
     if kind not in NUMERIC and not (kind == "string" and rule not in _OF_TEXTS and _are_numbers(value, bound)):
-        of_kind = np.vectorize(lambda one: str(typed_value(_plain(one), kind)), otypes=[str])
+        of_kind = np.vectorize(lambda item: str(typed_value(_plain(item), kind)), otypes=[str])
         return _RULES[rule](of_kind(value), of_kind(bound))
     value, bound = np.asarray(value, dtype=np.float64), np.asarray(bound, dtype=np.float64)
     close = np.abs(value - bound) <= _TOLERANCE

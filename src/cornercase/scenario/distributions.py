@@ -23,17 +23,10 @@ _MOST_COUNTS: Final = 100_000
 
 @dataclass(frozen=True)
 class Distribution:
-    """A probability distribution, truncated to an interval.
+    """A probability distribution, truncated to an interval; ``"poisson"`` and ``"set"`` are discrete.
 
-    Attributes
-    ----------
-    kind : str
-        ``"uniform"``, ``"normal"``, ``"lognormal"`` or ``"histogram"``; discrete: ``"poisson"`` or ``"set"``.
-    low, high : float
-        Bounds.
-    numbers : tuple of float
-        Mean and standard deviation (normal; of the logarithm for lognormal), mean (poisson), all edges followed by all
-        weights (histogram), or weights (set).
+    `shape_parameters` are mean and standard deviation (normal; of the logarithm for lognormal), mean (poisson), all
+    edges followed by all weights (histogram), or weights (set).
     """
 
     kind: str

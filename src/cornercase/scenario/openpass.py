@@ -44,7 +44,7 @@ def vehicle_models(profiles: etree._Element, name: str) -> list[str] | None:
                 (_probability(element), _named(element) or (element.text or "").strip())
                 for element in profile.iter("VehicleModel")
             ]
-            candidates.sort(key=lambda one: -one[0])
+            candidates.sort(key=lambda candidate: -candidate[0])
             return list(dict.fromkeys(model for _, model in candidates if model))
     return None
 

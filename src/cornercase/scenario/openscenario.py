@@ -374,7 +374,7 @@ class Scenario:
     def road_near(self, path: Path) -> Path:
         """Return the path where a road file would be found next to the scenario, for a path from `road_path`."""
         references = (self.road_reference(), *self._roads)
-        reference = next((one for one in references if one and self.road_at(one) == path), "")
+        reference = next((name for name in references if name and self.road_at(name) == path), "")
         default = self.path.parent / f"{map_name(reference)}.xodr"
         return path if not reference or self.beside(reference, "road file") == path else default
 

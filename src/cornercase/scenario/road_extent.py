@@ -82,4 +82,4 @@ def _read(road: etree._Element) -> RoadExtent:
         lanes = {int(lane.get("id", "")): lane.get("type", "") for lane in section.iterfind("*/lane")}
         lanes.pop(0, None)
         sections.append((float(section.get("s", "")), lanes))
-    return RoadExtent(float(road.get("length", "")), tuple(sorted(sections, key=lambda one: one[0])))
+    return RoadExtent(float(road.get("length", "")), tuple(sorted(sections, key=lambda section: section[0])))

@@ -65,11 +65,11 @@ class ParameterSpace:
 
     def _repr_html_(self) -> str:
         """Table of the parameters, for notebooks."""
-        groups = {one.name: one.groups for one in self.declarations}
+        groups = {declaration.name: declaration.groups for declaration in self.declarations}
         lines = [
-            (one.name, one.values_text, one.unit, "uniform" if one.distribution is None else one.distribution.kind,
-             " or ".join(map(in_words, groups.get(one.name, ()))))
-            for one in self.parameters
+            (p.name, p.values_text, p.unit, "uniform" if p.distribution is None else p.distribution.kind,
+             " or ".join(map(in_words, groups.get(p.name, ()))))
+            for p in self.parameters
         ]  # fmt: skip
         head = "".join(f"<th>{name}</th>" for name in ("parameter", "values", "unit", "distribution", "constraints"))
         body = "".join("<tr>" + "".join(f"<td>{escape(text)}</td>" for text in line) + "</tr>" for line in lines)
@@ -229,8 +229,8 @@ class ParameterSpace:
         InputError
             A range does not fit its type.
         """
-        kinds = {one.name: one.kind for one in declarations}
-        parameters = [typed_parameter(one, kinds.get(one.name, "double"), source) for one in self.parameters]
+        kinds = {declaration.name: declaration.kind for declaration in declarations}
+        parameters = [typed_parameter(p, kinds.get(p.name, "double"), source) for p in self.parameters]
         return ParameterSpace(parameters, self.declarations)
 
     def constrained(self, declarations: Sequence[Declaration], source: str = "the scenario") -> ParameterSpace:

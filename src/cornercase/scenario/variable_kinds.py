@@ -126,11 +126,7 @@ NUMBERS: Final[Mapping[str, Mapping[str, tuple[str, Kind]]]] = {
 }  # fmt: skip
 """By element and attribute: the last part of the name, and the kind."""
 
-DYNAMICS: Final = {
-    "time": ("duration", _TIME),
-    "distance": ("length", _DISTANCE),
-    "rate": ("rate", _LIMIT),
-}
+DYNAMICS: Final = {"time": ("duration", _TIME), "distance": ("length", _DISTANCE), "rate": ("rate", _LIMIT)}
 """What the value of a transition is, by its dimension."""
 
 RATE_OF_LANES: Final = ("rate", _SPEED_LIMIT)

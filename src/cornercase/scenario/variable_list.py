@@ -22,15 +22,7 @@ from cornercase.scenario.criteria import is_never_true
 from cornercase.scenario.declared_types import INTEGERS, NUMERIC
 from cornercase.scenario.openscenario import Scenario
 from cornercase.scenario.road_extent import RoadExtent, read_extents
-from cornercase.scenario.variable_kinds import (
-    DYNAMICS,
-    ELSEWHERE,
-    LANE,
-    NUMBERS,
-    RATE_OF_LANES,
-    SPEED_FACTOR,
-    Kind,
-)
+from cornercase.scenario.variable_kinds import DYNAMICS, ELSEWHERE, LANE, NUMBERS, RATE_OF_LANES, SPEED_FACTOR, Kind
 from cornercase.scenario.xml import parse_xml
 
 # Largest lengths of parts of names, so that the table of names fits a terminal.
@@ -77,8 +69,8 @@ class Variable:
     Examples
     --------
     >>> from cornercase.scenario import variables
-    >>> known = {one.name: one for one in variables("examples/x_intersection/x_intersection.xosc")}
-    >>> known["C_stops.rate"].text, known["C_stops.rate"].unit, known["C_stops.rate"].proposal
+    >>> listed = {variable.name: variable for variable in variables("examples/x_intersection/x_intersection.xosc")}
+    >>> listed["C_stops.rate"].text, listed["C_stops.rate"].unit, listed["C_stops.rate"].proposal
     ('4', 'm/s²', '2.8:5.2')
     """
 

@@ -15,6 +15,7 @@ from cornercase._common import arguments
 from cornercase._common.errors import InputError, suggestion
 from cornercase._common.files import require_other_file, write_files
 from cornercase.scenario.concrete_files import read_beside
+from cornercase.scenario.declared_types import value_text
 from cornercase.scenario.logical import LogicalScenario
 from cornercase.scenario.openscenario import Scenario
 from cornercase.scenario.parameter import Parameter
@@ -145,10 +146,12 @@ class VariedScenario:
             distribution = (
                 etree.SubElement(single, "UniformDistribution")
                 if parameter.step is None
-                else etree.SubElement(single, "DistributionRange", {"stepWidth": _text(parameter.step)})
+                else etree.SubElement(single, "DistributionRange", {"stepWidth": value_text(parameter.step)})
             )
             etree.SubElement(
-                distribution, "Range", {"lowerLimit": _text(parameter.low), "upperLimit": _text(parameter.high)}
+                distribution,
+                "Range",
+                {"lowerLimit": value_text(parameter.low), "upperLimit": value_text(parameter.high)},
             )
         return etree.tostring(root, encoding="UTF-8", xml_declaration=True, pretty_print=True)
 
@@ -340,7 +343,3 @@ def _from(folder: Path, before: Path, path: str) -> str | None:
 
 def _is_same_folder(one: Path, other: Path) -> bool:
     return os.path.realpath(one) == os.path.realpath(other)
-
-
-def _text(value: float) -> str:
-    return str(int(value)) if float(value).is_integer() and abs(value) < 1e15 else repr(float(value))

@@ -65,7 +65,7 @@ def read_carla_log(path: Path | str) -> Recording:
         if a in names and b in names:
             first, second = sorted((names[a], names[b]), key=order.__getitem__)
             collisions.setdefault(frozenset((a, b)), Collision(time, (first, second)))
-    return recording_of(path, tracks, sorted(collisions.values(), key=lambda one: one.time))
+    return recording_of(path, tracks, sorted(collisions.values(), key=lambda collision: collision.time))
 
 
 def _actors(data: bytes) -> tuple[list[_Actor], list[tuple[float, str, str]]]:

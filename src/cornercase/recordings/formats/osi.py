@@ -36,10 +36,7 @@ def read_osi(path: Path | str) -> Recording:
         ) from error
 
     moving = osi_object_pb2.MovingObject
-    kinds = {
-        moving.TYPE_PEDESTRIAN: "pedestrian",
-        moving.TYPE_ANIMAL: "animal",
-    }
+    kinds = {moving.TYPE_PEDESTRIAN: "pedestrian", moving.TYPE_ANIMAL: "animal"}
     vehicle = moving.VehicleClassification
     vehicles = {
         vehicle.TYPE_DELIVERY_VAN: "van",
