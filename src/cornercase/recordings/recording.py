@@ -27,9 +27,9 @@ COLUMNS = (
     "time", "entity", "kind", "x", "y", "heading", "speed", "acceleration", "length", "width", "center_x",
 )  # fmt: skip
 MOTION = ("x", "y", "heading", "speed", "acceleration")
-"""Arrays of a recording that hold the motion: a row for each entity, a column for each instant."""
+"""Arrays of a recording with its motion, shape (A, T)."""
 BOX = ("length", "width", "center_x")
-"""Arrays of a recording that hold the bounding boxes: a value for each entity."""
+"""Arrays of a recording with its bounding boxes, shape (A,)."""
 
 
 @dataclass(frozen=True)

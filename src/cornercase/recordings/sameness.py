@@ -9,7 +9,7 @@ import numpy as np
 from cornercase.recordings.recording import BOX, MOTION, Recording
 
 ARRAYS: Final = ("time", *MOTION, *BOX)
-"""What of a recording is numbers."""
+"""All numeric arrays of a recording."""
 
 
 def same_bytes(before: Recording, now: Recording) -> bool:

@@ -12,7 +12,7 @@ from cornercase.roads.nearest import NearestPoints
 from cornercase.roads.road import Road
 
 NEAR: Final = 10.0
-"""Up to so far from a lane, in m, a point is near a road."""
+"""Distance from a lane in m up to which a point counts as near."""
 
 # Cell size in m: points in a cell with a sample, or in a neighbouring one, are at most 9.9 m away.
 _CELL: Final = 3.5

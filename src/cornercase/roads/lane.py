@@ -35,13 +35,13 @@ _TYPES: Final = (
 )  # fmt: skip
 
 PERMANENT: Final = "permanent"
-"""Layer of lanes that are there when no roadworks are."""
+"""Layer of lanes outside of roadworks."""
 
 Polynomial = tuple[float, float, float, float, float]
-"""Where it starts in m, and the coefficients of a cubic from there on."""
+"""Start in m and coefficients of a cubic, lowest first."""
 
 Section = tuple[float, "dict[int, Lane]"]
-"""Where it starts on the road in m, and its lanes by their number."""
+"""Start on the road in m, and lanes by number."""
 
 
 @dataclass(frozen=True)

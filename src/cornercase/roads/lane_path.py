@@ -15,15 +15,15 @@ from cornercase._common.typing import BoolArray, FloatArray, IntArray
 
 STEP: Final = 0.1
 SHORTEST: Final = 1e-5
-"""m; a lane that is not longer than rounding is drawn so long. A path leaves it out where anything else is."""
+"""Length in m of the path of an almost empty lane; `join_paths` leaves it out if there is more."""
 # Longer paths get a larger sample distance.
 _MOST_SAMPLES: Final = 1_000_000
 APART: Final = 0.005
-"""m; where pieces of a line lie further apart, it jumps: nobody turns there."""
+"""Smallest gap in m that is a jump, at which the heading does not change."""
 # Distance in m from a jump within which points do not determine the heading.
 _AROUND_JUMP: Final = 2.5 * STEP
 KINK: Final = 0.1
-"""rad; a line that turns by more from one point to the next has a corner there."""
+"""Change of heading in rad between two samples from which on there is a corner."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -21,7 +21,7 @@ from cornercase.roads.road import Road
 _SAMPLED: Final = 0.5
 _MOST_SAMPLES: Final = 2_000_000
 SLACK: Final = 2.0
-"""So far beside it, in m, an entity still counts as on the road that it was on; esmini's figure."""
+"""Distance beside its road in m up to which an entity stays on it, as in esmini."""
 # Number of nearest samples to compare.
 _CANDIDATES: Final = 24
 # Size of the cache.
@@ -56,8 +56,8 @@ class _Samples(NamedTuple):
 class Locator:
     """Finds roads and lanes by position."""
 
-    def __init__(self, roads: Sequence[Road]) -> None:
-        self._roads = roads
+    def __init__(self, roads: Sequence[Road], max_samples: int = _MOST_SAMPLES) -> None:
+        self._roads, self._max_samples = roads, max_samples
         self._located: dict[bytes, Place] = {}
         self._references: dict[int, tuple[NearestPoints, FloatArray]] = {}
         self._overlapping = [i for i, road in enumerate(roads) if road.junction not in ("-1", "")]
@@ -169,7 +169,7 @@ class Locator:
             )
             for number in lanes_held
         ]
-        spacing = max(_SAMPLED, sum(max(end - start, 0.0) for _, _, start, end, _ in lanes) / _MOST_SAMPLES)
+        spacing = max(_SAMPLED, sum(max(end - start, 0.0) for _, _, start, end, _ in lanes) / self._max_samples)
         points, headings, road, lane, positions, half, bad = [], [], [], [], [], [], []
         for r, k, start, end, number in lanes:
             current = self._roads[r]

@@ -13,10 +13,10 @@ from cornercase._common.typing import BoolArray, FloatArray, IntArray
 from cornercase.roads.road import Link, Road
 
 GAP: Final = 1.0
-"""Ends of roads, and of lanes beyond their widths, that lie further apart than this, in m, do not meet."""
+"""Largest gap in m between ends of roads, or of lanes beyond their widths, that are connected."""
 
 Connection = tuple[str, str, str, dict[int, int]]
-"""Incoming road, connecting road, contact point and lane links of a junction's connection."""
+"""Incoming road, connecting road, contact point and lane links."""
 
 
 class RoadGraph:

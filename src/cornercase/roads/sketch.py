@@ -27,7 +27,7 @@ _NARROW: Final = 0.01
 _WALKED: Final = ("sidewalk", "walking")
 
 Region = tuple[float, float, float, float]
-"""Least x and y, and greatest x and y, in m."""
+"""Smallest x and y, and largest x and y, in m."""
 
 
 class RoadSketch(NamedTuple):

@@ -20,7 +20,7 @@ from cornercase.scenario.parameter import Value
 from cornercase.scenario.varies import VariesError
 
 _Placed = etree._Element | Declaration
-"""What has a line in the file."""
+"""Something with a line number in the file."""
 
 # Integers are lane numbers and repetitions.
 _MOST: Final = 1e9

@@ -9,7 +9,7 @@ from lxml import etree
 from cornercase._common.recorded_xml import unrecorded
 
 LEFT_HANDED: Final = "CARLA:"
-"""A description in the header that begins so turns the axes of the whole file, as in ScenarioRunner."""
+"""Start of the header's description that declares left-handed axes, as in ScenarioRunner."""
 
 TURNED: Final = {
     "WorldPosition": ("y", "h"),
@@ -20,7 +20,7 @@ TURNED: Final = {
     "Clothoid": ("curvature", "curvaturePrime", "curvatureDot"),
     "ClothoidSplineSegment": ("curvatureStart", "curvatureEnd", "hOffset"),
 }
-"""Attributes by element that have the other sign in left-handed axes."""
+"""Attributes that change their sign in left-handed axes, by element."""
 
 
 def left_handed_header(root: etree._Element) -> etree._Element | None:

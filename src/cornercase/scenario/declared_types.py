@@ -15,10 +15,10 @@ from cornercase._common.typing import FloatArray
 from cornercase.scenario.parameter import Parameter, Value
 
 INTEGERS: Final = frozenset({"integer", "int", "unsignedInt", "unsignedShort"})
-"""Types of whole numbers."""
+"""Integer types."""
 
 NUMERIC: Final = INTEGERS | {"double"}
-"""Types of parameters that are numbers."""
+"""Types of numbers."""
 
 # Tolerance for integers.
 _WHOLE: Final = 1e-6

@@ -10,7 +10,7 @@ from lxml import etree
 from cornercase._common.recorded_xml import adapt, unrecorded
 
 NEWEST: Final = 3
-"""Minor version of OpenSCENARIO XML 1 that is read."""
+"""Newest supported minor version of OpenSCENARIO XML 1."""
 
 # Statements of ASAM OpenSCENARIO DSL.
 _DSL: Final = re.compile(

@@ -12,7 +12,7 @@ from typing import Final
 from cornercase._common.errors import InputError
 
 MAPS_VARIABLE: Final = "CORNERCASE_MAPS"
-"""Environment variable with the folders of maps, parted as those of PATH are."""
+"""Environment variable with the folders of maps, separated as in PATH."""
 
 _ENDING: Final = ".xodr"
 # CARLA's layered variants of its towns have the same roads.

@@ -12,7 +12,7 @@ from cornercase._common.places import line_of
 from cornercase._common.recorded_xml import adapt, below
 
 PROFILES_FILE: Final = "ProfilesCatalog.xml"
-"""Name of openPASS's file, which lies beside the scenario."""
+"""Name of openPASS's profiles file, next to the scenario."""
 _RULE: Final = "a CatalogReference names a catalog of OpenSCENARIO and an entry in it"
 
 

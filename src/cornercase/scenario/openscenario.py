@@ -32,7 +32,7 @@ from cornercase.scenario.parameter import Value
 from cornercase.scenario.xml import XmlFiles, parse_xml
 
 DRIVER_PROPERTY = "cornercase.driver"
-"""Property of a controller that names the driver of an entity."""
+"""Controller property that names the driver of an entity."""
 
 # Limits of file systems: bytes of a file name, characters of a path.
 _LONGEST_NAME = 255

@@ -21,7 +21,7 @@ from cornercase.scenario.parameter import Value
 from cornercase.scenario.varies import VariesError
 
 Catalogs = Callable[[str, str], etree._Element]
-"""Name of a catalog and of an entry to the entry."""
+"""Returns a catalog entry by the names of catalog and entry."""
 
 _DEEPEST = 20
 

@@ -60,7 +60,7 @@ _LIMIT: Final = replace(_ACCELERATION, least=0.0)
 _JERK: Final = Kind("m/s³", share=0.3, zero=1.0, least=0.0)
 _FACTOR: Final = Kind("", share=0.3, zero=0.5)
 LANE: Final = Kind(whole=True)
-"""Number of a lane; only its road tells which ones there are."""
+"""Lane number; the possible ones depend on the road."""
 _LANES: Final = Kind("lanes", whole=True)
 
 NUMBERS: Final[Mapping[str, Mapping[str, tuple[str, Kind]]]] = {
@@ -124,16 +124,16 @@ NUMBERS: Final[Mapping[str, Mapping[str, tuple[str, Kind]]]] = {
         "angle": ("angle", _ANGLE), "angleTolerance": ("tolerance", replace(_ANGLE, least=0.0)),
     },
 }  # fmt: skip
-"""By element and attribute: the last part of the name, and the kind."""
+"""Last part of the name, and quantity, by element and attribute."""
 
 DYNAMICS: Final = {"time": ("duration", _TIME), "distance": ("length", _DISTANCE), "rate": ("rate", _LIMIT)}
-"""What the value of a transition is, by its dimension."""
+"""Name and quantity of a transition's value, by its dimension."""
 
 RATE_OF_LANES: Final = ("rate", _SPEED_LIMIT)
-"""What it is where a lane is changed at a rate."""
+"""The same for the rate of a lane change."""
 
 SPEED_FACTOR: Final = ("speed_factor", _FACTOR)
-"""What the value of a `RelativeTargetSpeed` is that is a factor."""
+"""The same for a `RelativeTargetSpeed` that is a factor."""
 
 ELSEWHERE: Final = frozenset({"Trajectory", "Route", "TrafficAction", "EnvironmentAction", "ControllerAction"})
-"""Elements that are not looked into."""
+"""Elements whose numbers are not listed."""

@@ -27,7 +27,7 @@ class _Actor:
     name: str
     kind: str
     box: tuple[float, float, float, float] | None = None
-    """Centre ahead of and to the right of the actor's origin, half length and half width, in m."""
+    """Center ahead and to the right of the actor's origin, half length, half width, in m."""
     places: list[tuple[float, float, float, float]] = field(default_factory=list)
     """Time in s, x and y in m, and heading in rad."""
 
