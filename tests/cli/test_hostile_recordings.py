@@ -87,10 +87,10 @@ CUT = "is cut off or damaged"
 HOSTILE = {
     "no text": (written("r.csv", b"\0" * 1000), "the header lacks"),
     "no UTF-8": (written("r.csv", b"\xff\xfe" * 100), "not a CSV table in UTF-8"),
-    "a short row": (table(row(0, "Ego"), "0,B,car"), "line 3: has a field too many or too few"),
-    "a long row": (table(row(0, "Ego") + ",1,2"), "line 2: has a field too many or too few"),
+    "a short row": (table(row(0, "Ego"), "0,B,car"), "line 3: has too many or too few fields"),
+    "a long row": (table(row(0, "Ego") + ",1,2"), "line 2: has too many or too few fields"),
     "an endless field": (table(row(0, "E" * 200_000)), "field larger than field limit"),
-    "an endless quote": (table('"abc' + "\n" * 1000), "has a field too many or too few"),
+    "an endless quote": (table('"abc' + "\n" * 1000), "has too many or too few fields"),
     "each entity at an instant of its own": (table(*(row(k, f"n{k}") for k in range(6000))), "at most 20000000 pairs"),
     "a time without end": (table(row("inf", "Ego"), row("inf", "B")), "every row needs a finite time"),
     "a table with an infinite position": (table(row(0, "Ego", "inf"), row(0, "B")), "has a position of inf"),

@@ -87,7 +87,7 @@ def test_43_8_a_road_that_is_linked_to_nothing_ends_there(tmp_path, end, contact
     network, notices = read(write(tmp_path, road("1", 100.0, right=lane(-1), links=linked(end, "7", contact))))
     what = "road" if contact else "junction"
     assert notices == [
-        f"link to the {what} '7' (road.xodr, line 1): leads to nothing that is there, so that the road ends there"
+        f"link to the {what} '7' (road.xodr, line 1): leads to nothing that exists, so the road ends there"
     ]
     path = network.path_of_lane(0, -1, 50.0, True)
     assert path is not None
@@ -103,8 +103,7 @@ def test_43_8_a_link_without_a_contact_point_leads_to_the_nearer_end(tmp_path):
     assert network.roads[0].successor is not None
     assert network.roads[0].successor.contact == "end"
     assert notices == [
-        "<successor> of <road> (road.xodr, line 1): has no contactPoint, and is read as that to the end of the road,"
-        " which is nearer"
+        "<successor> of <road> (road.xodr, line 1): has no contactPoint; the end of the road is used, which is nearer"
     ]
     path = network.path_of_lane(0, -1, 50.0, True)
     assert path is not None
@@ -115,9 +114,7 @@ def test_43_8_a_lane_that_is_linked_to_nothing_ends_there(tmp_path):
     parts = (road("1", 100.0, right=lane(-1, after=-5), links=linked("successor", "2", "start")),
              road("2", 50.0, at=(100.0, 0.0, 0.0), right=lane(-1)))  # fmt: skip
     network, notices = read(write(tmp_path, *parts))
-    assert notices == [
-        "<successor> of <lane> (road.xodr, line 1): leads to no lane that is there, so that the lane ends"
-    ]
+    assert notices == ["<successor> of <lane> (road.xodr, line 1): leads to no lane that exists, so the lane ends"]
     path = network.path_of_lane(0, -1, 50.0, True)
     assert path is not None
     assert path.x[-1] == pytest.approx(100.0)
@@ -145,10 +142,7 @@ def test_43_8_a_reference_line_may_jump_by_two_metres(tmp_path, jump, read_so):
         return
     network, notices = read(path)
     assert notices == (
-        [
-            "<geometry> (road.xodr, line 1): begins up to 2 m away from the end of the one before, and entities get"
-            " there at once"
-        ]
+        ["<geometry> (road.xodr, line 1): begins up to 2 m away from the end of the one before; entities jump across"]
         if jump > 0.1
         else []
     )
@@ -176,7 +170,7 @@ def test_43_8_places_out_of_order_are_put_in_order(tmp_path):
     second = WIDTH.replace('sOffset="0" a="4"', 'sOffset="50" a="2"')
     network, notices = read(edited(tmp_path, WIDTH, second + WIDTH))
     assert end_of(network)[1] == pytest.approx(-1.0)
-    assert notices == ["order of <width> (road.xodr, line 1): those of a road are read in the order of their places"]
+    assert notices == ["order of <width> (road.xodr, line 1): they are sorted by where they begin"]
 
 
 def test_43_8_words_in_another_case_and_a_missing_header_are_read(tmp_path):
@@ -218,12 +212,12 @@ SECOND = f'<laneSection s="{{}}">{CENTER}<right>{lane(-1, -1, -1, WIDTH.replace(
 @pytest.mark.parametrize(
     ("old", "new", "end", "said"),
     [
-        ("</lanes>", f"{SECOND.format(0)}</lanes>", -1.0, "<laneSection> at the place of another (road.xodr, line 1): of those that begin at s = 0 m, the last"),
+        ("</lanes>", f"{SECOND.format(0)}</lanes>", -1.0, "<laneSection> at the place of another (road.xodr, line 1): several begin at s = 0 m; the last"),
         ("</lanes>", f"{SECOND.format(120)}</lanes>", -2.0, "<laneSection> beyond the end of its road (road.xodr, line 1): begins at s = 120 m, but the road ends at 100 m"),
-        (WIDTH, WIDTH + WIDTH.replace("4", "2"), -1.0, "<width> at the place of another (road.xodr, line 1): of those that begin at 0 m, the last"),
+        (WIDTH, WIDTH + WIDTH.replace("4", "2"), -1.0, "<width> at the place of another (road.xodr, line 1): several begin at 0 m; the last"),
         ('sOffset="0"', 'sOffset="50"', -2.0, "first <width> of <lane> (road.xodr, line 1): begins at 50 m of its lane section, and its curve holds before"),
         ('sOffset="0"', 'sOffset="-50"', -2.0, "first <width> of <lane> (road.xodr, line 1): begins at -50 m of its lane section"),
-        ("</right>", f"{lane(-3)}</right>", -2.0, "number -3 of <lane> (road.xodr, line 1): there is no lane -2, which is taken as 0 m wide"),
+        ("</right>", f"{lane(-3)}</right>", -2.0, "number -3 of <lane> (road.xodr, line 1): the lane -2 is missing and taken as 0 m wide"),
         (CENTER, "", -2.0, "<laneSection> without <center> (road.xodr, line 1): the line from which"),
         ("</planView>", '<geometry s="100" x="100" y="0" hdg="0" length="-0"><line/></geometry></planView>', -2.0, "<geometry> of 0 m (road.xodr, line 1): is left out"),
     ],
@@ -253,7 +247,7 @@ def test_43_8_sections_of_one_side_may_begin_together(tmp_path):
     ("number", "said"), [(0, "the lane 0 belongs in <center>"), (1, "lanes on the right have numbers below 0")]
 )
 def test_43_8_a_lane_on_the_wrong_side_is_told_its_place(tmp_path, number, said):
-    with pytest.raises(InputError, match=f"line 1, road 1: the lane {number} stands in <right>; {said}"):
+    with pytest.raises(InputError, match=f"line 1, road 1: the lane {number} is in <right>; {said}"):
         read(write(tmp_path, road("1", 100.0, right=lane(number))))
 
 

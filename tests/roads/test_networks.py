@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from cornercase._common.errors import InputError
-from cornercase.roads import locating
+from cornercase.roads.locating import Locator
 from road_networks import WIDTH, chain, lane, linked, network, road, virtual
 
 TURN = 2 * np.pi
@@ -143,12 +143,12 @@ def test_lanes_far_out_cost_no_more_than_others(tmp_path):
     assert roads.locate(np.array([50.0]), np.array([-5.0])).lane.tolist() == [-200]
 
 
-def test_a_network_of_thousands_of_kilometres_is_sampled_more_coarsely_and_found_all_the_same(tmp_path, monkeypatch):
+def test_a_network_of_thousands_of_kilometres_is_sampled_more_coarsely_and_found_all_the_same(tmp_path):
     roads = [road(str(k), 1e5, at=(0.0, 30.0 * k, 0.0), left=lane(1)) for k in range(40)]
     x, y = np.linspace(100.0, 99_900.0, 500), np.tile(np.arange(500) % 40 * 30.0, 1)
-    monkeypatch.setattr(locating, "_MOST_SAMPLES", 200_000)
     wide = network(tmp_path, *roads)
-    right, left = wide.locate(x, y - 3.9), wide.locate(x, y + 0.1)
+    locator = Locator(wide.roads, max_samples=200_000)
+    right, left = locator.locate(x, y - 3.9), locator.locate(x, y + 0.1)
     assert right.road.tolist() == left.road.tolist() == (np.arange(500) % 40).tolist()
     assert set(right.lane) == {-1}
     assert set(left.lane) == {1}

@@ -39,32 +39,32 @@ notice, or refuses it.
 
 If an element is refused or without effect, the same holds for everything inside it.
 
-A road of OpenDRIVE 1.9 may have lanes in two layers, `<lanes layer="permanent">` and `<lanes layer="temporary">`, those of roadworks.
-cornercase drives on the permanent ones, and a notice names the others; to drive on these, make them the permanent ones of the file.
+A road of OpenDRIVE 1.9 may have lanes in two layers, `<lanes layer="permanent">` and `<lanes layer="temporary">` for roadworks.
+cornercase uses the permanent lanes, and a notice lists the others. To use those, make them the permanent lanes of the file.
 
-There are three more notices, which do not concern a single element: roads that climb or bank by more than 2 %, because vehicles
-drive in the plane; lanes for buses, taxis, trams or full cars only, because everybody may drive on them; and linked roads that do
-not touch, because no way leads from one to the other. The last are named where the way of an entity comes to the end of one of them.
+Three more notices do not concern a single element: roads that climb or bank by more than 2 %, because vehicles drive in the
+plane; lanes reserved for buses, taxis, trams or full cars, because all vehicles may drive on them; and linked roads that do not
+touch, because they are not connected. The last are listed when the path of an entity reaches the end of such a road.
 
 ## What breaks the standard
 
-What esmini and CARLA run although it breaks the standard is read, and a notice that begins with *adapted* says how:
+Files that break the standard in ways that esmini and CARLA accept are read. A notice that begins with *adapted* says how:
 
-- a missing coefficient of a polynomial, a missing place (`s`, `x`, `y`, `hdg`) or `sOffset` is 0, a missing `s` of a `geometry` is where
-  the one before ends, and a missing `length` is up to the next;
-- a lane of a type that the standard does not know, or of none, is of the type `none`; one without `width` and `border` is 0 m wide;
-- a road, or lane, that is linked to one that is not there ends there, and a `connection` with such a road is left out; a `contactPoint`
-  that is missing is that of the nearer end;
-- elements that are not in the order of their places are put in order; of several `width`, `border`, `laneOffset` or `laneSection` at
-  one place the last one in the file counts;
-- the curve of a first `width` holds before its `sOffset`, too; a lane that is left out between others is 0 m wide, and a number such as
-  `-1.0` is -1; a `laneSection` may lack its `center`, and one beyond the end of the road is on nobody's way;
+- a missing coefficient, position (`s`, `x`, `y`, `hdg`) or `sOffset` is 0; a missing `s` of a `geometry` is the end of the previous
+  one, and a missing `length` reaches to the next one;
+- a lane without a type that the standard knows has the type `none`; one without `width` and `border` is 0 m wide;
+- a road or lane that is linked to a missing one ends there, and a `connection` with a missing road is left out; a missing
+  `contactPoint` is the nearer end;
+- elements in the wrong order are sorted by where they begin; of several `width`, `border`, `laneOffset` or `laneSection` at the same
+  position, the last one in the file counts;
+- the curve of the first `width` also holds before its `sOffset`; a missing lane between others is 0 m wide, and a lane number such as
+  `-1.0` is -1; a `laneSection` may lack its `center`, and one beyond the end of the road is never reached;
 - a `geometry` of 0 m is left out;
-- where a `geometry` begins up to 2 m away from the end of the one before, entities get there at once, and none turns; where lanes of
-  linked roads lie more than 0.5 m apart, a notice says so;
-- a road that cannot be used, such as one without `geometry`, or with a larger gap, is left out. The file is refused if it has no
-  other, and so is a scenario that places somebody on that road by its id;
-- a `header` may be missing, and words may be in other case: `arclength` is read as `arcLength`.
+- if a `geometry` begins up to 2 m away from the end of the previous one, entities jump across without turning; if lanes of linked
+  roads are more than 0.5 m apart, a notice says so;
+- a road that cannot be used, for example without `geometry` or with a larger gap, is left out. The file is refused if it has no other
+  road; a scenario that places an entity on that road is refused, too;
+- a `header` may be missing, and the case of words does not matter: `arclength` is read as `arcLength`.
 """
 SCHEMAS = {
     "1.8.0": "OpenDRIVE_Core.xsd",
@@ -158,7 +158,7 @@ def test_links_between_roads_that_lie_apart_are_named(tmp_path):
     apart = [road("1", 100.0, links=linked("successor", "2", "start")), road("2", 100.0, at=(140.0, 0.0, 0.0))]
     found = told(write(tmp_path, *apart))
     assert list(found) == ["link between the roads 1 and 2"]
-    assert "lie 40 m apart" in found["link between the roads 1 and 2"]
+    assert "are 40 m apart" in found["link between the roads 1 and 2"]
 
 
 def test_a_file_that_includes_others_is_refused(tmp_path):

@@ -281,7 +281,7 @@ def test_43_4_only_the_permanent_lanes_are_driven_on(tmp_path):
             '"permanent"',
             "line 1, road 1: has a second <lanes> of the layer 'permanent'; keep one of them",
         ),
-        ('"permanent"', '"temporary"', "line 1, road 1: has only <lanes> of the layer 'temporary'; give it those of"),
+        ('"permanent"', '"temporary"', "line 1, road 1: has only <lanes> of the layer 'temporary'; give it <lanes> of"),
         ('layer="temporary"', "", "line 1, road 1: has a second <lanes> of the layer 'permanent'"),
         ('layer="temporary"', 'layer="winter"', "line 1: layer 'winter' of <lanes> cannot be used"),
     ],

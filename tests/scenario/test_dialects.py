@@ -51,7 +51,7 @@ def of_openpass(folder: Path, profile: str = "Middle", catalog: str = "ProfilesC
 @pytest.mark.parametrize(
     ("profile", "length", "said"),
     [
-        ("Middle", 5.5, "'large' is read, the most probable of 2"),
+        ("Middle", 5.5, "'large' is used, the most probable of 2"),
         ("Newer", 3.5, "'small' is"),
         ("Static", 5.5, "'large'"),
     ],
@@ -89,7 +89,7 @@ def test_43_8_an_agent_profile_counts_and_goes_with_the_scenario(tmp_path):
     ("profile", "words"),
     [
         ("Midle", "ProfilesCatalog.xml: has no agent profile 'Midle'; did you mean 'Middle'?"),
-        ("Empty", "has no vehicle model; name a vehicle of a catalog of OpenSCENARIO as the entity"),
+        ("Empty", "has no vehicle model; use a vehicle of an OpenSCENARIO catalog"),
     ],
 )
 def test_43_8_an_agent_profile_without_a_vehicle_is_refused_with_the_way_out(tmp_path, profile, words):
@@ -98,7 +98,7 @@ def test_43_8_an_agent_profile_without_a_vehicle_is_refused_with_the_way_out(tmp
     assert words in why
     (tmp_path / "s" / "ProfilesCatalog.xml").unlink()
     (why,) = check(path).trouble
-    assert "does not lie beside the scenario; put it there, or name a vehicle" in why
+    assert "is not next to the scenario; put it there, or use a vehicle" in why
 
 
 def test_43_11_a_controller_that_is_an_agent_profile_is_named(tmp_path):
@@ -108,7 +108,7 @@ def test_43_11_a_controller_that_is_an_agent_profile_is_named(tmp_path):
     held = car("Ego").replace("</ScenarioObject>", f"{profile}</Controller></ObjectController></ScenarioObject>")
     notices = [str(one) for one in check(scenario_file(tmp_path, init=moving(), entities=held)).notices]
     (told,) = [one for one in notices if "AgentProfile" in one]
-    assert "openPASS's ProfilesCatalog.xml, whose driver and sensors are not read" in told
+    assert "openPASS's ProfilesCatalog.xml, whose driver and sensors are ignored" in told
 
 
 @pytest.mark.parametrize(

@@ -132,7 +132,7 @@ def test_43_7_every_command_that_reads_scenarios_takes_folders(tmp_path, maps):
         "convert": cornercase("convert", path, "--ego", "Ego", "--maps", maps, "-o", tmp_path / "o" / "c.xosc"),
     }
     assert {name: one.returncode for name, one in found.items()} == dict.fromkeys(found, 0)
-    assert "it was found by its name, as" in " ".join(found["explore"].stderr.split())
+    assert "the map of that name is used:" in " ".join(found["explore"].stderr.split())
     for command in ("reduce", "report", "watch", "replay", "estimate", "compare", "verify", "test"):
         assert "--maps" in cornercase(command, "--help").stdout
 

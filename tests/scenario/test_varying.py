@@ -134,7 +134,7 @@ def test_43_12_what_is_a_parameter_already_is_said(tmp_path: Path) -> None:
     assert not found["v"].fixed
     assert found["Ego.initial.speed"].fixed == "it is $v; vary the parameter"
     assert found["Ego.initial.s"].fixed == "it is ${2 * $v}"
-    with pytest.raises(InputError, match=r"Ego\.initial\.speed=1:2: cannot vary, since it is \$v; vary the parameter"):
+    with pytest.raises(InputError, match=r"Ego\.initial\.speed=1:2: cannot be varied: it is \$v; vary the parameter"):
         vary(path, ["Ego.initial.speed=1:2"], tmp_path / "out.xosc")
     logical = vary(path, ["v=5:20"], tmp_path / "out.xosc")
     assert logical.space.names == ("v",)
@@ -160,7 +160,7 @@ def test_43_12_a_maneuver_of_a_catalog_is_named_and_what_it_is_given_varies(tmp_
     path.write_text(text.replace("<CatalogLocations/>", where))
     found = listed(path)
     assert found["brakes.over"].text == "3"
-    assert "stand in the catalog M" in found["brakes.catalog"].fixed
+    assert "are in the catalog M" in found["brakes.catalog"].fixed
     require_same_recording(path, tmp_path)
     vary(path, ["brakes.over=1:5"], tmp_path / "elsewhere" / "out.xosc")
     slow = simulate(tmp_path / "elsewhere" / "out.xosc", {"brakes_over": 5.0}, duration=10)
@@ -239,25 +239,25 @@ def test_43_12_lanes_are_whole_numbers_of_lanes_that_are_there(tmp_path: Path) -
         simulate(tmp_path / "out.xosc", {"Ego_initial_lane": value}, duration=0.5)
     with pytest.raises(InputError, match=r"the road has no lane -\d+ there; its lanes are"):
         vary(path, ["Ego.initial.lane=-9:-1"], tmp_path / "out.xosc")
-    with pytest.raises(InputError, match="it takes whole numbers only"):
+    with pytest.raises(InputError, match="use whole numbers"):
         vary(path, ["Ego.initial.lane=-2:-1:0.5"], tmp_path / "out.xosc")
 
 
 @pytest.mark.parametrize(
     ("ranges", "words"),
     [
-        (["Ego.initial.spede=1:2"], "`vary` Ego.initial.spede=1:2: {} has no 'Ego.initial.spede' that could vary; did"
+        (["Ego.initial.spede=1:2"], "`vary` Ego.initial.spede=1:2: {} has no 'Ego.initial.spede' that can be varied; did"
          " you mean 'Ego.initial.speed'?"),
-        (["zzz"], "{} has no 'zzz' that could vary; 'cornercase vary' with the scenario alone lists the names."),
-        (["Ego.initial.s=-5:20"], "`vary` Ego.initial.s=-5:20: it has to be at least 0 m."),
-        (["Ego.initial.s=5:501"], "it has to be at most 500 m."),
-        (["a.start.time=-1:1"], "it has to be at least 0 s."),
+        (["zzz"], "{} has no 'zzz' that can be varied; 'cornercase vary' with the scenario alone lists the names."),
+        (["Ego.initial.s=-5:20"], "`vary` Ego.initial.s=-5:20: the minimum is 0 m."),
+        (["Ego.initial.s=5:501"], "the maximum is 500 m."),
+        (["a.start.time=-1:1"], "the minimum is 0 s."),
         (["Ego.initial.s=1:2", "Ego.initial.s"], "Ego.initial.s is varied twice; keep one of them."),
         (["Ego.initial.s=20:5"], "the lower bound must be below the upper."),
         (["Ego.initial.s="], "write it as NAME, NAME=LOW:HIGH or NAME=LOW:HIGH:STEP."),
         (["Ego.initial.s=x:5"], "'x' is not a number."),
-        (["Ego.initial.lane"], "no range is proposed for it; give one, as Ego.initial.lane=LOW:HIGH."),
-        ([], "nothing is varied; name what varies with `vary`."),
+        (["Ego.initial.lane"], "no range is proposed; give one, as Ego.initial.lane=LOW:HIGH."),
+        ([], "nothing is varied; name numbers to vary with `vary`."),
     ],
 )  # fmt: skip
 def test_43_12_what_cannot_vary_is_refused_in_a_sentence(tmp_path: Path, ranges: list[str], words: str) -> None:
@@ -284,7 +284,7 @@ def test_43_12_a_road_that_a_parameter_names_is_found_from_another_folder(tmp_pa
     vary(path, ["Ego.initial.s"], tmp_path / "there" / "out.xosc")
     assert simulate(tmp_path / "there" / "out.xosc", duration=1).x[0, 0] == simulate(path, duration=1).x[0, 0]
     path.write_text(path.read_text().replace('filepath="$Road"', """filepath="${'road' + '.xodr'}\""""))
-    with pytest.raises(InputError, match=r"line 3: <LogicFile> names a path by an expression.*into the folder"):
+    with pytest.raises(InputError, match=r"line 3: <LogicFile> has an expression as path.*into the folder"):
         vary(path, ["Ego.initial.s=40:60"], tmp_path / "there" / "other.xosc")
 
 
@@ -350,7 +350,7 @@ def test_43_no_range_is_proposed_along_a_road_that_is_missing(tmp_path: Path) ->
     path = written(tmp_path)
     assert listed(path)["Ego.initial.s"].proposal
     (tmp_path / "road.xodr").unlink()
-    with pytest.warns(NoticeWarning, match="no range is proposed for places along a road: there is no road file"):
+    with pytest.warns(NoticeWarning, match="no range is proposed for positions on roads: there is no road file"):
         found = listed(path)
     assert not found["Ego.initial.s"].proposal
     assert found["Ego.initial.speed"].proposal
@@ -395,7 +395,7 @@ def test_43_rates_below_zero_get_a_range_in_the_right_order(tmp_path: Path) -> N
 
 def test_43_where_no_range_is_proposed_that_is_said(tmp_path: Path) -> None:
     path = scenario_file(tmp_path, init="")
-    with pytest.raises(InputError, match="no range is proposed for any of its numbers; give one with"):
+    with pytest.raises(InputError, match="no ranges are proposed; give one with"):
         vary(path, [], tmp_path / "out.xosc", proposed=True)
 
 
@@ -420,7 +420,7 @@ def test_43_what_lies_beside_a_scenario_is_found_from_another_folder(tmp_path: P
 def test_43_another_file_beside_a_varied_scenario_is_kept(tmp_path: Path) -> None:
     path = of_openpass(tmp_path / "a")
     (tmp_path / "ProfilesCatalog.xml").write_text("<Profiles/>")
-    with pytest.raises(InputError, match=r"is another file than .*choose another folder"):
+    with pytest.raises(InputError, match=r"differs from .*choose another folder"):
         vary(path, ["Ego.initial.speed"], tmp_path / "out.xosc")
     assert (tmp_path / "ProfilesCatalog.xml").read_text() == "<Profiles/>"
     assert not (tmp_path / "out.xosc").exists()

@@ -77,7 +77,7 @@ def test_42_11_ranges_alone_are_told_what_they_need(tmp_path):
     refused = cornercase("explore", "--range", "v=5:20", "--ego", "Ego", "--other", "B", "--metric", "distance",
                          "-o", "z.db", cwd=tmp_path)  # fmt: skip
     assert refused.returncode == 2
-    assert "a file is enough that declares parameters and entities (docs/howto/own-simulator.md)." in refused.stderr
+    assert "your own simulator only needs a file that declares parameters and entities (docs/howto/own-simulator.md)." in refused.stderr
     with pytest.raises(InputError, match=r"or a `space` file that names one\.$"):
         cc.LogicalScenario.read(None)
 

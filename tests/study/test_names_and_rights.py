@@ -59,7 +59,7 @@ def test_a_scenario_file_whose_name_is_no_text_is_refused_before_a_study_is_made
     assert result.returncode == 2
     assert "its name has characters that XML cannot hold" in result.stderr
     result = cornercase("vary", EXAMPLE / "x_intersection.xosc", "--all", "-o", scenario.with_name(NO_TEXT))
-    assert (result.returncode, "its name has characters that XML cannot hold" in result.stderr) == (2, True)
+    assert (result.returncode, "its name has characters that XML cannot contain" in result.stderr) == (2, True)
 
 
 def test_a_study_that_may_only_be_read_is_not_written_and_nothing_is_left_beside_it(tmp_path):

@@ -60,7 +60,7 @@ def test_43_a_file_that_lacks_an_entity_is_one_that_could_not_be_run(folder, tmp
     )
     result = run_suite(folder, tmp_path / "s.db", ego="Ego", other="B", duration=1.0)
     assert [one.state for one in result.scenarios] == ["error", "error", "error", "passed"]
-    why = {"B": "has no entity 'B' to be the other", "name": "every <ScenarioObject> needs a name of its own"}[without]
+    why = {"B": "has no entity 'B' to be the other", "name": "every <ScenarioObject> needs a unique name"}[without]
     assert why in result.scenarios[1].verdicts[0].reason
     with pytest.raises(InputError, match="has no entity 'D' to be the other"):
         run_suite(folder, tmp_path / "t.db", ego="Ego", other="D", duration=1.0)

@@ -1,4 +1,4 @@
-"""Recordings, and courses of metrics, as CSV."""
+"""Recordings and metric time series as CSV."""
 
 from __future__ import annotations
 
@@ -19,22 +19,7 @@ from cornercase.recordings.samples import require_box, require_motion, require_s
 
 
 def read_csv(path: Path) -> Recording:
-    """Read a table with one row per entity and instant.
-
-    Parameters
-    ----------
-    path : path
-        CSV with at least the columns `COLUMNS`.
-
-    Returns
-    -------
-    Recording
-
-    Raises
-    ------
-    InputError
-        As in `read_recording`.
-    """
+    """Read a table with one row per entity and instant, with at least the columns `CSV_COLUMNS`."""
     rows = _Rows()
     for line, row in _read_rows(path):
         rows.add(path, line, row)
@@ -51,19 +36,19 @@ def read_csv(path: Path) -> Recording:
     require_motion(path, numbers[:, 1 : 1 + len(MOTION)].T)
     motion = np.full((len(MOTION), len(names), len(time)), np.nan)
     motion[:, entity, instant] = numbers[:, 1 : 1 + len(MOTION)].T
-    _, first = np.unique(entity, return_index=True)
-    box = numbers[first, 1 + len(MOTION) :].T
+    _, first_rows = np.unique(entity, return_index=True)
+    box = numbers[first_rows, 1 + len(MOTION) :].T
     if not (np.isfinite(box).all() and (box[:2] >= 0).all()):
         raise InputError(f"{path}: length and width must be finite and not negative for every entity.")
-    for name, one in zip(names, box.T.tolist(), strict=True):
-        require_box(path, name, *one)
+    for name, values in zip(names, box.T.tolist(), strict=True):
+        require_box(path, name, *values)
     x, y, heading, speed, acceleration = motion
     length, width, center_x = box
-    known = set(names)
+    entities = set(names)
     collisions = [
-        Collision(float(numbers[i, 0]), (names[entity[i]], other))
+        Collision(float(numbers[i, 0]), (names[entity[i]], partner))
         for i, text in rows.touched.items()
-        for other in _touched(path, rows.lines[i], text, known)
+        for partner in _touched(path, rows.lines[i], text, entities)
     ]
     return Recording(
         time=time,
@@ -82,7 +67,7 @@ def read_csv(path: Path) -> Recording:
 
 
 class _Rows:
-    """What the rows hold, in little memory: numbers one after the other, and of texts each once."""
+    """Content of the rows in little memory: numbers in one array, each text once."""
 
     def __init__(self) -> None:
         self.lines: list[int] = []
@@ -93,7 +78,7 @@ class _Rows:
 
     def add(self, path: Path, line: int, row: dict[str, str | None]) -> None:
         if None in row or any(row[column] is None for column in COLUMNS):
-            raise InputError(f"{path}, line {line}: has a field too many or too few.")
+            raise InputError(f"{path}, line {line}: has too many or too few fields.")
         name = text_of_cell(row["entity"] or "")
         if touched := row.get("collision"):
             self.touched[len(self.lines)] = text_of_cell(touched)
@@ -104,7 +89,7 @@ class _Rows:
 
 
 def _read_rows(path: Path) -> Iterator[tuple[int, dict[str, str | None]]]:
-    """Lines and rows of a table with at least the columns `COLUMNS`, by column."""
+    """Yield line numbers and rows, by column."""
     try:
         reader = csv.DictReader(io.StringIO(read_file(path).decode("utf-8-sig"), newline=""))
         missing = [column for column in COLUMNS if column not in (reader.fieldnames or ())]
@@ -119,41 +104,35 @@ def _read_rows(path: Path) -> Iterator[tuple[int, dict[str, str | None]]]:
 
 
 def write_courses(path: Path | str, time: FloatArray, courses: Mapping[str, FloatArray]) -> None:
-    """Write one row per instant, with the header ``time,METRIC,…``; empty where a metric is not defined.
-
-    Parameters
-    ----------
-    path : path
-    time : ndarray of float64, shape (T,)
-        s.
-    courses : mapping of str to ndarray of float64, shape (T,)
-    """
+    """Write time series of metrics, one row per instant; empty cells for NaN."""
     with written_whole(path) as temporary, open(temporary, "w", newline="", encoding="utf-8") as file:
         writer = csv.writer(file, lineterminator="\n")
         writer.writerow(("time", *map(cell_text, courses)))
-        columns = (["" if value != value else value for value in one.tolist()] for one in (time, *courses.values()))
+        columns = (
+            ["" if value != value else value for value in series.tolist()] for series in (time, *courses.values())
+        )
         writer.writerows(zip(*columns, strict=True))
 
 
 def _refuse_doubles(path: Path, lines: list[int], place: IntArray) -> None:
-    """Refuse a second row of one entity at one instant."""
+    """Refuse two rows of an entity at one instant."""
     order = np.argsort(place, kind="stable")
     double = np.flatnonzero(np.diff(place[order]) == 0)
     if len(double):
         first, second = order[double[0]], order[double[0] + 1]
         raise InputError(
-            f"{path}, line {lines[second]}: the entity has a row of this time in line {lines[first]} already; "
-            "leave one of the two."
+            f"{path}, line {lines[second]}: the entity already has a row of this time in line {lines[first]}; "
+            "remove one of them."
         )
 
 
 def _touched(path: Path, line: int, text: str, names: set[str]) -> list[str]:
-    """Entities named in the column ``collision``."""
-    found = [part.strip() for part in text.split(";") if part.strip()]
-    for name in found:
+    """Return the entities in the column ``collision``."""
+    names_touched = [part.strip() for part in text.split(";") if part.strip()]
+    for name in names_touched:
         if name not in names:
             raise InputError(f"{path}, line {line}: collision names '{name}'; {suggestion(name, names)}")
-    return found
+    return names_touched
 
 
 def _number(path: Path, line: int, row: dict[str, str | None], column: str) -> float:

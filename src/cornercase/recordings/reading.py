@@ -1,4 +1,4 @@
-"""Recordings from files, of cornercase and of other tools."""
+"""Read recordings of cornercase and of other tools."""
 
 from __future__ import annotations
 
@@ -17,15 +17,15 @@ from cornercase.recordings.recording import Recording
 
 
 def read_recording(path: Path | str) -> Recording:
-    """Read a recording, of cornercase or of another tool.
+    """Read a recording of cornercase or of another tool.
 
     Parameters
     ----------
     path : path
-        By its ending an ASAM OSI trace (``.osi``, ``.mcap``; extra ``osi``), a CommonRoad scenario (``.xml``;
-        extra ``commonroad``), floating car data of SUMO (``.xml``), a result file of CarMaker (``.erg``), a file of
-        CARLA's recorder (``.log``), or else CSV: a log of esmini, or a table with at least the columns `COLUMNS`. Its
-        rows may come in any order; an entity without a row at an instant of another's does not exist then.
+        The extension selects the format: an ASAM OSI trace (``.osi``, ``.mcap``; extra ``osi``), a CommonRoad scenario
+        (``.xml``; extra ``commonroad``), floating car data of SUMO (``.xml``), a result file of CarMaker (``.erg``), a
+        file of CARLA's recorder (``.log``), otherwise CSV: a log of esmini, or a table with at least the columns
+        `CSV_COLUMNS`. Its rows may be in any order; an entity without a row at an instant does not exist then.
 
     Returns
     -------
@@ -34,11 +34,11 @@ def read_recording(path: Path | str) -> Recording:
     Raises
     ------
     InputError
-        The file cannot be read, a column is missing, a field is no number, or an entity has two rows of one
-        time; the message names the line. Or the extra that reads it is not installed.
+        The file cannot be read, a column is missing, a field is not a number, or an entity has two rows of the same
+        time; the message names the line. Or the required extra is not installed.
     """
     path = arguments.path("path", path)
-    # To open a pipe may never end.
+    # Opening a pipe could block.
     if path.exists() and not path.is_file():
         raise InputError(f"{path}: is not a file.")
     if path.suffix.lower() in (".osi", ".mcap", ".xz", ".lzma"):
@@ -55,7 +55,7 @@ def read_recording(path: Path | str) -> Recording:
 
 
 def _begins(path: Path, words: str) -> bool:
-    """Whether some words stand at the beginning of a file."""
+    """Whether a file has these words near its beginning."""
     try:
         with open(path, encoding="utf-8", errors="replace") as file:
             return words in file.read(8192)

@@ -1,4 +1,4 @@
-"""What came out of one concrete scenario: the motion of all entities."""
+"""Recorded motion of all entities of a concrete scenario."""
 
 from __future__ import annotations
 
@@ -27,14 +27,14 @@ COLUMNS = (
     "time", "entity", "kind", "x", "y", "heading", "speed", "acceleration", "length", "width", "center_x",
 )  # fmt: skip
 MOTION = ("x", "y", "heading", "speed", "acceleration")
-"""Arrays of a recording that hold the motion: a row for each entity, a column for each instant."""
+"""Arrays of a recording with its motion, shape (A, T)."""
 BOX = ("length", "width", "center_x")
-"""Arrays of a recording that hold the bounding boxes: a value for each entity."""
+"""Arrays of a recording with its bounding boxes, shape (A,)."""
 
 
 @dataclass(frozen=True)
 class Collision:
-    """The first instant at which two entities' boxes touch.
+    """The first instant at which the boxes of two entities touch.
 
     Attributes
     ----------
@@ -57,11 +57,12 @@ class Recording:
     time : ndarray of float64, shape (T,)
         s, increasing.
     names : tuple of str, length A
+        Names of the entities.
     kinds : tuple of str, length A
         Vehicle category (``"car"``, ``"truck"``, …), ``"pedestrian"`` or ``"misc"``.
     x, y : ndarray of float64, shape (A, T)
-        OpenSCENARIO's reference point in m: the rear axle on the ground for vehicles. NaN where an entity does
-        not exist; so with all that follow.
+        OpenSCENARIO's reference point in m: the rear axle on the ground for vehicles. NaN while an entity does not
+        exist, as in the next three.
     heading : ndarray of float64, shape (A, T)
         rad, counter-clockwise from +x.
     speed : ndarray of float64, shape (A, T)
@@ -71,12 +72,12 @@ class Recording:
     length, width : ndarray of float64, shape (A,)
         Bounding box in m.
     center_x : ndarray of float64, shape (A,)
-        How far the centre of the bounding box lies ahead of the reference point, in m.
+        Distance of the box center ahead of the reference point, in m.
     collisions : tuple of Collision
         In order of time.
     cut_off : bool or None
-        Whether the longest duration ended the run before the end that its storyboard has. Files do not keep it: None
-        for what is read, and for a simulator that does not say.
+        Whether the maximum duration ended the run before its storyboard did. Not stored: None for recordings from
+        files, and if the simulator does not say.
 
     Examples
     --------
@@ -106,32 +107,32 @@ class Recording:
     cut_off: bool | None = None
 
     def __repr__(self) -> str:
-        who = ", ".join(f"{name} ({kind})" for name, kind in zip(self.names, self.kinds, strict=True))
-        return f"<Recording of {who}, {self._span()}, {self._contacts()}>"
+        entities = ", ".join(f"{name} ({kind})" for name, kind in zip(self.names, self.kinds, strict=True))
+        return f"<Recording of {entities}, {self._span()}, {self._contacts()}>"
 
     def _repr_html_(self) -> str:
-        """Show in a notebook who is there, who collides, and where all go."""
+        """Show entities, collisions and tracks in a notebook."""
         rows = []
         for a, name in enumerate(self.names):
-            there = np.flatnonzero(np.isfinite(self.x[a]))
-            when = f"{self.time[there[0]]:g} s to {self.time[there[-1]]:g} s" if len(there) else "never"
-            speeds = self.speed[a, there]
-            how = f"{speeds.min():.1f} to {speeds.max():.1f} m/s" if len(there) else ""
+            present = np.flatnonzero(np.isfinite(self.x[a]))
+            when = f"{self.time[present[0]]:g} s to {self.time[present[-1]]:g} s" if len(present) else "never"
+            speeds = self.speed[a, present]
+            how = f"{speeds.min():.1f} to {speeds.max():.1f} m/s" if len(present) else ""
             dot = f'<span style="color:{COLORS[a % len(COLORS)]}">●</span>'
             rows.append(f"<td>{dot} {escape(name)}</td><td>{escape(self.kinds[a])}</td><td>{when}</td><td>{how}</td>")
         head = "<th>entity</th><th>kind</th><th>there</th><th>speed</th>"
         body = "".join(f"<tr>{row}</tr>" for row in rows)
-        about = escape(f"{self._span()}; {self._contacts()}")
-        return f"<p>{about}</p><table><tr>{head}</tr>{body}</table>{tracks_as_svg(self.x, self.y)}"
+        summary = escape(f"{self._span()}; {self._contacts()}")
+        return f"<p>{summary}</p><table><tr>{head}</tr>{body}</table>{tracks_as_svg(self.x, self.y)}"
 
     def _span(self) -> str:
         duration = float(self.time[-1] - self.time[0]) if len(self.time) else 0.0
         return f"{duration:g} s in {len(self.time)} instants"
 
     def _contacts(self) -> str:
-        return "; ".join(f"{' and '.join(one.entities)} collide at {one.time:g} s" for one in self.collisions) or (
-            "no collision"
-        )
+        return "; ".join(
+            f"{' and '.join(collision.entities)} collide at {collision.time:g} s" for collision in self.collisions
+        ) or ("no collision")
 
     def index(self, name: str) -> int:
         """Return the row of an entity.
@@ -139,6 +140,7 @@ class Recording:
         Parameters
         ----------
         name : str
+            Name of the entity.
 
         Returns
         -------
@@ -154,11 +156,12 @@ class Recording:
         return self.names.index(name)
 
     def center(self, name: str) -> FloatArray:
-        """Return where the centre of an entity's bounding box is over time.
+        """Return the center of an entity's bounding box over time.
 
         Parameters
         ----------
         name : str
+            Name of the entity.
 
         Returns
         -------
@@ -175,33 +178,32 @@ class Recording:
         return np.stack([self.x[i] + ahead * np.cos(self.heading[i]), self.y[i] + ahead * np.sin(self.heading[i])], -1)
 
     def first_collision(self, one: str, other: str) -> Collision | None:
-        """Return the collision of two entities with each other.
+        """Return the first collision of two entities with each other.
 
         Parameters
         ----------
         one, other : str
-            Names of two entities, in any order.
+            Names of the entities, in any order.
 
         Returns
         -------
         Collision or None
-            The first one; None where there is none.
         """
-        found = (each for each in self.collisions if set(each.entities) == {one, other})
-        return min(found, key=attrgetter("time"), default=None)
+        collisions = (collision for collision in self.collisions if set(collision.entities) == {one, other})
+        return min(collisions, key=attrgetter("time"), default=None)
 
     def with_absent(self, names: Iterable[str]) -> Recording:
-        """Add entities that are never there.
+        """Add entities that never exist.
 
         Parameters
         ----------
         names : iterable of str
-            Those that the recording has already stay as they are.
+            Entities that the recording has are not changed.
 
         Returns
         -------
         Recording
-            The same one where it has them all.
+            The same object if it has all of them.
         """
         missing = tuple(dict.fromkeys(name for name in names if name not in self.names))
         if not missing:
@@ -221,10 +223,9 @@ class Recording:
         Returns
         -------
         pandas.DataFrame
-            One row per instant and entity, in this order, with the columns of the CSV: ``time`` in s, ``entity``,
-            ``kind``, ``x``, ``y``, ``heading``, ``speed``, ``acceleration``, ``length``, ``width``, ``center_x`` in m,
-            rad, m/s and m/s²; and ``collision``, the entities whose box is first touched at that instant, separated
-            by semicolons.
+            One row per instant and entity, with the columns of the CSV: ``time`` in s, ``entity``, ``kind``, ``x``,
+            ``y``, ``heading``, ``speed``, ``acceleration``, ``length``, ``width``, ``center_x`` in m, rad, m/s and
+            m/s², and ``collision``: entities that it touches first at that instant, separated by semicolons.
         """
         import pandas
 
@@ -241,7 +242,7 @@ class Recording:
         return pandas.DataFrame(columns)
 
     def _touched(self) -> dict[tuple[int, str], list[str]]:
-        """Whom an entity first touches at an instant, by the instant's number."""
+        """Return the entities that an entity first touches, by instant index and name."""
         touched: dict[tuple[int, str], list[str]] = {}
         for collision in self.collisions:
             first, second = collision.entities
@@ -251,7 +252,7 @@ class Recording:
         return touched
 
     def _lines(self, touched: Mapping[tuple[int, str], Sequence[str]]) -> Iterator[str]:
-        """Lines of the CSV; what repeats itself is put into words once, as numbers take most of the time."""
+        """Yield the lines of the CSV; repeated cells are formatted once, since formatting takes the time."""
         entities = len(self.names)
         boxes = np.array([getattr(self, column) for column in BOX], dtype=np.float64).T.tolist()
         begins = [
@@ -259,9 +260,9 @@ class Recording:
         ]
         ends = [f",{_cells(*box)}," for box in boxes]
         met = {
-            instant * entities + place: _cells(cell_text(";".join(touched[instant, name])))
-            for instant in sorted({one for one, _ in touched})
-            for place, name in enumerate(self.names)
+            instant * entities + row: _cells(cell_text(";".join(touched[instant, name])))
+            for instant in sorted({index for index, _ in touched})
+            for row, name in enumerate(self.names)
             if (instant, name) in touched
         }
         rows = zip(
@@ -275,11 +276,11 @@ class Recording:
             yield f"{time}{begin}{x!r},{y!r},{heading!r},{speed!r},{acceleration!r}{end}{met.get(k, '')}\n"
 
     def to_csv(self, path: Path | str) -> None:
-        """Write one row per instant and entity, with the columns `COLUMNS` and ``collision``.
+        """Write one row per instant and entity, with the columns `CSV_COLUMNS` and ``collision``.
 
-        Numbers are written so that reading gives the same bits. ``collision`` names the entities whose box is
-        first touched at that instant, separated by semicolons. A text that a spreadsheet would take for a formula gets
-        an apostrophe before it, which `cornercase.recordings.read_recording` takes away.
+        Reading gives the same bits. ``collision`` names the entities that it touches first at that instant, separated
+        by semicolons. Texts that a spreadsheet would take for a formula get an apostrophe, which
+        `cornercase.recordings.read_recording` removes.
 
         Parameters
         ----------
@@ -288,20 +289,20 @@ class Recording:
         Raises
         ------
         InputError
-            The file cannot be written, or the name of an entity that collides has a semicolon in it.
+            The file cannot be written, or the name of an entity that collides has a semicolon.
         """
         touched = self._touched()
         for second in (name for names in touched.values() for name in names):
             if ";" in second:
-                raise InputError(f"{path}: the name '{second}' has a semicolon in it; rename the entity.")
+                raise InputError(f"{path}: the name '{second}' contains a semicolon; rename the entity.")
         with written_whole(path) as temporary, open(temporary, "w", newline="", encoding="utf-8") as file:
             file.write(_cells(*COLUMNS, "collision") + "\n")
             file.writelines(self._lines(touched))
 
 
 def _cells(*cells: object) -> str:
-    """Cells of a CSV table as they stand in a line, without its end."""
+    """Format cells of a CSV line, without line end."""
     line = io.StringIO()
-    # What holds its end is put between quotation marks.
+    # Cells with a line terminator are quoted.
     csv.writer(line, lineterminator="\n").writerow(cells)
     return line.getvalue().removesuffix("\n")

@@ -1,4 +1,4 @@
-"""Whether two recordings are the same, and how far apart they are."""
+"""Compare two recordings."""
 
 from __future__ import annotations
 
@@ -9,42 +9,25 @@ import numpy as np
 from cornercase.recordings.recording import BOX, MOTION, Recording
 
 ARRAYS: Final = ("time", *MOTION, *BOX)
-"""What of a recording is numbers."""
+"""All numeric arrays of a recording."""
 
 
 def same_bytes(before: Recording, now: Recording) -> bool:
-    """Tell whether two recordings are the same, byte for byte.
-
-    Parameters
-    ----------
-    before, now : Recording
-
-    Returns
-    -------
-    bool
-        Of entities, collisions, and all bits of all numbers: 0.0 is not -0.0.
-    """
-    facts = [(one.names, one.kinds, one.collisions) for one in (before, now)]
+    """Whether entities, collisions and all bits of all numbers are equal; 0.0 differs from -0.0."""
+    facts = [(recording.names, recording.kinds, recording.collisions) for recording in (before, now)]
     return facts[0] == facts[1] and all(
         np.asarray(getattr(before, name)).tobytes() == np.asarray(getattr(now, name)).tobytes() for name in ARRAYS
     )
 
 
 def farthest_apart(before: Recording, now: Recording) -> float | None:
-    """Find how far an entity is from where it was at the same instant, at most.
+    """Return the largest distance in m of an entity's positions at the same instant; None if not comparable.
 
-    Parameters
-    ----------
-    before, now : Recording
-
-    Returns
-    -------
-    float or None
-        m, over the instants that both have; None where the entities or instants are others.
+    Only instants that both recordings have are compared.
     """
     count = min(len(before.time), len(now.time))
     if before.names != now.names or not np.array_equal(before.time[:count], now.time[:count]):
         return None
-    away = np.hypot(before.x[:, :count] - now.x[:, :count], before.y[:, :count] - now.y[:, :count])
-    known = away[np.isfinite(away)]
-    return float(known.max()) if len(known) else None
+    distances = np.hypot(before.x[:, :count] - now.x[:, :count], before.y[:, :count] - now.y[:, :count])
+    finite = distances[np.isfinite(distances)]
+    return float(finite.max()) if len(finite) else None

@@ -1,4 +1,4 @@
-"""Samples of many entities, in any order, as a recording."""
+"""Create recordings from samples of entities, and check values of untrusted files."""
 
 from __future__ import annotations
 
@@ -17,25 +17,17 @@ from cornercase.recordings.recording import Collision, Recording
 # Pairs of an entity and an instant: 1 GB.
 _MOST: Final = 20_000_000
 _FARTHEST: Final = 1e9
-# Of a box in m: no ship or train is longer.
+# Longest box in m.
 _LONGEST: Final = 10_000.0
-# s: a thousand times the age of the clocks of computers.
+# Largest time in s.
 _LATEST: Final = 1e12
 
 
 @dataclass
 class EntitySamples:
-    """What is known of one entity.
+    """Samples of one entity, by time in s; kind and box as in `Recording`.
 
-    Attributes
-    ----------
-    kind : str
-        As in `Recording`.
-    length, width : float
-        Bounding box in m.
-    samples : dict of float to tuple of float
-        x, y of the box centre in m, heading in rad, speed and acceleration along it in m/s and m/s², by time
-        in s; a NaN for what the file does not say.
+    A sample has x and y of the box center in m, heading in rad, speed and acceleration; NaN for unknown values.
     """
 
     kind: str
@@ -46,15 +38,7 @@ class EntitySamples:
 
 @dataclass(frozen=True)
 class EntityBox:
-    """What an entity is, where the file of its motion does not tell.
-
-    Attributes
-    ----------
-    kind : str
-        As in `Recording`.
-    length, width : float
-        Bounding box in m.
-    """
+    """Kind and bounding box of an entity, if the file of its motion lacks them; as in `Recording`."""
 
     kind: str
     length: float
@@ -62,42 +46,14 @@ class EntityBox:
 
 
 def box_center(x: float, y: float, heading: float, ahead: float, left: float = 0.0) -> tuple[float, float]:
-    """Tell where the centre of a box is.
-
-    Parameters
-    ----------
-    x, y : float
-        Point that moves with the box, in m.
-    heading : float
-        rad.
-    ahead, left : float
-        How far the centre lies ahead of and to the left of the point, in m.
-
-    Returns
-    -------
-    x, y : float
-        m.
-    """
-    # What is no direction is refused when the recording is put together.
+    """Return the center of a box that is `ahead` and `left` m from a point with a heading."""
+    # Invalid headings are refused when the recording is created.
     cos, sin = (math.cos(heading), math.sin(heading)) if math.isfinite(heading) else (math.nan, math.nan)
     return x + ahead * cos - left * sin, y + ahead * sin + left * cos
 
 
 def require_size(path: Path, entities: int, instants: int) -> None:
-    """Refuse a recording that would take too much memory: of few rows at many times of many entities.
-
-    Parameters
-    ----------
-    path : Path
-        For messages.
-    entities, instants : int
-        Numbers of both.
-
-    Raises
-    ------
-    InputError
-        Their product is above 20 million.
-    """
+    """Raise `InputError` if a recording would take too much memory."""
     if entities * instants > _MOST:
         raise InputError(
             f"{path}: has {entities} entities and {instants} instants; at most {_MOST} pairs of both are read."
@@ -105,22 +61,7 @@ def require_size(path: Path, entities: int, instants: int) -> None:
 
 
 def require_box(path: Path, name: str, length: float, width: float, center_x: float = 0.0) -> None:
-    """Refuse a bounding box that nothing on earth has.
-
-    Parameters
-    ----------
-    path : Path
-        For the message.
-    name : str
-        Whose it is.
-    length, width, center_x : float
-        As in `Recording`, in m.
-
-    Raises
-    ------
-    InputError
-        One is not finite or negative, or is beyond 10 km.
-    """
+    """Raise `InputError` for an impossible bounding box."""
     if not (0.0 <= length <= _LONGEST and 0.0 <= width <= _LONGEST and abs(center_x) <= _LONGEST):
         raise InputError(
             f"{path}: entity {name} has a box of {length} m x {width} m; lengths from 0 to {_LONGEST:g} m are read."
@@ -128,20 +69,7 @@ def require_box(path: Path, name: str, length: float, width: float, center_x: fl
 
 
 def require_times(path: Path, time: FloatArray) -> None:
-    """Refuse times that are none.
-
-    Parameters
-    ----------
-    path : Path
-        For the message.
-    time : ndarray of float64
-        s.
-
-    Raises
-    ------
-    InputError
-        One is not finite, or farther from 0 than any clock.
-    """
+    """Raise `InputError` for times that are not finite or too large."""
     if not np.isfinite(time).all():
         raise InputError(f"{path}: has a time that is not finite.")
     if len(time) and (latest := float(np.abs(time).max())) > _LATEST:
@@ -149,49 +77,18 @@ def require_times(path: Path, time: FloatArray) -> None:
 
 
 def require_motion(path: Path, motion: FloatArray) -> None:
-    """Refuse motion that nothing on earth has.
-
-    Parameters
-    ----------
-    path : Path
-        For the message.
-    motion : ndarray of float64, shape (5, N)
-        x, y, heading, speed and acceleration; NaN where nothing is.
-
-    Raises
-    ------
-    InputError
-        One is infinite or far beyond all that moves.
-    """
+    """Raise `InputError` for impossible motion, shape (5, N); NaN is allowed."""
     worst = np.nanmax(np.abs(motion), initial=0.0, axis=1)
-    for name, most in zip(("position", "position", "heading", "speed", "acceleration"), worst.tolist(), strict=True):
-        if most > _FARTHEST:
-            raise InputError(f"{path}: has a {name} of {most:g}, at most {_FARTHEST:g} is read.")
+    for name, largest in zip(("position", "position", "heading", "speed", "acceleration"), worst.tolist(), strict=True):
+        if largest > _FARTHEST:
+            raise InputError(f"{path}: has a {name} of {largest:g}, at most {_FARTHEST:g} is read.")
 
 
 @np.errstate(all="ignore")
 def recording_of(path: Path, tracks: dict[str, EntitySamples], collisions: Sequence[Collision] = ()) -> Recording:
-    """Put tracks on one time axis.
+    """Create a recording from samples of entities, by name.
 
-    Parameters
-    ----------
-    path : Path
-        For messages.
-    tracks : dict of str to EntitySamples
-        By the names that the entities get.
-    collisions : sequence of Collision
-        In order of time.
-
-    Returns
-    -------
-    Recording
-        Its reference points are the box centres. Speeds and accelerations that the file does not give are
-        differences of positions along the heading, and of speeds.
-
-    Raises
-    ------
-    InputError
-        No entity, a box without size or a time that is not finite.
+    Reference points are the box centers. Missing speeds and accelerations are differences along the heading.
     """
     time = np.unique([t for track in tracks.values() for t in track.samples])
     if not len(time):
@@ -207,8 +104,8 @@ def recording_of(path: Path, tracks: dict[str, EntitySamples], collisions: Seque
         x, y, heading, speed, acceleration = motion[:, row]
         exists = np.flatnonzero(np.isfinite(x))
         if np.isnan(speed[exists]).any():
-            way = np.cos(heading) * _rate(time, x, exists) + np.sin(heading) * _rate(time, y, exists)
-            speed[exists] = np.where(np.isnan(speed), way, speed)[exists]
+            along = np.cos(heading) * _rate(time, x, exists) + np.sin(heading) * _rate(time, y, exists)
+            speed[exists] = np.where(np.isnan(speed), along, speed)[exists]
         if np.isnan(acceleration[exists]).any():
             acceleration[exists] = np.where(np.isnan(acceleration), _rate(time, speed, exists), acceleration)[exists]
     return Recording(

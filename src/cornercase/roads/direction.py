@@ -1,4 +1,4 @@
-"""Where roads' reference lines run and which way, compiled, for one place at a time."""
+"""Compiled position and heading of roads' reference lines, for one point at a time."""
 
 # Compiled functions have no static types.
 # mypy: disable-error-code="no-untyped-def, untyped-decorator"
@@ -18,39 +18,19 @@ from cornercase.roads.locating import SLACK
 from cornercase.roads.reference_line import Geometry, turns_evenly
 from cornercase.roads.road import Road
 
-# A piece that turns as a spiral does, and one that is a curve of its parameter.
+# Line, arc or spiral; parametric curve.
 _TURNS, _CURVE = 0, 1
 _NUMBERS: Final = 8
 
 
 class RoadTables(NamedTuple):
-    """Tables of the reference lines of R roads, of P pieces in all.
+    """Reference lines of R roads with P geometries in all, as arrays for kernels.
 
-    Attributes
-    ----------
-    known : ndarray of bool, shape (R,)
-        Whether kernels know the direction of all pieces of a road.
-    plain : ndarray of bool, shape (R,)
-        Whether all its pieces are straight or arcs, of which kernels know the places, too.
-    length : ndarray of float64, shape (R,)
-        m.
-    first : ndarray of int64, shape (R + 1,)
-        First piece of each road, and the number of pieces.
-    s, x, y, heading : ndarray of float64, shape (P,)
-        Where pieces begin, in m and rad.
-    cos, sin : ndarray of float64, shape (P,)
-        Of that heading.
-    shape : ndarray of int64, shape (P,)
-        What kind of piece it is.
-    numbers : ndarray of float64, shape (P, 8)
-        Its curvature at the begin in 1/m and the change of it in 1/m²; or its length in m, how many steps of its
-        parameter are tabulated, and the coefficients of the derivatives of two polynomials, the highest first.
-    parameters : ndarray of int64, shape (P,)
-        Where the parameter of each piece begins in the next two, of length Q.
-    parameter, rate : ndarray of float64, shape (Q,)
-        Parameter at equal distances from the begin of a piece to its end, and its change by m.
-    edges : RoadEdges
-        How far they reach to both sides.
+    By road: whether kernels can compute headings (`heading_known`) and positions (`position_known`), `length` in m, and
+    the `first_geometry`. By geometry: its start in m and rad, its type, and `coefficients`: curvature at the start in
+    1/m and its rate in 1/m²; or length in m, number of tabulated steps, and coefficients of the derivatives of both
+    polynomials, highest first. `table_start` points to the table of the curve `parameter` at equal distances and of its
+    derivative, the `parameter_rate` in 1/m.
     """
 
     known: BoolArray
@@ -72,25 +52,18 @@ class RoadTables(NamedTuple):
 
 
 def road_tables(roads: Sequence[Road]) -> RoadTables:
-    """Tables of the reference lines of roads.
-
-    Parameters
-    ----------
-    roads : sequence of Road
-
-    Returns
-    -------
-    RoadTables
-    """
+    """Tabulate reference lines for kernels."""
     pieces = [piece for road in roads for piece in road.geometries]
     numbers = np.zeros((len(pieces), _NUMBERS))
     for k, piece in enumerate(pieces):
-        found = _numbers(piece)
-        numbers[k, : len(found)] = found
+        values = _numbers(piece)
+        numbers[k, : len(values)] = values
     curves = [piece.table if piece.kind == "paramPoly3" else (np.zeros(0), np.zeros(0)) for piece in pieces]
     parameter, rate = (np.concatenate([np.zeros(0), *(curve[k] for curve in curves)]) for k in range(2))
-    cos, sin = _components(np.array([one.heading for one in pieces]))
-    s, x, y, heading = np.array([(one.s, one.x, one.y, one.heading) for one in pieces]).reshape(-1, 4).T.copy()
+    cos, sin = _components(np.array([piece_.heading for piece_ in pieces]))
+    s, x, y, heading = (
+        np.array([(piece_.s, piece_.x, piece_.y, piece_.heading) for piece_ in pieces]).reshape(-1, 4).T.copy()
+    )
     return RoadTables(
         np.array([all(piece.kind != "poly3" for piece in road.geometries) for road in roads], dtype=np.bool_),
         np.array([all(map(_plain, road.geometries)) for road in roads], dtype=np.bool_),
@@ -114,8 +87,8 @@ def road_tables(roads: Sequence[Road]) -> RoadTables:
 def _plain(piece: Geometry) -> bool:
     if piece.kind != "spiral":
         return piece.kind in ("line", "arc")
-    begin, end = piece.numbers
-    return bool(turns_evenly(begin, end, piece.length))
+    start, end = piece.numbers
+    return bool(turns_evenly(start, end, piece.length))
 
 
 def _numbers(piece: Geometry) -> tuple[float, ...]:
@@ -133,7 +106,7 @@ def _numbers(piece: Geometry) -> tuple[float, ...]:
 
 @kernel(error_model="numpy")
 def _components(heading):
-    """Cosines and sines, to the last digit as kernels compute them, which NumPy's are not."""
+    """Return cosines and sines with the last digits that kernels compute, which NumPy's may not have."""
     cos, sin = np.empty(heading.size), np.empty(heading.size)
     for k in range(heading.size):
         cos[k], sin[k] = math.cos(heading[k]), math.sin(heading[k])
@@ -142,21 +115,7 @@ def _components(heading):
 
 @kernel(error_model="numpy", forceinline=True, _nrt=False)
 def road_heading(roads, road, s):
-    """Direction of a road's s, of a road that is known.
-
-    Parameters
-    ----------
-    roads : RoadTables
-    road : int
-        Index of the road.
-    s : float
-        m.
-
-    Returns
-    -------
-    float
-        rad.
-    """
+    """Return the heading of a road's reference line at `s`, in rad; only for roads that are `known`."""
     piece = _piece(roads, road, s)
     along, numbers = s - roads.s[piece], roads.numbers[piece]
     if roads.shape[piece] == _TURNS:
@@ -168,20 +127,7 @@ def road_heading(roads, road, s):
 
 @kernel(error_model="numpy", forceinline=True, _nrt=False)
 def road_direction(roads, road, s):
-    """Cosine and sine of `road_heading`.
-
-    Parameters
-    ----------
-    roads : RoadTables
-    road : int
-        Index of the road.
-    s : float
-        m.
-
-    Returns
-    -------
-    cos, sin : float
-    """
+    """Return cosine and sine of `reference_heading`."""
     piece = _piece(roads, road, s)
     if roads.shape[piece] == _TURNS and roads.numbers[piece, 0] == 0.0 and roads.numbers[piece, 1] == 0.0:
         return roads.cos[piece], roads.sin[piece]
@@ -191,23 +137,9 @@ def road_direction(roads, road, s):
 
 @kernel(error_model="numpy", forceinline=True, _nrt=False)
 def stays_on_road(roads, road, s, x, y):
-    """Whether a point that moves is still on the plain road that it was on, or not far beside it.
+    """Return whether a moved point is still on its `plain` road, or at most `SLACK` beside it, and its new `s`.
 
-    Parameters
-    ----------
-    roads : RoadTables
-    road : int
-        Index of the road.
-    s : float
-        Where on the road it was a moment ago, in m.
-    x, y : float
-        Where it is, in m.
-
-    Returns
-    -------
-    stays : bool
-    s : float
-        Where on the road it is, in m.
+    `s` is its last coordinate on the road; x and y are its position, all in m.
     """
     length = roads.length[road]
     s = min(max(s, 0.0), length)
@@ -224,7 +156,7 @@ def stays_on_road(roads, road, s, x, y):
 
 @kernel(error_model="numpy", forceinline=True, _nrt=False)
 def _plain_place(roads, piece, s):
-    """Place on a straight piece or an arc, and cosine and sine of its direction there."""
+    """Return x, y, cosine and sine of the heading on a line or arc."""
     along, curvature = s - roads.s[piece], roads.numbers[piece, 0]
     turn, cos, sin = curvature * along, roads.cos[piece], roads.sin[piece]
     if turn == 0.0:
@@ -239,21 +171,21 @@ def _plain_place(roads, piece, s):
 
 @kernel(error_model="numpy", forceinline=True, _nrt=False)
 def _parameter(roads, piece, along):
-    """`Geometry.parameter` of a piece that is a curve of its parameter."""
+    """Return the curve parameter at a distance, as `ReferenceGeometry.curve_parameter`."""
     length, steps, first = roads.numbers[piece, 0], roads.numbers[piece, 1], roads.parameters[piece]
-    place = min(max(along, 0.0), length) / (length / steps)
-    k = min(int(place), int(steps) - 1)
+    position = min(max(along, 0.0), length) / (length / steps)
+    k = min(int(position), int(steps) - 1)
     low, high = roads.parameter[first + k], roads.parameter[first + k + 1]
-    before, after = roads.rate[first + k], roads.rate[first + k + 1]
-    x, rise = place - k, high - low
-    begin, end = length / steps * before - rise, rise - length / steps * after
-    return (1.0 - x) * low + x * high + x * (1.0 - x) * ((1.0 - x) * begin + x * end)
+    rate_low, rate_high = roads.rate[first + k], roads.rate[first + k + 1]
+    x, rise = position - k, high - low
+    bend_low, bend_high = length / steps * rate_low - rise, rise - length / steps * rate_high
+    return (1.0 - x) * low + x * high + x * (1.0 - x) * ((1.0 - x) * bend_low + x * bend_high)
 
 
 @kernel(error_model="numpy", forceinline=True, _nrt=False)
 def _piece(roads, road, s):
     low, high = roads.first[road], roads.first[road + 1]
-    # The first piece begins everywhere.
+    # The first geometry also covers s below its start.
     while high - low > 1:
         middle = (low + high) // 2
         if roads.s[middle] <= s:

@@ -1,4 +1,4 @@
-"""How far points of the plane are from every road."""
+"""Distance of points from the nearest lane."""
 
 from __future__ import annotations
 
@@ -12,24 +12,19 @@ from cornercase.roads.nearest import NearestPoints
 from cornercase.roads.road import Road
 
 NEAR: Final = 10.0
-"""Up to so far from a lane, in m, a point is near a road."""
+"""Distance from a lane in m up to which a point counts as near."""
 
-# m; what lies in a cell that holds a sample, or beside such a cell, is near: two cells are 9.9 m across.
+# Cell size in m: points in a cell with a sample, or in a neighbouring one, are at most 9.9 m away.
 _CELL: Final = 3.5
-# m between samples along a road, and at most across its lanes.
+# Sample spacing in m, along and across a road.
 _ALONG: Final = 2.0
 _ACROSS: Final = 5.0
-# Cells have numbers; no road lies so many cells from the origin.
+# Factor to number cells; larger than any cell index.
 _ROW: Final = 1 << 31
 
 
 class LaneDistance:
-    """Distances from the nearest of all lanes.
-
-    Parameters
-    ----------
-    roads : sequence of Road
-    """
+    """Computes distances from the nearest of all lanes."""
 
     def __init__(self, roads: Sequence[Road]) -> None:
         samples = np.concatenate([_samples(road) for road in roads])
@@ -39,14 +34,14 @@ class LaneDistance:
         self._cells = np.unique(np.concatenate(around))
 
     def of(self, x: FloatArray, y: FloatArray) -> FloatArray:
-        """Distance in m of points, shape (N,), 0 for those that are near or nowhere."""
+        """Return distances in m, shape (N,); 0 for points closer than `NEAR_DISTANCE`, and for NaN."""
         result = np.zeros(len(x))
-        there = np.flatnonzero(np.isfinite(x + y))
-        points = np.stack([x[there], y[there]], axis=1)
-        away = ~self._is_in_cell(np.floor(points / _CELL).astype(np.int64))
-        nearest = self._samples[self._nearest.find(points[away], 1)[:, 0]] if away.any() else points[:0]
-        distance = np.hypot(*(points[away] - nearest).T)
-        result[there[away]] = np.where(distance > NEAR, distance, 0.0)
+        finite = np.flatnonzero(np.isfinite(x + y))
+        points = np.stack([x[finite], y[finite]], axis=1)
+        far = ~self._is_in_cell(np.floor(points / _CELL).astype(np.int64))
+        nearest = self._samples[self._nearest.find(points[far], 1)[:, 0]] if far.any() else points[:0]
+        distance = np.hypot(*(points[far] - nearest).T)
+        result[finite[far]] = np.where(distance > NEAR, distance, 0.0)
         return result
 
     def _is_in_cell(self, cells: IntArray) -> BoolArray:
@@ -56,7 +51,7 @@ class LaneDistance:
 
 
 def _samples(road: Road) -> FloatArray:
-    """Points of the strip that the lanes of a road cover, shape (M, 2)."""
+    """Return points that cover all lanes of a road, shape (M, 2)."""
     s = np.linspace(0.0, road.length, max(2, int(np.ceil(road.length / _ALONG)) + 1))
     right, left = road.margins(s)
     share = np.linspace(0.0, 1.0, max(2, int(np.ceil(float((left - right).max()) / _ACROSS)) + 1))

@@ -1,4 +1,4 @@
-"""How far roads reach to both sides of their reference lines, compiled, for one place at a time."""
+"""Compiled lateral extent of roads, for one point at a time."""
 
 # Compiled functions have no static types.
 # mypy: disable-error-code="no-untyped-def, untyped-decorator"
@@ -16,30 +16,18 @@ from cornercase.roads.lane import Polynomial
 from cornercase.roads.road import Road
 
 _RIGHT, _LEFT = 0, 1
-# m; what rounding may make of an edge.
+# Tolerance in m for rounded edges.
 _ROUNDING: Final = 1e-9
 
 
 class RoadEdges(NamedTuple):
-    """Tables of the widths of R roads, which have S lane sections with L lanes in all, and of Q cubics.
+    """Widths of R roads with S lane sections, L lanes and Q cubics in all, as arrays for kernels.
 
-    Attributes
-    ----------
-    sections : ndarray of int64, shape (R + 1,)
-        First section of each road, and the number of sections.
-    start : ndarray of float64, shape (S,)
-        Where sections begin, in m.
-    lanes : ndarray of int64, shape (2 S + 1,)
-        First lane to the right and to the left of each section, from the middle outwards, and the number of lanes.
-    cubics : ndarray of int64, shape (R + L + 1,)
-        First cubic of each road's lane offset and of each lane's width or border, and the number of cubics.
-    bordered : ndarray of bool, shape (L,)
-        Whether the cubics of a lane are its border.
-    coefficients : ndarray of float64, shape (Q, 5)
-        Where each begins in m, and its coefficients, the lowest first.
-    inner : ndarray of float64, shape (R, 2)
-        What lies between these two lateral coordinates is between the edges of the road, wherever along it, in m;
-        infinite and minus infinite where that is not known.
+    `sections`, shape (R + 1,), has the first section of each road; `lanes`, (2 S + 1,), the first lane right and left
+    of each section, from the center outwards; `cubics`, (R + L + 1,), the first cubic of each road's lane offset and
+    of each lane's width or border (`is_border`). `coefficients`, (Q, 5), are the start in m and the coefficients,
+    lowest first. Between both values of `always_inside`, (R, 2), a lateral coordinate in m is on the road everywhere
+    along it.
     """
 
     sections: IntArray
@@ -52,16 +40,7 @@ class RoadEdges(NamedTuple):
 
 
 def road_edges(roads: Sequence[Road]) -> RoadEdges:
-    """Tables of the widths of roads.
-
-    Parameters
-    ----------
-    roads : sequence of Road
-
-    Returns
-    -------
-    RoadEdges
-    """
+    """Tabulate the widths of roads for kernels."""
     lines: list[tuple[Polynomial, ...]] = [road.offsets for road in roads]
     starts, counts, bordered = [], [], []
     for road in roads:
@@ -84,36 +63,22 @@ def road_edges(roads: Sequence[Road]) -> RoadEdges:
 
 
 def _inner(road: Road) -> tuple[float, float]:
-    places = [*road.seams[:-1].tolist(), *(begin for begin, *_ in road.offsets)]
+    knots = [*road.seams[:-1].tolist(), *(offset for offset, *_ in road.offsets)]
     lines = [road.offsets]
     for start, lanes in road.sections:
         for lane in lanes.values():
             lines.append(lane.borders or lane.widths)
-            places += [start + begin for begin, *_ in lines[-1]]
+            knots += [start + offset for offset, *_ in lines[-1]]
     if any(change != 0.0 for line in lines for cubic in line for change in cubic[2:]):
         return np.inf, -np.inf
-    # The edges are the same all the way from one such place to the next.
-    right, left = road.margins(np.clip(places, 0.0, road.length))
+    # The edges are constant between knots.
+    right, left = road.margins(np.clip(knots, 0.0, road.length))
     return float(right.max()) + _ROUNDING, float(left.min()) - _ROUNDING
 
 
 @kernel(error_model="numpy", forceinline=True, _nrt=False)
 def road_margins(edges, road, s):
-    """Lateral coordinates of a road's edges.
-
-    Parameters
-    ----------
-    edges : RoadEdges
-    road : int
-        Index of the road.
-    s : float
-        m.
-
-    Returns
-    -------
-    right, left : float
-        m.
-    """
+    """Return the lateral coordinates of a road's right and left edge at `s`, in m."""
     section = edges.sections[road]
     while section + 1 < edges.sections[road + 1] and edges.start[section + 1] <= s:
         section += 1
@@ -136,7 +101,7 @@ def _edge(edges, section, side, middle, s):
 
 @kernel(error_model="numpy", forceinline=True, _nrt=False)
 def _value(edges, line, s):
-    """Value of cubics that follow each other; 0 where there are none."""
+    """Evaluate piecewise cubics; 0 if there are none."""
     k, last, table = edges.cubics[line], edges.cubics[line + 1], edges.coefficients
     if k == last:
         return 0.0

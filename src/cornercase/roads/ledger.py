@@ -1,4 +1,4 @@
-"""What happens with each element and attribute of a road file."""
+"""Support table of OpenDRIVE: what happens with each element and attribute."""
 
 from __future__ import annotations
 
@@ -7,4 +7,4 @@ from typing import Final
 from cornercase._common.ledger import Ledger
 
 LEDGER: Final = Ledger.read("cornercase.roads", "opendrive.csv")
-"""Elements and attributes of OpenDRIVE 1.9, and those of earlier versions."""
+"""Elements and attributes of OpenDRIVE 1.4 to 1.9."""

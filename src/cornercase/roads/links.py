@@ -1,4 +1,4 @@
-"""Links of a road file to roads, junctions and lanes that are there."""
+"""Links between roads, junctions and lanes."""
 
 from __future__ import annotations
 
@@ -19,29 +19,19 @@ _RULE: Final = "a link names a road, a junction or a lane of the file"
 
 
 def settled(roads: Sequence[Road], elements: Mapping[str, etree._Element], junctions: set[str]) -> tuple[Road, ...]:
-    """Roads whose links lead to what is there, where an end of a road is linked to nothing else.
+    """Return the roads with completed links, and without those that lead to nothing.
 
-    Parameters
-    ----------
-    roads : sequence of Road
-    elements : mapping of str to lxml element
-        Those of the roads, also of roads that were left out, by their id.
-    junctions : set of str
-        Ids of the junctions.
-
-    Returns
-    -------
-    tuple of Road
+    `elements` has the XML elements of all roads by id, including excluded ones; `junctions` their ids.
     """
     by_name = {road.name: road for road in roads}
-    found = []
+    resolved = []
     for road in roads:
         ends = {}
         for end, link in (("predecessor", road.predecessor), ("successor", road.successor)):
             ends[end] = None if link is None else _settled(road, end, link, elements, by_name, junctions)
-        found.append(replace(road, predecessor=ends["predecessor"], successor=ends["successor"]))
-    _note_lanes({road.name: road for road in found}, elements)
-    return tuple(found)
+        resolved.append(replace(road, predecessor=ends["predecessor"], successor=ends["successor"]))
+    _note_lanes({road.name: road for road in resolved}, elements)
+    return tuple(resolved)
 
 
 def _settled(
@@ -52,20 +42,20 @@ def _settled(
     by_name: Mapping[str, Road],
     junctions: set[str],
 ) -> Link | None:
-    element, what = unrecorded(elements[road.name], "link", end)[0], f"<{end}> of <road>"
+    element, subject = unrecorded(elements[road.name], "link", end)[0], f"<{end}> of <road>"
     if not link.kind:
         link = replace(link, kind="junction" if link.element in junctions - {*by_name} else "road")
-        adapt(element, what, f"has no elementType, and is read as that of a {link.kind}", f"<{end}> has an elementType")
+        adapt(element, subject, f"has no elementType; it is read as a {link.kind}", f"<{end}> has an elementType")
     if link.element not in (by_name if link.kind == "road" else junctions):
-        # Of a road that was left out is said why.
+        # Excluded roads are reported already.
         if link.kind == "junction" or link.element not in elements:
-            what = f"link to the {link.kind} '{link.element}'"
-            adapt(element, what, "leads to nothing that is there, so that the road ends there", _RULE)
+            subject = f"link to the {link.kind} '{link.element}'"
+            adapt(element, subject, "leads to nothing that exists, so the road ends there", _RULE)
         return None
     if link.kind == "road" and not link.contact and link.s is None:
         link = replace(link, contact=_nearer_end(road, end, by_name[link.element]))
-        why = f"has no contactPoint, and is read as that to the {link.contact} of the road, which is nearer"
-        adapt(element, what, why, "a link to a road has a contactPoint")
+        reason = f"has no contactPoint; the {link.contact} of the road is used, which is nearer"
+        adapt(element, subject, reason, "a link to a road has a contactPoint")
     return link
 
 
@@ -77,7 +67,7 @@ def _nearer_end(road: Road, end: str, other: Road) -> str:
 
 
 def _note_lanes(roads: Mapping[str, Road], elements: Mapping[str, etree._Element]) -> None:
-    """Note lanes that are linked to lanes that are not there."""
+    """Record lanes that are linked to lanes that do not exist."""
     for name, road in roads.items():
         lost = set(_lost_links(road, roads))
         if not lost:
@@ -85,37 +75,32 @@ def _note_lanes(roads: Mapping[str, Road], elements: Mapping[str, etree._Element
         starts = {start for start, *_ in lost}
         for section in unrecorded(elements[name], "lanes", "laneSection"):
             start = float(section.attrib.get("s") or 0.0)
-            for lane in (one for side in ("left", "right") for one in unrecorded(section, side, "lane")):
+            for lane in (element for side in ("left", "right") for element in unrecorded(section, side, "lane")):
                 for end in ("predecessor", "successor") if start in starts else ():
                     for link in unrecorded(lane, "link", end):
                         if (start, lane.attrib.get("id"), end, link.attrib.get("id")) in lost:
-                            adapt(
-                                link,
-                                f"<{end}> of <lane>",
-                                "leads to no lane that is there, so that the lane ends",
-                                _RULE,
-                            )
+                            adapt(link, f"<{end}> of <lane>", "leads to no lane that exists, so the lane ends", _RULE)
 
 
 def _lost_links(road: Road, roads: Mapping[str, Road]) -> Iterator[tuple[float, str, str, str]]:
-    """Links of lanes to lanes that are not there: start of the section, lane, end, and lane that is linked."""
-    last = len(road.sections) - 1
+    """Yield links to lanes that do not exist: start of the section, lane, end, linked lane."""
+    last_index = len(road.sections) - 1
     for k, (start, lanes) in enumerate(road.sections):
-        ahead = road.sections[k + 1][1] if k < last else _lanes_beyond(road.successor, roads)
+        ahead = road.sections[k + 1][1] if k < last_index else _lanes_beyond(road.successor, roads)
         behind = road.sections[k - 1][1] if k else _lanes_beyond(road.predecessor, roads)
         for number, lane in lanes.items():
             if ahead is not None:
-                for other in lane.successors:
-                    if other not in ahead:
-                        yield start, str(number), "successor", str(other)
+                for linked in lane.successors:
+                    if linked not in ahead:
+                        yield start, str(number), "successor", str(linked)
             if behind is not None:
-                for other in lane.predecessors:
-                    if other not in behind:
-                        yield start, str(number), "predecessor", str(other)
+                for linked in lane.predecessors:
+                    if linked not in behind:
+                        yield start, str(number), "predecessor", str(linked)
 
 
 def _lanes_beyond(link: Link | None, roads: Mapping[str, Road]) -> Mapping[int, object] | None:
-    """Lanes at the end of a linked road; None where a link says nothing of lanes."""
+    """Return the lanes at the end of a linked road; None if the link does not determine them."""
     if link is None or link.kind != "road" or link.s is not None:
         return None
     return roads[link.element].sections[-1 if link.contact == "end" else 0][1]
@@ -124,23 +109,8 @@ def _lanes_beyond(link: Link | None, roads: Mapping[str, Road]) -> Mapping[int, 
 def read_connections(
     junction: etree._Element, where: str, roads: Mapping[str, Road], elements: Mapping[str, etree._Element]
 ) -> tuple[Connection, ...]:
-    """Read the connections of a junction, without those of roads that are not there.
-
-    Parameters
-    ----------
-    junction : lxml element
-    where : str
-        File and junction, for messages.
-    roads : mapping of str to Road
-    elements : mapping of str to lxml element
-        Those of the roads, also of roads that were left out, by their id.
-
-    Raises
-    ------
-    InputError
-        A number of a lane is none.
-    """
-    found = []
+    """Read the connections of a junction, except those of roads that do not exist."""
+    connections = []
     for e in junction.iterfind("connection"):
         links = {
             lane_number(k, where, "from"): lane_number(k, where, "to")
@@ -149,17 +119,17 @@ def read_connections(
         }
         incoming, connecting = e.get("incomingRoad", ""), e.get("connectingRoad") or e.get("linkedRoad") or ""
         contact = read_word(e, "contactPoint", ("start", "end"), "", where)
-        # Connections without a road between are none that one drives on.
+        # Skip connections without an existing road.
         lost = [name for name in (incoming, connecting) if name and name not in roads]
         if lost:
             if lost[0] not in elements:
-                what = f"<connection> with the road '{lost[0]}'"
-                adapt(e, what, "leads over a road that is not there, and is left out", _RULE)
+                subject = f"<connection> with the road '{lost[0]}'"
+                adapt(e, subject, "leads over a road that does not exist, and is left out", _RULE)
             continue
         if connecting and not contact:
-            own = roads[connecting].successor
-            contact = "end" if own is not None and own.element == incoming else "start"
-            why = f"has no contactPoint, and is read as that to the {contact} of its road"
-            adapt(e, "<connection>", why, "a <connection> has a contactPoint")
-        found.append((incoming, connecting, contact or "start", links))
-    return tuple(found)
+            successor = roads[connecting].successor
+            contact = "end" if successor is not None and successor.element == incoming else "start"
+            reason = f"has no contactPoint; the {contact} of its road is used"
+            adapt(e, "<connection>", reason, "a <connection> has a contactPoint")
+        connections.append((incoming, connecting, contact or "start", links))
+    return tuple(connections)

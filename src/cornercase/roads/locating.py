@@ -1,4 +1,4 @@
-"""Where points of the plane are on the roads."""
+"""Map positions in the plane to roads and lanes."""
 
 # Compiled functions have no static types.
 # mypy: disable-error-code="no-untyped-def, untyped-decorator"
@@ -17,29 +17,21 @@ from cornercase._common.typing import BoolArray, FloatArray, IntArray
 from cornercase.roads.nearest import NearestPoints
 from cornercase.roads.road import Road
 
-# Lanes are sampled at this distance in m, or at a larger one where there would be more samples than this.
+# Sample distance in m, and largest number of samples; if that is exceeded, the distance is increased.
 _SAMPLED: Final = 0.5
 _MOST_SAMPLES: Final = 2_000_000
 SLACK: Final = 2.0
-"""So far beside it, in m, an entity still counts as on the road that it was on; esmini's figure."""
-# So many samples that are near are compared.
+"""Distance beside its road in m up to which an entity stays on it, as in esmini."""
+# Number of nearest samples to compare.
 _CANDIDATES: Final = 24
-# So many places are remembered.
+# Size of the cache.
 _MOST_LOCATED: Final = 4096
-# Points lie no further out than this, in m.
+# Largest valid coordinate in m.
 _ANYWHERE: Final = 1e12
 
 
 class Place(NamedTuple):
-    """Where points are on the roads, each array of shape (N,).
-
-    Attributes
-    ----------
-    road, lane : ndarray of int64
-        Index of the road, and lane.
-    s, offset : ndarray of float64
-        Along the road, and to the left of the lane's centre as seen along the road, in m.
-    """
+    """Road index, lane, s, and offset to the left of the lane's center (seen along s) in m, of N points."""
 
     road: IntArray
     lane: IntArray
@@ -48,7 +40,7 @@ class Place(NamedTuple):
 
 
 class _Samples(NamedTuple):
-    """Samples of the middle of all lanes, and how far apart they are at most, in m."""
+    """Samples of the center lines of all lanes; `spacing` is their largest distance in m."""
 
     nearest: NearestPoints
     points: FloatArray
@@ -62,36 +54,22 @@ class _Samples(NamedTuple):
 
 
 class Locator:
-    """Finds roads and lanes by place.
+    """Finds roads and lanes by position."""
 
-    Parameters
-    ----------
-    roads : sequence of Road
-    """
-
-    def __init__(self, roads: Sequence[Road]) -> None:
-        self._roads = roads
+    def __init__(self, roads: Sequence[Road], max_samples: int = _MOST_SAMPLES) -> None:
+        self._roads, self._max_samples = roads, max_samples
         self._located: dict[bytes, Place] = {}
         self._references: dict[int, tuple[NearestPoints, FloatArray]] = {}
         self._overlapping = [i for i, road in enumerate(roads) if road.junction not in ("-1", "")]
 
     def locate(self, x: FloatArray, y: FloatArray) -> Place:
-        """Find where points are on the roads.
+        """Return the positions of points on the roads; x and y in m, shape (N,).
 
-        A lane that holds the point goes before a nearer one, and a driving lane before others.
-
-        Parameters
-        ----------
-        x, y : ndarray of float64, shape (N,)
-            m.
-
-        Returns
-        -------
-        Place
+        A lane that contains the point is preferred to a nearer one, and a drivable lane to others.
         """
         if not (len(x) and (x == x[0]).all() and (y == y[0]).all()):
             return self._search(x, y)
-        # As a rule a file puts all scenarios at the same place, and does so each time that it is run.
+        # Usually all scenarios of a file start at the same position, in each run: cache it.
         point = x[:1].tobytes() + y[:1].tobytes()
         if point not in self._located:
             if len(self._located) >= _MOST_LOCATED:
@@ -102,72 +80,72 @@ class Locator:
 
     def _search(self, x: FloatArray, y: FloatArray) -> Place:
         samples = self._samples
-        # What is as far as that is found nowhere; NaN is not near either.
-        known = (np.abs(x) < _ANYWHERE) & (np.abs(y) < _ANYWHERE)
-        points = np.stack([np.where(known, x, 0.0), np.where(known, y, 0.0)], axis=1)
+        # NaN is not valid either.
+        valid = (np.abs(x) < _ANYWHERE) & (np.abs(y) < _ANYWHERE)
+        points = np.stack([np.where(valid, x, 0.0), np.where(valid, y, 0.0)], axis=1)
         near = samples.nearest.find(points, _CANDIDATES)
         wide = samples.apart > _SAMPLED
         gap = _to_line(points, samples, near) if wide else _to_samples(points, samples.points, near)
         best = near[np.arange(len(x)), _cheapest(gap, near, samples.half, samples.bad)]
-        place = Place(samples.road[best], samples.lane[best], samples.s[best].copy(), np.zeros(len(x)))
-        for r, ln in sorted({*zip(place.road.tolist(), place.lane.tolist(), strict=True)}):
-            rows, one = (place.road == r) & (place.lane == ln), self._roads[r]
+        located = Place(samples.road[best], samples.lane[best], samples.s[best].copy(), np.zeros(len(x)))
+        for r, ln in sorted({*zip(located.road.tolist(), located.lane.tolist(), strict=True)}):
+            rows, road = (located.road == r) & (located.lane == ln), self._roads[r]
             for _ in range(2):
-                cx, cy, heading = one.at_lane(ln, place.s[rows])
+                cx, cy, heading = road.at_lane(ln, located.s[rows])
                 dx, dy = points[rows, 0] - cx, points[rows, 1] - cy
                 step = dx * np.cos(heading) + dy * np.sin(heading)
-                place.s[rows] = np.clip(place.s[rows] + step, 0.0, one.length)
-                place.offset[rows] = dy * np.cos(heading) - dx * np.sin(heading)
-        return place
+                located.s[rows] = np.clip(located.s[rows] + step, 0.0, road.length)
+                located.offset[rows] = dy * np.cos(heading) - dx * np.sin(heading)
+        return located
 
     def road_from(
         self, last: IntArray, last_s: FloatArray, x: FloatArray, y: FloatArray, heading: FloatArray
     ) -> tuple[IntArray, FloatArray]:
-        """Find the road of points that move; as `RoadNetwork.road_from`."""
+        """Track the road of moving points, as `RoadNetwork.track_road`."""
         road, s = last.copy(), last_s.copy()
         lost = ~self._holds(last, x, y, s, 1, SLACK)
         if lost.any():
-            # Many scenarios are the same up to there; what lies together is found faster one after the other.
+            # Locate equal points once, and in spatial order for speed.
             order = np.flatnonzero(lost)[np.lexsort((heading[lost], y[lost], x[lost]))]
-            places = np.stack([x[order], y[order], heading[order]], axis=1)
-            new = np.append(True, (places[1:] != places[:-1]).any(axis=1))
-            found, along = self._road_at(*places[new].T)
-            which = np.cumsum(new) - 1
-            road[order], s[order] = found[which], along[which]
+            poses = np.stack([x[order], y[order], heading[order]], axis=1)
+            is_new = np.append(True, (poses[1:] != poses[:-1]).any(axis=1))
+            found_road, found_s = self._road_at(*poses[is_new].T)
+            which = np.cumsum(is_new) - 1
+            road[order], s[order] = found_road[which], found_s[which]
         return road, s
 
     def _road_at(self, x: FloatArray, y: FloatArray, heading: FloatArray) -> tuple[IntArray, FloatArray]:
-        """Find the road of points of which is not known where they were, and their s there."""
-        place = self.locate(x, y)
-        road, s = place.road, place.s
-        apart = np.full(len(x), np.inf)
+        """Return road and s of points whose last position is unknown."""
+        located = self.locate(x, y)
+        road, s = located.road, located.s
+        best_turn = np.full(len(x), np.inf)
         inside = np.isin(road, self._overlapping)
         for r in self._overlapping if inside.any() else ():
-            nearest, places = self._reference(r)
-            along = places[nearest.find(np.stack([x, y], axis=1), 1)[:, 0]]
-            found = self._holds(np.full(len(x), r), x, y, along, 2, 0.0) & inside
+            nearest, samples = self._reference(r)
+            along = samples[nearest.find(np.stack([x, y], axis=1), 1)[:, 0]]
+            held = self._holds(np.full(len(x), r), x, y, along, 2, 0.0) & inside
             turn = np.abs(np.sin(heading - self._roads[r].reference(along)[2]))
-            better = found & (turn < apart)
-            apart[better] = turn[better]
+            better = held & (turn < best_turn)
+            best_turn[better] = turn[better]
             road[better], s[better] = r, along[better]
         return road, s
 
     def _holds(
         self, road: IntArray, x: FloatArray, y: FloatArray, s: FloatArray, projections: int, slack: float
     ) -> BoolArray:
-        """Whether points lie on given roads; `s`, a first guess, becomes their s where they do."""
+        """Return whether points are on given roads, and update their s in place; `s` is a first guess."""
         inside = np.zeros(len(x), dtype=np.bool_)
         for r in np.unique(road[(road >= 0) & np.isfinite(x)]):
             rows = np.flatnonzero((road == r) & np.isfinite(x))
-            one, along = self._roads[r], s[rows]
+            candidate, along = self._roads[r], s[rows]
             for _ in range(projections):
-                px, py, heading = one.reference(np.clip(along, 0.0, one.length))
+                px, py, heading = candidate.reference(np.clip(along, 0.0, candidate.length))
                 dx, dy, cos, sin = x[rows] - px, y[rows] - py, np.cos(heading), np.sin(heading)
-                along = np.clip(along, 0.0, one.length) + dx * cos + dy * sin
+                along = np.clip(along, 0.0, candidate.length) + dx * cos + dy * sin
             t = dy * cos - dx * sin
-            within = (along >= 0.0) & (along <= one.length)
-            along = np.clip(along, 0.0, one.length)
-            right, left = one.margins(along)
+            within = (along >= 0.0) & (along <= candidate.length)
+            along = np.clip(along, 0.0, candidate.length)
+            right, left = candidate.margins(along)
             good = within & (t >= right - slack) & (t <= left + slack)
             inside[rows] = good
             s[rows[good]] = along[good]
@@ -185,33 +163,35 @@ class Locator:
     def _samples(self) -> _Samples:
         lanes = [
             (r, k, start, end, number)
-            for r, one in enumerate(self._roads)
-            for k, ((start, held), end) in enumerate(zip(one.sections, one.seams[1:].tolist(), strict=True))
-            for number in held
+            for r, current in enumerate(self._roads)
+            for k, ((start, lanes_held), end) in enumerate(
+                zip(current.sections, current.seams[1:].tolist(), strict=True)
+            )
+            for number in lanes_held
         ]
-        apart = max(_SAMPLED, sum(max(end - start, 0.0) for _, _, start, end, _ in lanes) / _MOST_SAMPLES)
-        points, headings, road, lane, where, half, bad = [], [], [], [], [], [], []
+        spacing = max(_SAMPLED, sum(max(end - start, 0.0) for _, _, start, end, _ in lanes) / self._max_samples)
+        points, headings, road, lane, positions, half, bad = [], [], [], [], [], [], []
         for r, k, start, end, number in lanes:
-            one = self._roads[r]
-            s = np.linspace(start, end, max(2, int(np.ceil((end - start) / apart)) + 1))
-            x, y, heading = one.at(s, one.center(k, number, s))
+            current = self._roads[r]
+            s = np.linspace(start, end, max(2, int(np.ceil((end - start) / spacing)) + 1))
+            x, y, heading = current.at(s, current.center(k, number, s))
             points.append(np.stack([x, y], axis=1))
             headings.append(heading)
             road.append(np.full(len(s), r))
             lane.append(np.full(len(s), number))
-            where.append(s)
-            half.append(0.5 * one.width(k, number, s))
-            bad.append(np.full(len(s), not one.sections[k][1][number].drivable))
-        together = np.concatenate(points)
+            positions.append(s)
+            half.append(0.5 * current.width(k, number, s))
+            bad.append(np.full(len(s), not current.sections[k][1][number].drivable))
+        all_points = np.concatenate(points)
         return _Samples(
-            NearestPoints(together), together, np.concatenate(headings), np.concatenate(road), np.concatenate(lane),
-            np.concatenate(where), np.concatenate(half), np.concatenate(bad), apart,
+            NearestPoints(all_points), all_points, np.concatenate(headings), np.concatenate(road), np.concatenate(lane),
+            np.concatenate(positions), np.concatenate(half), np.concatenate(bad), spacing,
         )  # fmt: skip
 
 
 @kernel(error_model="numpy")
 def _to_samples(points, samples, near):
-    """Distance in m of points from the samples that are near."""
+    """Return the distances in m from points to the nearby samples."""
     gap = np.empty(near.shape)
     for i in range(near.shape[0]):
         for k in range(near.shape[1]):
@@ -222,22 +202,22 @@ def _to_samples(points, samples, near):
 
 @kernel(error_model="numpy")
 def _cheapest(gap, near, half, bad):
-    """Which of the samples near each point is on the lane that it counts as on; the first of several."""
+    """Return which nearby sample is on the lane that the point belongs to; the first one if tied."""
     best = np.zeros(near.shape[0], dtype=np.int64)
     for i in range(near.shape[0]):
-        least = math.inf
+        lowest = math.inf
         for k in range(near.shape[1]):
-            to, wide = gap[i, k], half[near[i, k]]
-            cost = max(to - wide, 0.0) + 1e-3 * to
-            if to <= wide and bad[near[i, k]]:
+            distance, half_width = gap[i, k], half[near[i, k]]
+            cost = max(distance - half_width, 0.0) + 1e-3 * distance
+            if distance <= half_width and bad[near[i, k]]:
                 cost += 0.01
-            if cost < least:
-                best[i], least = k, cost
+            if cost < lowest:
+                best[i], lowest = k, cost
     return best
 
 
 def _to_line(points: FloatArray, samples: _Samples, near: IntArray) -> FloatArray:
-    """Distance in m of points from the lanes whose samples are near, which lie too far apart to stand for them."""
+    """Return the distances in m from points to lanes with widely spaced samples."""
     dx, dy = (points[:, None, axis] - samples.points[near, axis] for axis in (0, 1))
     cos, sin = np.cos(samples.heading[near]), np.sin(samples.heading[near])
     beyond = np.maximum(np.abs(dx * cos + dy * sin) - samples.apart, 0.0)

@@ -1,4 +1,4 @@
-"""Which of many fixed points are the nearest to a point."""
+"""Nearest neighbours among fixed points."""
 
 from __future__ import annotations
 
@@ -12,48 +12,33 @@ from cornercase._common.typing import FloatArray, IntArray
 if TYPE_CHECKING:
     from scipy.spatial import cKDTree
 
-# Up to so many pairs of points, all distances are computed; that takes less time than to load and to plant a tree.
+# Up to this number of pairs, brute force is faster than importing SciPy and building a tree.
 _FEW: Final = 200_000
 
 
 class NearestPoints:
-    """Find the nearest of fixed points.
-
-    Parameters
-    ----------
-    points : ndarray of float64, shape (M, 2)
-    """
+    """Finds the nearest of fixed points, shape (M, 2)."""
 
     def __init__(self, points: FloatArray) -> None:
         self._points = points
 
     def find(self, asked: FloatArray, count: int) -> IntArray:
-        """Find the nearest points.
-
-        Parameters
-        ----------
-        asked : ndarray of float64, shape (N, 2)
-        count : int
-            How many.
-
-        Returns
-        -------
-        ndarray of int64, shape (N, min(count, M))
-            Their rows, ascending.
-        """
+        """Return the indices of the `count` nearest points, ascending, shape (N, min(count, M))."""
         count = min(count, len(self._points))
         if len(asked) * len(self._points) > _FEW:
-            near = np.reshape(self._tree.query(asked, k=count)[1], (len(asked), count))
+            rows = np.reshape(self._tree.query(asked, k=count)[1], (len(asked), count))
         else:
             points = self._points
-            # In one expression, as NumPy takes its memory again then.
-            apart = (asked[:, None, 0] - points[:, 0]) ** 2 + (asked[:, None, 1] - points[:, 1]) ** 2
-            near = np.argpartition(apart, count - 1, axis=1)[:, :count] if count > 1 else apart.argmin(axis=1)[:, None]
-        return np.sort(near, axis=1).astype(np.int64)
+            # One expression, so that NumPy reuses memory.
+            squared = (asked[:, None, 0] - points[:, 0]) ** 2 + (asked[:, None, 1] - points[:, 1]) ** 2
+            rows = (
+                np.argpartition(squared, count - 1, axis=1)[:, :count] if count > 1 else squared.argmin(axis=1)[:, None]
+            )
+        return np.sort(rows, axis=1).astype(np.int64)
 
     @cached_property
     def _tree(self) -> cKDTree:
-        # The package takes a quarter of a second to load.
+        # Imported here: it takes a quarter of a second.
         from scipy.spatial import cKDTree
 
         return cKDTree(self._points)

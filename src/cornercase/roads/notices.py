@@ -1,4 +1,4 @@
-"""What of a road file has no effect."""
+"""Notices on parts of a road file that have no effect."""
 
 from __future__ import annotations
 
@@ -16,58 +16,47 @@ from cornercase.roads.ledger import LEDGER
 from cornercase.roads.opendrive import RoadNetwork
 from cornercase.roads.road import Road
 
-# A road that climbs or banks by more than this is named.
+# Slope or bank above which a road is reported.
 _HILLY: Final = 0.02
-# m; a road that lacks more of its geometry than this is named, or a lane that is so much narrower than nothing.
+# Missing geometry, or negative lane width, that is reported, in m.
 _MISSING: Final = 0.1
-# Lanes of these types are for some kinds of vehicles.
+# Types of lanes that are reserved for some vehicles.
 _RESERVED: Final = ("bus", "taxi", "HOV", "tram", "rail")
 
 
 def name_without_effect(
     root: etree._Element, file: Path, network: RoadNetwork | None = None, read: bool = True
 ) -> tuple[Notice, ...]:
-    """Name what of a road file changes nothing.
+    """List what has no effect in a road file.
 
-    Parameters
-    ----------
-    root : lxml element
-    file : Path
-        Where it comes from.
-    network : RoadNetwork, optional
-        What was made of it; without it, it is not said which linked roads lie apart.
-    read : bool, default True
-        Whether it was read to its end; otherwise it is not said what nobody read.
-
-    Returns
-    -------
-    tuple of Notice
+    `network` is needed to find linked roads that do not meet. Unless `fully_read`, unused elements are not listed.
     """
-    found = [
+    elements = list(root.iter())
+    reserved = [e for e in elements if local_name(e) == "lane" and e.attrib.get("type") in _RESERVED]
+    notices = [
         _notice("elevation of roads", "vehicles drive in the plane, also on roads that climb or bank by more than 2 %",
                 file, _hilly_roads(root)),
         _notice("lanes for buses, taxis, trams or full cars", "vehicles of all kinds may drive on every lane", file,
-                [one for one in root.iter() if local_name(one) == "lane" and one.attrib.get("type") in _RESERVED]),
+                reserved),
     ]  # fmt: skip
     if network is not None:
-        roads = {str(one.attrib.get("id")): one for one in children(root) if local_name(one) == "road"}
-        found += _contradictions(roads, file, network)
-        for one, other, apart in network.gaps():
-            why = f"they lie {apart:.3g} m apart, so that no way leads from one to the other"
-            found.append(_notice(f"link between the roads {one} and {other}", why, file, [roads[one], roads[other]]))
-        for one, other, apart in network.crossings():
-            what, lines = (
-                f"link between the roads {one} and {other}",
-                [line_of(roads[k]) for k in (one, other)],
+        roads = {str(element.attrib.get("id")): element for element in children(root) if local_name(element) == "road"}
+        notices += _contradictions(roads, file, network)
+        for road, other, distance in network.gaps():
+            reason = f"their ends are {distance:.3g} m apart, so they are not connected"
+            notices.append(
+                _notice(f"link between the roads {road} and {other}", reason, file, [roads[road], roads[other]])
             )
-            why = f"their lanes lie {apart:.3g} m apart; entities get across at once"
-            rule = "lanes of linked roads meet"
-            found.append(Notice((what,), why, file, tuple(sorted({*lines})), Label.ADAPTED, rule))
-    return (*(notice for notice in found if notice.lines), *LEDGER.notices(root, file, read))
+        for road, other, distance in network.crossings():
+            lines = tuple(sorted({line_of(roads[road]), line_of(roads[other])}))
+            reason = f"their lanes are {distance:.3g} m apart; entities jump across"
+            subject = f"link between the roads {road} and {other}"
+            notices.append(Notice((subject,), reason, file, lines, Label.ADAPTED, "lanes of linked roads meet"))
+    return (*(notice for notice in notices if notice.lines), *LEDGER.notices(root, file, read))
 
 
 def _contradictions(elements: dict[str, etree._Element], file: Path, network: RoadNetwork) -> list[Notice]:
-    """Name roads, whose elements are given by id, that are longer than their geometry, and lanes without a width."""
+    """Notices on roads that are longer than their geometry, and on lanes with negative width."""
     short, narrow = [], []
     for road in network.roads:
         first, last = road.geometries[0], road.geometries[-1]
@@ -78,16 +67,16 @@ def _contradictions(elements: dict[str, etree._Element], file: Path, network: Ro
     return [
         _notice(
             "length of roads that have less geometry",
-            "their first and last <geometry> go on in their shape, a <paramPoly3> straight on",
+            "their first and last <geometry> are continued in their shape, a <paramPoly3> straight on",
             file,
             short,
         ),
-        _notice("width of lanes below 0", "a lane is as wide as nothing there", file, narrow),
+        _notice("width of lanes below 0", "the lane is 0 m wide there", file, narrow),
     ]
 
 
 def _narrowest(road: Road, section: int) -> float:
-    """Smallest width of the lanes of a section by its cubics, in m."""
+    """Return the smallest width of the lanes of a section by its cubics, in m."""
     s = np.linspace(0.0, max(float(np.diff(road.seams)[section]), 0.0), 20)
     lanes = road.sections[section][1].values()
     return min((float(evaluate_polynomials(lane.widths, s).min()) for lane in lanes), default=0.0)
@@ -99,10 +88,11 @@ def _notice(what: str, why: str, file: Path, where: list[etree._Element]) -> Not
 
 def _hilly_roads(root: etree._Element) -> list[etree._Element]:
     hilly = []
-    for road in (one for one in children(root) if local_name(one) == "road"):
+    for road in (element for element in children(root) if local_name(element) == "road"):
         length = str(road.attrib.get("length", "0"))
         records = {
-            tag: [one for one in road.iter() if local_name(one) == tag] for tag in ("elevation", "superelevation")
+            tag: [element for element in road.iter() if local_name(element) == tag]
+            for tag in ("elevation", "superelevation")
         }
         climbs = _steepest(records["elevation"], length, slope=True)
         banks = _steepest(records["superelevation"], length, slope=False)
@@ -112,17 +102,17 @@ def _hilly_roads(root: etree._Element) -> list[etree._Element]:
 
 
 def _steepest(records: list[etree._Element], length: str, slope: bool) -> float:
-    """Largest slope (or value) of cubic records that follow each other on a road."""
+    """Return the largest absolute slope (or value) of piecewise cubics on a road."""
     if not records:
         return 0.0
     try:
         cubics = [[float(record.attrib.get(key, 0.0)) for key in "sabcd"] for record in records]
         ends = [s for s, *_ in cubics[1:]] + [float(length)]
     except ValueError:
-        return 0.0  # what is wrong with the road is said where it is read
-    most = 0.0
+        return 0.0  # reported when the road is read
+    steepest = 0.0
     for (start, a, b, c, d), end in zip(cubics, ends, strict=True):
         s = np.linspace(0.0, max(end - start, 0.0), 20)
         curve = b + 2.0 * c * s + 3.0 * d * s**2 if slope else a + b * s + c * s**2 + d * s**3
-        most = max(most, float(np.abs(curve).max()))
-    return most
+        steepest = max(steepest, float(np.abs(curve).max()))
+    return steepest

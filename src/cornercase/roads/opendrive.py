@@ -1,4 +1,4 @@
-"""OpenDRIVE road networks: lanes in the plane, and the way from lane to lane."""
+"""OpenDRIVE road networks in the plane."""
 
 from __future__ import annotations
 
@@ -38,16 +38,8 @@ _JUMP: Final = 0.3
 class RoadNetwork:
     """All roads of an OpenDRIVE file.
 
-    Attributes
-    ----------
-    path : Path
-    roads : tuple of Road
-    connections : dict
-        Junction to its (incoming road, connecting road, contact point, lane links).
-    left_out : dict
-        Id of each road that cannot be used, to what is wrong with it. Nothing is there.
-    line : int, default 1
-        Where the first road stands in the file, for messages.
+    `connections` are those of each junction. `excluded_roads` maps ids of unusable roads to the reason; they are
+    ignored. `first_line` is that of the first road in the file, for messages.
     """
 
     path: Path
@@ -58,49 +50,18 @@ class RoadNetwork:
 
     @classmethod
     def read(cls, path: Path | str) -> RoadNetwork:
-        """Read an OpenDRIVE file, of version 1.4 to 1.9; elevation and temporary lanes are left out.
-
-        Parameters
-        ----------
-        path : path
-
-        Returns
-        -------
-        RoadNetwork
-
-        Raises
-        ------
-        InputError
-            The file, or none of its roads, can be used; the message names the road.
-        """
+        """Read an OpenDRIVE file of version 1.4 to 1.9; elevation and temporary lanes are ignored."""
         return cls.of_xml(read_xml(path), Path(path))
 
     @classmethod
     def of_xml(cls, root: etree._Element, path: Path) -> RoadNetwork:
-        """Network of an OpenDRIVE document that was read already.
-
-        Parameters
-        ----------
-        root : lxml element
-            It loses its namespaces.
-        path : Path
-            Where it comes from.
-
-        Returns
-        -------
-        RoadNetwork
-
-        Raises
-        ------
-        InputError
-            As in `read`.
-        """
+        """Create the network of a parsed OpenDRIVE file; namespaces are removed from `root`."""
         for element in root.iter():
             if isinstance(element.tag, str) and "}" in element.tag:
                 element.tag = element.tag.split("}", 1)[1]
         if root.tag != "OpenDRIVE":
-            place = place_of(root, str(path))
-            raise InputError(f"{place}: the root element is <{root.tag}>; a road file starts with <OpenDRIVE>.")
+            location = place_of(root, str(path))
+            raise InputError(f"{location}: the root element is <{root.tag}>; a road file starts with <OpenDRIVE>.")
         LEDGER.refuse(root, path)
         cuts = _places_of_links(root, path)
         if root.find("header") is None:
@@ -114,7 +75,7 @@ class RoadNetwork:
             if name in elements:
                 raise InputError(f"{path}, line {line}: <road>: a second road has the id '{name}'; give it another.")
             elements[name], where = element, f"{place_of(element, str(path))}, road {name}"
-            # Which lanes are meant is asked of the whole file.
+            # Raises if it is not clear which lanes are meant.
             permanent_lanes(element, where)
             try:
                 road = read_road(element, where, cuts.get(name, ()))
@@ -131,14 +92,14 @@ class RoadNetwork:
             reason = message.partition(f", road {name}: ")[2].removesuffix(".")
             adapt(elements[name], f"road {name}", f"is left out: {reason}", "a road is complete and without jumps")
         junctions = {e.get("id", ""): e for e in root.iterfind("junction")}
-        known = settled(roads, elements, {*junctions})
-        by_name = {road.name: road for road in known}
+        linked = settled(roads, elements, {*junctions})
+        by_name = {road.name: road for road in linked}
         connections = {
             name: read_connections(e, f"{place_of(e, str(path))}, junction {name}", by_name, elements)
             for name, e in junctions.items()
         }
-        begin = int(str(elements[known[0].name].sourceline or 1))
-        return cls(path, known, connections, left_out, begin)
+        first_line = int(str(elements[linked[0].name].sourceline or 1))
+        return cls(path, linked, connections, left_out, first_line)
 
     @cached_property
     def lengths(self) -> FloatArray:
@@ -146,22 +107,7 @@ class RoadNetwork:
         return np.array([road.length for road in self.roads])
 
     def index_of(self, name: str) -> int:
-        """Return the index of a road.
-
-        Parameters
-        ----------
-        name : str
-            Its id.
-
-        Returns
-        -------
-        int
-
-        Raises
-        ------
-        InputError
-            There is none, or it cannot be used.
-        """
+        """Return the index of a road by its id; raises `InputError` if it does not exist or cannot be used."""
         if name in self.left_out:
             raise InputError(self.left_out[name])
         if name not in self._index:
@@ -173,134 +119,57 @@ class RoadNetwork:
         return {road.name: i for i, road in enumerate(self.roads)}
 
     def has_lane_at(self, road: int, lane: int, s: FloatArray) -> BoolArray:
-        """Tell whether a road has a lane of that number at places along it; each has a lane 0, its centre.
-
-        Parameters
-        ----------
-        road, lane : int
-            Index of the road, and lane.
-        s : ndarray of float64, shape (N,)
-            m.
-
-        Returns
-        -------
-        ndarray of bool, shape (N,)
-        """
-        one = self.roads[road]
-        held = np.array([lane == 0 or lane in lanes for _, lanes in one.sections])
-        return np.asarray(held[one.section_at(s)])
+        """Return whether a road has a lane at each s in m, shape (N,); the center lane 0 exists everywhere."""
+        current = self.roads[road]
+        exists = np.array([lane == 0 or lane in lanes for _, lanes in current.sections])
+        return np.asarray(exists[current.section_at(s)])
 
     def runs_along(self, road: int, lane: int, s: float) -> bool:
-        """Tell whether traffic on a lane runs along the road's s.
-
-        Parameters
-        ----------
-        road, lane : int
-            Index of the road, and lane.
-        s : float
-            Place on the road, in m.
-
-        Returns
-        -------
-        bool
-        """
+        """Whether traffic on a lane runs along the road's s, at `s` in m."""
         return bool(self.roads[road].along(lane, np.array([s]))[0])
 
     def road_world(self, road: int, s: FloatArray, t: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Find where road coordinates lie in the plane.
-
-        Parameters
-        ----------
-        road : int
-            Its index.
-        s, t : ndarray of float64, shape (N,)
-            m.
-
-        Returns
-        -------
-        x, y : ndarray of float64, shape (N,)
-            m.
-        heading : ndarray of float64, shape (N,)
-            Direction of the road's s, in rad.
-        """
+        """Convert road coordinates s and t in m to x, y and the heading of the reference line, shape (N,)."""
         return self.roads[road].at(s, t)
 
     def world(
         self, road: int, lane: int, s: FloatArray, offset: FloatArray
     ) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Find where places on a lane lie in the plane.
+        """Convert lane coordinates to x, y and the heading of the lane's traffic, shape (N,).
 
-        Parameters
-        ----------
-        road, lane : int
-            Index of the road, and lane.
-        s : ndarray of float64, shape (N,)
-            m.
-        offset : ndarray of float64, shape (N,)
-            m to the left of the lane's centre, seen along s.
-
-        Returns
-        -------
-        x, y : ndarray of float64, shape (N,)
-            m.
-        heading : ndarray of float64, shape (N,)
-            Direction of the lane's traffic, in rad.
+        `offset` is in m to the left of the lane's center, seen along s.
         """
-        one = self.roads[road]
-        x, y, heading = one.at_lane(lane, s, offset)
-        section = one.section_at(s)
+        current = self.roads[road]
+        x, y, heading = current.at_lane(lane, s, offset)
+        section = current.section_at(s)
         for k in sorted(set(section.tolist())):
-            heading[section == k] += one.slant(k, lane, s[section == k])
-        return x, y, np.where(one.along(lane, s), heading, heading + np.pi)
+            heading[section == k] += current.slant(k, lane, s[section == k])
+        return x, y, np.where(current.along(lane, s), heading, heading + np.pi)
 
     def lane_at(self, road: int, s: FloatArray, t: FloatArray) -> tuple[IntArray, FloatArray]:
-        """Find the lane that holds points of a road, or is nearest to them.
+        """Return the lane that contains road coordinates, or is nearest, and the offset from its center.
 
-        Parameters
-        ----------
-        road : int
-            Its index.
-        s, t : ndarray of float64, shape (N,)
-            m.
-
-        Returns
-        -------
-        lane : ndarray of int64, shape (N,)
-        offset : ndarray of float64, shape (N,)
-            From the lane's centre, in m, positive to the left along s.
+        Offsets are in m, positive to the left along s; all of shape (N,).
         """
-        one = self.roads[road]
+        current = self.roads[road]
         lane, offset = np.zeros(len(s), dtype=np.int64), np.zeros(len(s))
         best = np.full(len(s), np.inf)
-        section = one.section_at(s)
+        section = current.section_at(s)
         for k in np.unique(section):
-            for number in one.sections[int(k)][1]:
+            for number in current.sections[int(k)][1]:
                 rows = np.flatnonzero(section == k)
-                beside = t[rows] - one.center(int(k), number, s[rows])
-                cost = np.abs(beside) - 0.5 * one.width(int(k), number, s[rows])
+                from_center = t[rows] - current.center(int(k), number, s[rows])
+                cost = np.abs(from_center) - 0.5 * current.width(int(k), number, s[rows])
                 rows = rows[nearer := cost < best[rows]]
-                lane[rows], offset[rows], best[rows] = number, beside[nearer], cost[nearer]
+                lane[rows], offset[rows], best[rows] = number, from_center[nearer], cost[nearer]
         return lane, offset
 
     def along_route(
         self, waypoints: list[tuple[int, int, float]], way: FloatArray
     ) -> tuple[IntArray, FloatArray, BoolArray]:
-        """Find where one is on a route after some way.
+        """Return road, s and direction (whether along s) at distances along a route, shape (N,).
 
-        Parameters
-        ----------
-        waypoints : list of (int, int, float)
-            Road, lane and s in m of each.
-        way : ndarray of float64, shape (N,)
-            m from the first waypoint.
-
-        Returns
-        -------
-        road : ndarray of int64, shape (N,)
-        s : ndarray of float64, shape (N,)
-            m.
-        along : ndarray of bool, shape (N,)
-            Whether the route runs along the road's s there.
+        `waypoints` are road, lane and s; `distance` is in m from the first one.
         """
         road, lane, s = waypoints[0]
         section = int(self.roads[road].section_at(np.array([s]))[0])
@@ -311,130 +180,64 @@ class RoadNetwork:
         ).stretches
         roads, begins, starts, directions = [], [], [], []
         length = 0.0
-        for k, here in enumerate(walk):
-            start, end = self._graph.span(here)
-            first = (s if k == 0 else start) if here.along else (s if k == 0 else end)
-            roads.append(here.road)
+        for k, stretch in enumerate(walk):
+            start, end = self._graph.span(stretch)
+            entry = (s if k == 0 else start) if stretch.along else (s if k == 0 else end)
+            roads.append(stretch.road)
             begins.append(length)
-            starts.append(first)
-            directions.append(here.along)
-            length += (end - first) if here.along else (first - start)
+            starts.append(entry)
+            directions.append(stretch.along)
+            length += (end - entry) if stretch.along else (entry - start)
         leg = np.clip(np.searchsorted(begins, way, "right") - 1, 0, len(roads) - 1)
         along = np.array(directions)[leg]
         beyond = way - np.array(begins)[leg]
         return np.array(roads)[leg], np.array(starts)[leg] + np.where(along, beyond, -beyond), along
 
     def way(self, road: IntArray, s: FloatArray, along: BoolArray, goal: IntArray, goal_s: FloatArray) -> FloatArray:
-        """Measure the ways along the roads from places to others, by the shortest way ahead or back.
+        """Return distances along roads from positions to goals, in m, shape (N,); lanes are ignored.
 
-        Lanes do not matter.
-
-        Parameters
-        ----------
-        road : ndarray of int64, shape (N,)
-            Indices of the roads where they begin.
-        s : ndarray of float64, shape (N,)
-            Places on these, in m.
-        along : ndarray of bool, shape (N,)
-            Whether ahead is along the s of the road where it begins.
-        goal : ndarray of int64, shape (N,)
-            Indices of the roads where they end.
-        goal_s : ndarray of float64, shape (N,)
-            Places on these, in m.
-
-        Returns
-        -------
-        ndarray of float64, shape (N,)
-            m; negative where the way leads back, infinite where the roads do not connect.
+        Negative if the shorter route leads back, infinite if the roads are not connected. `forward` is whether ahead
+        means along s.
         """
         return self._graph.roads.way(road, s, along, goal, goal_s)
 
     def gaps(self) -> list[tuple[str, str, float]]:
-        """Find roads that are linked but do not meet, where somebody's path came to the end of one of them so far.
-
-        Returns
-        -------
-        list of (str, str, float)
-            Their ids, and how far apart their lanes end, in m. No way leads from one to the other.
-        """
-        found = sorted((*pair, apart) for pair, apart in self._graph.gaps.items())
-        return [(self.roads[a].name, self.roads[b].name, apart) for a, b, apart in found]
+        """Return linked roads that do not meet, and the distance of their lanes in m, so far as paths got."""
+        pairs = sorted((*pair, distance) for pair, distance in self._graph.gaps.items())
+        return [(self.roads[a].name, self.roads[b].name, distance) for a, b, distance in pairs]
 
     def crossings(self) -> list[tuple[str, str, float]]:
-        """Find linked roads that lie apart by more than half a metre, where somebody's path leads across so far.
-
-        Returns
-        -------
-        list of (str, str, float)
-            Their ids, and how far apart their lanes end, in m.
-        """
-        found = sorted((*pair, apart) for pair, apart in self._graph.crossed.items())
-        return [(self.roads[a].name, self.roads[b].name, apart) for a, b, apart in found]
+        """Return linked roads more than 0.5 m apart that paths cross, and the distance of their lane ends in m."""
+        pairs = sorted((*pair, distance) for pair, distance in self._graph.crossed.items())
+        return [(self.roads[a].name, self.roads[b].name, distance) for a, b, distance in pairs]
 
     def locate(self, x: FloatArray, y: FloatArray) -> Place:
-        """Find where points are on the roads.
+        """Return the positions of points on the roads; x and y in m, shape (N,).
 
-        A lane that holds the point goes before a nearer one, and a driving lane before others.
-
-        Parameters
-        ----------
-        x, y : ndarray of float64, shape (N,)
-            m.
-
-        Returns
-        -------
-        Place
+        A lane that contains the point is preferred to a nearer one, and a drivable lane to others.
         """
         return self._locator.locate(x, y)
 
     def road_from(
         self, last: IntArray, last_s: FloatArray, x: FloatArray, y: FloatArray, heading: FloatArray
     ) -> tuple[IntArray, FloatArray]:
-        """Find the road of points that move, given where they were a moment ago.
+        """Return road and s of moving points, given those of a moment ago (`last_road` is -1 if unknown), shape (N,).
 
-        Where roads overlap, as in a junction, a point stays on its road as long as it can. Then it goes over to the
-        road that runs most like its heading.
-
-        Parameters
-        ----------
-        last : ndarray of int64, shape (N,)
-            Index of the road of each a moment ago; -1 where it is not known.
-        last_s : ndarray of float64, shape (N,)
-            Its s there, in m.
-        x, y : ndarray of float64, shape (N,)
-            m.
-        heading : ndarray of float64, shape (N,)
-            rad.
-
-        Returns
-        -------
-        road : ndarray of int64, shape (N,)
-        s : ndarray of float64, shape (N,)
-            m.
+        Where roads overlap, as in a junction, a point stays on its road as long as it can, and then changes to the road
+        whose direction is most similar to its heading.
         """
         return self._locator.road_from(last, last_s, x, y, heading)
 
     @cached_property
     def tables(self) -> RoadTables:
         """Tables of the roads for compiled code."""
-        # Who needs none does not load the compiler.
+        # Imported here, so that the compiler is loaded only if needed.
         from cornercase.roads.direction import road_tables
 
         return road_tables(self.roads)
 
     def distance_from_lanes(self, x: FloatArray, y: FloatArray) -> FloatArray:
-        """Find how far points are from the nearest of all lanes.
-
-        Parameters
-        ----------
-        x, y : ndarray of float64, shape (N,)
-            m.
-
-        Returns
-        -------
-        ndarray of float64, shape (N,)
-            m; 0 where that is at most 10 m.
-        """
+        """Return distances from the nearest lane in m, shape (N,); 0 up to 10 m."""
         return self._distance.of(x, y)
 
     @cached_property
@@ -443,7 +246,7 @@ class RoadNetwork:
 
     @cached_property
     def _locator(self) -> Locator:
-        if not any(held for road in self.roads for _, held in road.sections):
+        if not any(lanes for road in self.roads for _, lanes in road.sections):
             raise InputError(
                 f"{self.path}, line {self.line}: <road>: none of the roads has a lane, so nothing can be placed on"
                 " them; give one of them a <lane>."
@@ -451,51 +254,32 @@ class RoadNetwork:
         return Locator(self.roads)
 
     def path_of_lane(
-        self,
-        road: int,
-        lane: int,
-        s: float,
-        along: bool,
-        via: tuple[tuple[int, int, float], ...] = (),
+        self, road: int, lane: int, s: float, along: bool, via: tuple[tuple[int, int, float], ...] = ()
     ) -> LanePath | None:
-        """Centre line of a lane and those that follow it, and of those before it for an entity that drives backwards.
+        """Return the path along a lane and those that follow and precede it; None if there is no such lane.
 
-        Parameters
-        ----------
-        road, lane : int
-        s : float
-            Place on the road at which the lane has this number, in m.
-        along : bool
-            Whether the path runs along the road's s there, or against it.
-        via : tuple of (road, lane, s)
-            Roads to pass; they choose the exits of junctions. Beyond them, and without any, it goes as straight on
-            as possible.
-
-        Returns
-        -------
-        LanePath or None
-            None where there is no such lane.
+        `s` is where the lane has this number, `forward` whether the path runs along the road's s. `waypoints` (road,
+        lane, s) choose the exits of junctions; beyond them the path goes as straight on as possible.
         """
-        one = self.roads[road]
-        section = int(one.section_at(np.array([s]))[0])
-        if lane == 0 or lane not in one.sections[section][1]:
+        current = self.roads[road]
+        section = int(current.section_at(np.array([s]))[0])
+        if lane == 0 or lane not in current.sections[section][1]:
             return None
-        here = Stretch(road, section, lane, along)
-        key = (here, via)
+        start = Stretch(road, section, lane, along)
+        key = (start, via)
         if key not in self._paths:
-            # The road it starts on may be among those to pass, as it is in most routes.
-            ahead = self._graph.walk(here, [goal for goal, _, _ in via], _LONGEST_PATH)
-            behind = self._graph.walk(here.reversed(), (), _LONGEST_BACK)
+            ahead = self._graph.walk(start, [goal for goal, _, _ in via], _LONGEST_PATH)
+            behind = self._graph.walk(start.reversed(), (), _LONGEST_BACK)
             after = [self._graph.piece(*piece) for piece in zip(ahead.stretches, ahead.passed, strict=True)]
-            kept, begins = [after[0]], behind.ends
+            before, begins = [after[0]], behind.ends
             for stretch in behind.stretches[1:]:
                 piece = self._graph.piece(stretch.reversed())
-                # A lane that opens beside another names it as the one before, but does not go on from its middle.
-                if np.hypot(piece.x[-1] - kept[0].x[0], piece.y[-1] - kept[0].y[0]) > _JUMP:
+                # A lane that opens beside its predecessor does not continue its center line.
+                if np.hypot(piece.x[-1] - before[0].x[0], piece.y[-1] - before[0].y[0]) > _JUMP:
                     begins = True
                     break
-                kept.insert(0, piece)
-            path = join([*kept[:-1], *after], len(kept) - 1)
+                before.insert(0, piece)
+            path = join([*before[:-1], *after], len(before) - 1)
             self._paths[key] = replace(path, ends=ahead.ends, begins=begins)
         return self._paths[key]
 
@@ -509,11 +293,11 @@ class RoadNetwork:
 
 
 def _places_of_links(root: etree._Element, path: Path) -> dict[str, list[float]]:
-    """Where roads begin or end along others, in m on these, by their id."""
-    found: dict[str, list[float]] = {}
+    """Return the positions in m at which roads start or end along others, by id of the latter."""
+    positions: dict[str, list[float]] = {}
     for road in root.iterfind("road"):
         for link in (*road.iterfind("link/predecessor"), *road.iterfind("link/successor")):
             if link.get("elementS") is not None:
                 s = read_number(link, "elementS", f"{place_of(link, str(path))}, road {road.get('id')}")
-                found.setdefault(link.get("elementId", ""), []).append(s)
-    return found
+                positions.setdefault(link.get("elementId", ""), []).append(s)
+    return positions

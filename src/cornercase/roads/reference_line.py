@@ -1,4 +1,4 @@
-"""Geometry of OpenDRIVE's plan view: where a road's reference line runs."""
+"""Reference lines of roads: the geometries of OpenDRIVE's plan view."""
 
 from __future__ import annotations
 
@@ -18,39 +18,28 @@ from cornercase._common.places import at_line
 from cornercase._common.recorded_xml import adapt
 from cornercase._common.typing import FloatArray
 
-# Below this bend, in rad, a spiral is not told from an arc; Fresnel's integrals lose digits there.
+# Change of heading in rad below which a spiral is treated as an arc, since Fresnel integrals lose digits.
 _STRAIGHT: Final = 1e-7
-# m; over so much of a polynomial to both sides its curvature is measured.
+# Half the step in m for numerical curvature.
 _AROUND: Final = 0.01
-# A curve of a parameter has a table of it, each so many m or finer, with at least and at most so many steps.
+# Spacing in m, and limits of the number of steps, of tables of curve parameters.
 _TABULATED: Final = 0.25
 _STEPS: Final = (64, 8192)
-# Each step is that of so many intervals over which the length is integrated, with so many nodes.
+# Intervals per step, and Gauss-Legendre nodes per interval, to integrate the length.
 _INTERVALS: Final = 2
 _NODES: Final = 5
-# A parameter that moves the place by less than this, in m, moves it not at all.
+# Smallest derivative of the curve, to avoid division by zero.
 _STILL: Final = 1e-9
 
 
 @dataclass(frozen=True)
 class Geometry:
-    """One piece of a reference line.
+    """One geometry of a reference line: start and length in m and rad, kind (name of its element) and numbers.
 
-    Attributes
-    ----------
-    s, x, y, heading, length : float
-        Where it starts, in m and rad, and how long it is.
-    kind : str
-        ``"line"``, ``"arc"``, ``"spiral"``, ``"poly3"`` or ``"paramPoly3"``.
-    numbers : tuple of float
-        Curvature; curvatures at start and end; or polynomial coefficients, for ``paramPoly3`` after the largest
-        value of its parameter.
-
-    Notes
-    -----
-    The parameter of a ``paramPoly3`` is not proportional to the distance, which is measured along the curve. Where the
-    curve is longer or shorter than `length` says, all of it is stretched or shortened to that. Beyond its ends it
-    goes straight on.
+    `shape_parameters` are the curvature (arc), curvatures at both ends (spiral), coefficients (poly3), or largest
+    parameter followed by coefficients (paramPoly3). The parameter of a ``paramPoly3`` is not proportional to the
+    distance, which is measured along the curve. If the curve length differs from `length`, the curve is stretched to
+    that. Beyond its ends it goes straight on.
     """
 
     s: float
@@ -62,25 +51,26 @@ class Geometry:
     numbers: tuple[float, ...] = ()
 
     def at(self, along: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Return x, y and heading at distances from the start, each (N,)."""
+        """Return x, y and heading at distances from the start, shape (N,) each."""
         u, v, turn = self._local(along)
         cos, sin = np.cos(self.heading), np.sin(self.heading)
         return self.x + cos * u - sin * v, self.y + sin * u + cos * v, self.heading + turn
 
     def bend(self, along: FloatArray) -> FloatArray:
-        """Return its curvature in 1/m, positive to the left, at distances from the start, each (N,)."""
+        """Return the curvature in 1/m, positive to the left, at distances from the start, shape (N,)."""
         if self.kind in ("line", "arc", "spiral"):
             first, last = (self.numbers or (0.0,))[0], (self.numbers or (0.0,))[-1]
             return first + along / self.length * (last - first)
         if self.kind == "paramPoly3":
             p, (_, *c) = self.parameter(along), self.numbers
             (du, ddu), (dv, ddv) = (
-                (np.polyval(one, p), np.polyval(np.polyder(one), p)) for one in map(_derivative, (c[:4], c[4:]))
+                (np.polyval(polynomial, p), np.polyval(np.polyder(polynomial), p))
+                for polynomial in map(_derivative, (c[:4], c[4:]))
             )
             bend = (du * ddv - dv * ddu) / np.maximum(np.hypot(du, dv), _STILL) ** 3
             return np.where((along < 0.0) | (along > self.length), 0.0, bend)
         around = np.clip(np.stack([along - _AROUND, along + _AROUND]), 0.0, self.length)
-        turn = np.diff([self._local(one)[2] for one in around], axis=0)[0]
+        turn = np.diff([self._local(polynomial)[2] for polynomial in around], axis=0)[0]
         return np.asarray(within_half_turn(turn) / np.maximum(around[1] - around[0], _AROUND))
 
     def _local(self, along: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
@@ -100,19 +90,19 @@ class Geometry:
         return u + beyond * np.cos(turn), v + beyond * np.sin(turn), turn
 
     def parameter(self, along: FloatArray) -> FloatArray:
-        """Parameter of a ``paramPoly3`` at distances from its start, each (N,); beyond its ends it stays what it is."""
+        """Return the parameter of a ``paramPoly3`` at distances from its start, (N,); constant beyond its ends."""
         value, slope = self.table
         step = self.length / (len(value) - 1)
-        place = np.clip(along, 0.0, self.length) / step
-        k = np.clip(place.astype(np.int64), 0, len(value) - 2)
-        x = place - k
+        position = np.clip(along, 0.0, self.length) / step
+        k = np.clip(position.astype(np.int64), 0, len(value) - 2)
+        x = position - k
         low, high, rise = value[k], value[k + 1], value[k + 1] - value[k]
-        begin, end = step * slope[k] - rise, rise - step * slope[k + 1]
-        return np.asarray((1.0 - x) * low + x * high + x * (1.0 - x) * ((1.0 - x) * begin + x * end))
+        bend_low, bend_high = step * slope[k] - rise, rise - step * slope[k + 1]
+        return np.asarray((1.0 - x) * low + x * high + x * (1.0 - x) * ((1.0 - x) * bend_low + x * bend_high))
 
     @cached_property
     def table(self) -> tuple[FloatArray, FloatArray]:
-        """Parameter of a ``paramPoly3`` at equal distances from its start to its end, and its change by m."""
+        """Parameter of a ``paramPoly3`` at equal distances, and its derivative by distance in 1/m."""
         top, *c = self.numbers
         du, dv = _derivative(c[:4]), _derivative(c[4:])
         steps = int(np.clip(np.ceil(self.length / _TABULATED), *_STEPS))
@@ -136,12 +126,12 @@ class Geometry:
         value[[0, -1]] = 0.0, top
         rise = np.diff(value) * steps / self.length
         slope = length[-1] / self.length / np.maximum(speed(value), _STILL)
-        # Where the curve has a cusp it is not smooth, and must not swing over.
-        most = 3.0 * np.minimum(np.append(rise, rise[-1]), np.append(rise[0], rise))
-        return value, np.minimum(slope, most)
+        # Limit slopes, so that the interpolation does not overshoot at cusps.
+        steepest = 3.0 * np.minimum(np.append(rise, rise[-1]), np.append(rise[0], rise))
+        return value, np.minimum(slope, steepest)
 
     def _poly3(self, along: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-        # u runs along the chord and s along the curve; a fine table turns one into the other.
+        # A fine table converts s, along the curve, to u, along the chord.
         u = np.linspace(0.0, self.length, 2001)
         slope = _derivative(self.numbers)
         speed = np.hypot(1.0, np.polyval(slope, u))
@@ -151,22 +141,9 @@ class Geometry:
 
 
 def read_geometry(element: etree._Element, where: str, begin: float = 0.0, end: str | None = None) -> Geometry:
-    """Read one ``geometry``.
+    """Read a ``geometry``; `location` names file and road.
 
-    Parameters
-    ----------
-    element : lxml element
-    where : str
-        File and road, for messages.
-    begin : float, default 0.0
-        Where it begins if it does not say so, in m.
-    end : str, optional
-        Where it ends if it does not say how long it is, in m, as the file has it.
-
-    Raises
-    ------
-    InputError
-        It is malformed, or of a length below 0.
+    The defaults are used if its start in m, or its end as written in the file, is not given.
     """
     s = read_number(element, "s", where, begin)
     x, y, heading = (read_number(element, name, where, 0.0) for name in ("x", "y", "hdg"))
@@ -181,12 +158,7 @@ def read_geometry(element: etree._Element, where: str, begin: float = 0.0, end: 
         where = at_line(where, element)
         raise InputError(f"{where}: a <geometry> is not a line, arc, spiral, poly3 or paramPoly3.")
     kind = str(shape.tag)
-    names = {
-        "line": (),
-        "arc": ("curvature",),
-        "spiral": ("curvStart", "curvEnd"),
-        "poly3": ("a", "b", "c", "d"),
-    }
+    names = {"line": (), "arc": ("curvature",), "spiral": ("curvStart", "curvEnd"), "poly3": ("a", "b", "c", "d")}
     if kind != "paramPoly3":
         numbers = tuple(read_number(shape, name, where, 0.0) for name in names[kind])
         return Geometry(s, x, y, heading, length, kind, numbers)
@@ -197,7 +169,7 @@ def read_geometry(element: etree._Element, where: str, begin: float = 0.0, end: 
 
 def _arc(along: FloatArray, curvature: float) -> tuple[FloatArray, FloatArray, FloatArray]:
     turn = curvature * along
-    # sinc keeps the digits where the curvature is small.
+    # sinc is accurate for small curvatures.
     chord = along * np.sinc(0.5 * turn / np.pi)
     return chord * np.cos(0.5 * turn), chord * np.sin(0.5 * turn), turn
 
@@ -206,66 +178,50 @@ def _spiral(along: FloatArray, start: float, end: float, length: float) -> tuple
     rate = (end - start) / length
     if turns_evenly(start, end, length):
         return _arc(along, 0.5 * (start + end))
-    # The package takes a quarter of a second to load, and few roads need it.
+    # Imported here: it takes a quarter of a second, and few roads need it.
     from scipy.special import fresnel
 
     sign, scale = np.sign(rate), np.sqrt(np.pi / abs(rate))
-    before = start / rate
-    phase = -0.5 * start * before
-    s0, c0 = fresnel(before / scale)
-    s1, c1 = fresnel((before + along) / scale)
+    offset = start / rate
+    phase = -0.5 * start * offset
+    s0, c0 = fresnel(offset / scale)
+    s1, c1 = fresnel((offset + along) / scale)
     c, s = scale * (c1 - c0), scale * sign * (s1 - s0)
     cos, sin = np.cos(phase), np.sin(phase)
     return cos * c - sin * s, sin * c + cos * s, start * along + 0.5 * rate * along**2
 
 
 def turns_evenly(start: float, end: float, length: float) -> bool:
-    """Whether a spiral is treated as an arc.
-
-    Parameters
-    ----------
-    start, end, length : float
-        Curvatures at its ends in 1/m, and how long it is in m.
-
-    Returns
-    -------
-    bool
-    """
+    """Whether the curvature of a spiral is so constant that it is treated as an arc."""
     return abs((end - start) / length) * length**2 < _STRAIGHT
 
 
 def read_word(element: etree._Element, name: str, words: Sequence[str], missing: str, where: str) -> str:
-    """Read an attribute that is one of a few words, in whatever case; `missing` where there is none.
-
-    Raises
-    ------
-    InputError
-        It is another word.
-    """
+    """Read an attribute that is one of a few words, ignoring case."""
     text = element.get(name)
     if not text:
         return missing
-    if (meant := same_word(element, name, words)) is None:
+    if (match := same_word(element, name, words)) is None:
         tag, line = local_name(element), element.sourceline
         raise InputError(
             f"{where}: {name} '{text}' of <{tag}> in line {line} cannot be used; {suggestion(text, words)}"
         )
-    return meant
+    return match
 
 
 def same_word(element: etree._Element, name: str, words: Sequence[str]) -> str | None:
-    """The one of some words that an attribute is, but for its case and blanks; None where it is none."""
+    """Return which of some words an attribute is, ignoring case and spaces; None if none."""
     text, tag = element.get(name, ""), local_name(element)
-    meant = next((word for word in words if word.lower() == text.strip().lower()), None)
-    if meant is not None and meant != text:
+    match = next((word for word in words if word.lower() == text.strip().lower()), None)
+    if match is not None and match != text:
         adapt(
-            element, f"{name} of <{tag}>", f"is '{text}', and is read as '{meant}'", f"{name} of <{tag}> is '{meant}'"
+            element, f"{name} of <{tag}>", f"is '{text}', and is read as '{match}'", f"{name} of <{tag}> is '{match}'"
         )
-    return meant
+    return match
 
 
 def _difference(end: str | None, start: float) -> float | None:
-    """How far an end, as a file has it, lies beyond a start; None where it does not."""
+    """Return the distance from a start to an end given as text; None if it is not positive."""
     try:
         return max(number_of(end or "") - start, 0.0) or None
     except ValueError:
@@ -273,14 +229,14 @@ def _difference(end: str | None, start: float) -> float | None:
 
 
 def note_disorder(elements: Sequence[etree._Element], starts: Sequence[float]) -> None:
-    """Note which of the elements begin before the one ahead of them in the file, given where each begins in m."""
-    for element, start, before in zip(elements[1:], starts[1:], starts[:-1], strict=True):
-        if start < before:
+    """Record which elements start before their predecessor in the file; `starts` in m."""
+    for element, start, previous in zip(elements[1:], starts[1:], starts[:-1], strict=True):
+        if start < previous:
             tag = local_name(element)
             adapt(
                 element,
                 f"order of <{tag}>",
-                "those of a road are read in the order of their places",
+                "they are sorted by where they begin",
                 f"each <{tag}> begins after the one before",
             )
 
@@ -290,27 +246,7 @@ def _derivative(coefficients: tuple[float, ...] | list[float]) -> list[float]:
 
 
 def read_number(element: etree._Element, name: str, where: str, missing: float | None = None) -> float:
-    """Read a finite number of an attribute.
-
-    Parameters
-    ----------
-    element : lxml element
-    name : str
-        Of the attribute.
-    where : str
-        File and road, for messages.
-    missing : float, optional
-        What it is if the attribute is missing or empty, which a notice then says.
-
-    Returns
-    -------
-    float
-
-    Raises
-    ------
-    InputError
-        It is missing, or none.
-    """
+    """Read a finite number; the use of `default` is recorded. `location` names file and road."""
     text = element.get(name)
     if missing is not None and not (text or "").strip():
         tag = local_name(element)

@@ -1,4 +1,4 @@
-"""One road of an OpenDRIVE file: its reference line, its lanes, and what they are linked to."""
+"""One road of an OpenDRIVE file: reference line, lanes and links."""
 
 from __future__ import annotations
 
@@ -29,28 +29,18 @@ from cornercase.roads.reference_line import Geometry, note_disorder, read_geomet
 
 _SHORTEST_ROAD: Final = 1e-9
 _LONGEST_ROAD: Final = 1e5
-# m; what is no longer is there because coordinates were rounded.
+# Tolerance in m for rounded coordinates.
 _ROUNDING: Final = 1e-6
-# A lane runs at most so steeply across its road, as a slope.
+# Largest lateral slope of a lane.
 _STEEPEST: Final = 10.0
 
 
 @dataclass(frozen=True)
 class Link:
-    """What lies at an end of a road: another road's ``start`` or ``end``, a place along it, or a junction.
+    """What a road is linked to at one end: another road's ``start`` or ``end``, a position along it, or a junction.
 
-    Attributes
-    ----------
-    kind : {"road", "junction", ""}
-        Empty where the file does not say it, until it is settled.
-    element : str
-        Its id.
-    contact : str
-        ``"start"`` or ``"end"``; nothing where it is linked to a place along a road, or to a junction.
-    s : float, optional
-        That place, in m.
-    forward : bool, default True
-        Whether the linked road is driven along its s there, by who drives along the s of the road that has the link.
+    `target_type` is ``"road"``, ``"junction"`` or empty until it is resolved. `s` is the position along a road in m,
+    where `forward` tells whether one continues along its s when coming along the s of the road that has the link.
     """
 
     kind: str
@@ -75,48 +65,48 @@ class Road:
     successor: Link | None
 
     def reference(self, s: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Return x, y and heading of the reference line, each (N,)."""
+        """Return x, y and heading of the reference line, shape (N,) each."""
         x, y, heading = (np.empty(len(s)) for _ in range(3))
         for geometry, rows in self._pieces(s):
             x[rows], y[rows], heading[rows] = geometry.at(s[rows] - geometry.s)
         return x, y, heading
 
     def bend(self, s: FloatArray) -> FloatArray:
-        """Curvature of the reference line in 1/m, positive to the left, shape (N,)."""
+        """Return the curvature of the reference line in 1/m, positive to the left, shape (N,)."""
         bend = np.empty(len(s))
         for geometry, rows in self._pieces(s):
             bend[rows] = geometry.bend(s[rows] - geometry.s)
         return bend
 
     def bends(self, start: float, end: float, step: float) -> tuple[FloatArray, FloatArray]:
-        """Coordinates s from `start` to `end`, and the curvature there; linear in between, with jumps, each (K,).
+        """Return s coordinates and curvatures, shape (K,), that are piecewise linear with jumps.
 
-        Where it is a polynomial, coordinates are at most `step` apart, all in m.
+        For polynomials, coordinates are at most `step` m apart.
         """
         at, bend = [np.zeros(0)], [np.zeros(0)]
         for k, geometry in enumerate(self.geometries):
-            last = k + 1 == len(self.geometries)
-            begin = start if k == 0 else max(start, geometry.s)
-            until = end if last else min(end, self.geometries[k + 1].s)
-            if begin > until:
+            is_last = k + 1 == len(self.geometries)
+            first_s = start if k == 0 else max(start, geometry.s)
+            last_s = end if is_last else min(end, self.geometries[k + 1].s)
+            if first_s > last_s:
                 continue
-            fine = 1 if geometry.kind in ("line", "arc", "spiral") else int(np.ceil((until - begin) / step))
-            at.append(np.linspace(begin, until, max(fine, 1) + 1))
+            steps = 1 if geometry.kind in ("line", "arc", "spiral") else int(np.ceil((last_s - first_s) / step))
+            at.append(np.linspace(first_s, last_s, max(steps, 1) + 1))
             bend.append(geometry.bend(at[-1] - geometry.s))
         return np.concatenate(at), np.concatenate(bend)
 
     @cached_property
     def jumps(self) -> tuple[float, ...]:
-        """Coordinates s at which a piece of the reference line does not begin where the one before ends, in m."""
-        found = []
+        """Coordinates s at which consecutive geometries do not meet, in m."""
+        jumps = []
         for before, after in zip(self.geometries, self.geometries[1:], strict=False):
             x, y, _ = before.at(np.array([after.s - before.s]))
             if np.hypot(x[0] - after.x, y[0] - after.y) > APART:
-                found.append(after.s)
-        return tuple(found)
+                jumps.append(after.s)
+        return tuple(jumps)
 
     def _pieces(self, s: FloatArray) -> Iterator[tuple[Geometry, BoolArray]]:
-        """Pieces of the reference line, and which of the coordinates lie on each."""
+        """Yield geometries, and which of the coordinates are on each."""
         if len(self.geometries) == 1:
             yield self.geometries[0], np.ones(len(s), dtype=np.bool_)
             return
@@ -126,14 +116,14 @@ class Road:
             yield self.geometries[k], piece == k
 
     def at(self, s: FloatArray, t: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Return x, y and heading of points beside the reference line, each (N,)."""
+        """Return x, y and heading at road coordinates s and t, shape (N,) each."""
         x, y, heading = self.reference(s)
         return x - t * np.sin(heading), y + t * np.cos(heading), heading
 
     def at_lane(
         self, lane: int, s: FloatArray, offset: FloatArray | float = 0.0
     ) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Return x, y of points beside a lane's centre, and heading along s, each (N,)."""
+        """Return x, y and the heading of the reference line beside a lane's center, shape (N,) each."""
         section, t = self.section_at(s), np.empty(len(s))
         for k in sorted(set(section.tolist())):
             t[section == k] = self.center(k, lane, s[section == k])
@@ -141,32 +131,32 @@ class Road:
 
     @cached_property
     def seams(self) -> FloatArray:
-        """Where lane sections start, and where the last one ends, in m along s, shape (sections + 1,)."""
+        """Starts of lane sections, and the end of the last one, in m, shape (sections + 1,)."""
         return np.array([*(start for start, _ in self.sections), self.length])
 
     def section_span(self, section: int) -> tuple[float, float]:
-        """Where a lane section starts and ends, in m along s."""
+        """Return start and end of a lane section, in m."""
         start, end = self.seams[section : section + 2].tolist()
         return max(start, 0.0), max(end, start, 0.0)
 
     def section_at(self, s: FloatArray) -> IntArray:
-        """Index of the lane section at each s, shape (N,)."""
+        """Return the index of the lane section at each s, shape (N,)."""
         if len(self.sections) == 1:
             return np.zeros(len(s), dtype=np.int64)
         return np.clip(np.searchsorted(self.seams[:-1], s, "right") - 1, 0, len(self.sections) - 1)
 
     def center(self, section: int, lane: int, s: FloatArray) -> FloatArray:
-        """Lateral coordinate t of a lane's centre in a section, shape (N,)."""
+        """Return the lateral coordinate t of a lane's center, shape (N,)."""
         inner, outer = self.edges(section, lane, s)
         return 0.5 * (inner + outer)
 
     def width(self, section: int, lane: int, s: FloatArray) -> FloatArray:
-        """Width of a lane in a section, shape (N,)."""
+        """Return the width of a lane, shape (N,)."""
         inner, outer = self.edges(section, lane, s)
         return np.asarray(np.abs(outer - inner))
 
     def slant(self, section: int, lane: int, s: FloatArray) -> FloatArray:
-        """Angle in rad from the direction of the reference line to that of a lane's centre in a section, shape (N,)."""
+        """Return the angle between the reference line and a lane's center line, in rad, shape (N,)."""
         inner, outer = self.edges(section, lane, s, rate=True)
         slope = 0.5 * (inner + outer)
         if not slope.any():
@@ -176,7 +166,7 @@ class Road:
         return np.asarray(np.arctan(np.clip(slope / ahead, -_STEEPEST, _STEEPEST)))
 
     def margins(self, s: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Lateral coordinates t of the road's right and left edge, each (N,)."""
+        """Return the lateral coordinates t of the road's right and left edge, shape (N,) each."""
         right, left = np.zeros(len(s)), np.zeros(len(s))
         section = self.section_at(s)
         for k in np.unique(section):
@@ -186,53 +176,41 @@ class Road:
         return right, left
 
     def along(self, lane: int, s: FloatArray) -> BoolArray:
-        """Whether traffic on the lane runs along s, at each s, shape (N,)."""
+        """Return whether traffic on a lane runs along s, shape (N,)."""
         usual = lane == 0 or (lane < 0) == self.right_hand
         reverse = np.array([lane in lanes and lanes[lane].reverse for _, lanes in self.sections])
         return usual ^ reverse[self.section_at(s)]
 
     def edges(self, section: int, lane: int, s: FloatArray, rate: bool = False) -> tuple[FloatArray, FloatArray]:
-        """Lateral coordinates t of a lane's edges in a section, or their `rate` by s, the inner first, each (N,)."""
+        """Return the lateral coordinates t of a lane's inner and outer edge, or their derivatives by s, (N,)."""
         start, lanes = self.sections[section]
         sign = 1 if lane > 0 else -1
         zero = evaluate_polynomials(differentiated(self.offsets) if rate else self.offsets, s)
         inner = outer = zero
-        last = 0
-        for number in sorted(n for n in (abs(other) for other in lanes if other * sign > 0) if n <= abs(lane)):
-            inner, last = outer, number
-            one = lanes[sign * number]
-            lines = one.borders or one.widths
+        last_number = 0
+        for number in sorted(
+            n for n in (abs(candidate) for candidate in lanes if candidate * sign > 0) if n <= abs(lane)
+        ):
+            inner, last_number = outer, number
+            current = lanes[sign * number]
+            lines = current.borders or current.widths
             value = evaluate_polynomials(lines, s - start)
             change = evaluate_polynomials(differentiated(lines), s - start) if rate else value
-            outer = zero + change if one.borders else inner + sign * np.where(value > 0.0, change, 0.0)
-        # A lane that does not exist is as wide as nothing.
-        return (inner, outer) if last == abs(lane) else (outer, outer)
+            outer = zero + change if current.borders else inner + sign * np.where(value > 0.0, change, 0.0)
+        # A lane that does not exist has no width.
+        return (inner, outer) if last_number == abs(lane) else (outer, outer)
 
 
 def read_road(element: etree._Element, where: str, cuts: Iterable[float] = ()) -> Road:
-    """Read a <road>.
-
-    Parameters
-    ----------
-    element : lxml element
-    where : str
-        File and road, for messages.
-    cuts : iterable of float
-        Where other roads begin or end along it, in m.
-
-    Raises
-    ------
-    InputError
-        The road cannot be used.
-    """
+    """Read a <road>; `forced_starts` are positions in m at which other roads start or end along it."""
     geometries = _geometries(element, where)
-    length = read_number(element, "length", where, max(one.s + one.length for one in geometries))
+    length = read_number(element, "length", where, max(geometry.s + geometry.length for geometry in geometries))
     if length < _SHORTEST_ROAD:
         raise InputError(f"{where}: <road> has the length {length:g} m; it must be at least {_SHORTEST_ROAD:g} m.")
     if length > _LONGEST_ROAD:
         raise InputError(f"{where}: <road> is {length:g} m long; at most {_LONGEST_ROAD:g} m are read.")
-    # One that is no longer than rounding has no shape that could go on: those beside it do.
-    geometries = tuple(one for one in geometries if one.length > _ROUNDING) or geometries[-1:]
+    # Geometries of almost no length have no shape to continue.
+    geometries = tuple(geometry for geometry in geometries if geometry.length > _ROUNDING) or geometries[-1:]
     if geometries[-1].length <= 0.0:
         raise InputError(f"{where}: a <geometry> has the length 0 m; it must be above 0.")
     lanes = permanent_lanes(element, where)
@@ -241,7 +219,7 @@ def read_road(element: etree._Element, where: str, cuts: Iterable[float] = ()) -
         raise InputError(f"{where}: has no <laneSection>.")
     offsets = read_polynomials(lanes.iterfind("laneOffset"), "s", where)
     if offsets and offsets[0][0] > _ROUNDING:
-        # Before the first one the lanes are shifted as they are where it begins, as in CARLA.
+        # As in CARLA, the first offset also holds before its start.
         offsets = ((0.0, offsets[0][1], 0.0, 0.0, 0.0), *offsets)
     return Road(
         element.get("id", ""),
@@ -257,34 +235,34 @@ def read_road(element: etree._Element, where: str, cuts: Iterable[float] = ()) -
 
 
 def _geometries(road: etree._Element, where: str) -> tuple[Geometry, ...]:
-    """Pieces of the reference line, in their order."""
-    elements, found = list(road.iterfind("planView/geometry")), list[Geometry]()
+    """Return the geometries of the reference line, in order."""
+    elements, geometries = list(road.iterfind("planView/geometry")), list[Geometry]()
     if not elements:
         raise InputError(f"{where}: has no <geometry> in its <planView>.")
     for k, element in enumerate(elements):
-        begin = found[-1].s + found[-1].length if found else 0.0
+        start = geometries[-1].s + geometries[-1].length if geometries else 0.0
         following = elements[k + 1].attrib.get("s") if k + 1 < len(elements) else road.attrib.get("length")
-        found.append(read_geometry(element, where, begin, following))
-    note_disorder(elements, [one.s for one in found])
-    return tuple(sorted(found, key=lambda one: one.s))
+        geometries.append(read_geometry(element, where, start, following))
+    note_disorder(elements, [geometry.s for geometry in geometries])
+    return tuple(sorted(geometries, key=lambda one: one.s))
 
 
 def permanent_lanes(road: etree._Element, where: str) -> etree._Element | None:
-    """Lanes of the permanent layer, of which a road has one; None where it has none at all."""
+    """Return the <lanes> of the permanent layer; None if the road has no <lanes>."""
     layers = unrecorded(road, "lanes")
-    found = [one for one in layers if one.attrib.get("layer", PERMANENT) == PERMANENT]
-    if len(found) > 1:
+    permanent = [element for element in layers if element.attrib.get("layer", PERMANENT) == PERMANENT]
+    if len(permanent) > 1:
         raise InputError(
-            f"{at_line(where, found[1])}: has a second <lanes> of the layer '{PERMANENT}'; keep one of them,"
+            f"{at_line(where, permanent[1])}: has a second <lanes> of the layer '{PERMANENT}'; keep one of them,"
             " or name the layer of the other."
         )
-    if layers and not found:
+    if layers and not permanent:
         layer = layers[0].attrib.get("layer")
         raise InputError(
-            f"{at_line(where, layers[0])}: has only <lanes> of the layer '{layer}'; give it those of the layer"
-            f" '{PERMANENT}', which are driven on."
+            f"{at_line(where, layers[0])}: has only <lanes> of the layer '{layer}'; give it <lanes> of the layer"
+            f" '{PERMANENT}'."
         )
-    return next((one for one in found if is_permanent(one)), None)
+    return next((element for element in permanent if is_permanent(element)), None)
 
 
 def _link(element: etree._Element | None, where: str) -> Link | None:

@@ -1,4 +1,4 @@
-"""OpenSCENARIO files that break the standard where only one thing can be meant: what they say is put right."""
+"""Normalize OpenSCENARIO files that break the standard but can only mean one thing."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ _STATES: Final = (
     "stopTransition",
 )  # fmt: skip
 
-# Values of enumerated attributes, by their name or by that of the element, too.
+# Allowed values by attribute, or by element/attribute.
 _ENUMERATIONS: Final[dict[str, tuple[str, ...]]] = {
     "parameterType": _TYPES,
     "variableType": _TYPES,
@@ -54,7 +54,7 @@ _ENUMERATIONS: Final[dict[str, tuple[str, ...]]] = {
     "pedestrianCategory": ("animal", "pedestrian", "wheelchair"),
 }  # fmt: skip
 
-# Other words for these values, in small letters.
+# Other spellings of these values, in lower case.
 _SYNONYMS: Final = {
     "bool": "boolean", "float": "double", "real": "double", "number": "double", "long": "integer", "short": "integer",
     "str": "string", "text": "string", "uint": "unsignedInt", "unsigned": "unsignedInt",
@@ -71,7 +71,7 @@ _FLAGS: Final = frozenset({
     "loop", "oppositeLanes", "selectTriggeringEntities", "sensors", "traffic",
 })  # fmt: skip
 
-# What is needed by the standard, and what it is where it is missing.
+# Defaults for missing mandatory attributes, by element.
 _NEEDED: Final[dict[str, dict[str, str]]] = {
     "Condition": {"conditionEdge": "none", "delay": "0"},
     "Event": {"priority": "parallel"},
@@ -99,22 +99,19 @@ _NEEDED: Final[dict[str, dict[str, str]]] = {
     "SpeedActionDynamics": {"dynamicsDimension": "time"},
     "LaneChangeActionDynamics": {"dynamicsDimension": "time"},
 }
-# What a transition at once does not use.
+# Attributes that a step transition ignores.
 _AT_ONCE: Final = {"dynamicsDimension": "time", "value": "0"}
 
-# Where spaces are part of what is said.
+# Elements with free text, where spaces matter.
 _TEXTS: Final = frozenset({"FileHeader", "Property", "License", "UserDefinedAction", "CustomCommandAction"})
 _DECLARATIONS: Final = {"ParameterDeclaration": "parameterType", "VariableDeclaration": "variableType"}
 _ENDLESS: Final = "999999999"
 
 
 def adapt_openscenario(root: etree._Element) -> None:
-    """Put right what a file means but does not say as the standard asks for, and note each such place.
+    """Correct unambiguous violations of the standard in place, and record each on its element.
 
-    Parameters
-    ----------
-    root : lxml element
-        Of a scenario, a catalog or a parameter distribution; anything else is left as it is.
+    Applies to scenarios, catalogs and parameter distributions; any other root is left as it is.
     """
     name = etree.QName(root).localname
     if name.lower() != "openscenario":
@@ -123,11 +120,11 @@ def adapt_openscenario(root: etree._Element) -> None:
     if root.tag != "OpenSCENARIO":
         root.tag = "OpenSCENARIO"
         _note(root, f"<{name}>", "is read as <OpenSCENARIO>", "the root element is <OpenSCENARIO>")
-    every = list(below(root, etree.Element))
+    elements = list(below(root, etree.Element))
     if not any(element.tag == "FileHeader" for element in etree.ElementBase.iterchildren(root, "FileHeader")):
-        why = "the file is read as OpenSCENARIO 1.3, in right-handed axes"
-        _note(root, "missing <FileHeader>", why, "a file begins with its <FileHeader>")
-    for element in every:
+        reason = "the file is read as OpenSCENARIO 1.3, in right-handed axes"
+        _note(root, "missing <FileHeader>", reason, "a file begins with its <FileHeader>")
+    for element in elements:
         _adapt_spaces(element)
         _adapt_declaration(element)
         _adapt_values(element)
@@ -135,7 +132,7 @@ def adapt_openscenario(root: etree._Element) -> None:
 
 
 def _adapt_names(root: etree._Element) -> None:
-    """Take elements out of a namespace."""
+    """Remove namespaces from element names."""
     spaces = set()
     for element in below(root, "{*}*"):
         qualified = etree.QName(element)
@@ -144,51 +141,53 @@ def _adapt_names(root: etree._Element) -> None:
             element.tag = qualified.localname
     if spaces:
         etree.cleanup_namespaces(root, keep_ns_prefixes=["xsi"])
-        what = f"namespace {sorted(spaces)[0]}"
-        _note(root, what, "is left out", "elements of OpenSCENARIO are in no namespace")
+        namespace = f"namespace {sorted(spaces)[0]}"
+        _note(root, namespace, "is left out", "elements of OpenSCENARIO are in no namespace")
 
 
 def _adapt_spaces(element: etree._Element) -> None:
     if element.tag in _TEXTS:
         return
     for key, value in _attributes(element):
-        bare = value.strip()
-        if bare != value:
-            element.set(key, bare)
-            # Around numbers and booleans, XML allows for them.
-            if not (_is_number(bare) or bare in ("true", "false") or bare.startswith("$")):
-                why = f"'{bare}' is read without the spaces around it"
-                _note(element, f"{key} of <{element.tag}>", why, "spaces are part of a name")
+        stripped = value.strip()
+        if stripped != value:
+            element.set(key, stripped)
+            # XML allows spaces around numbers and booleans.
+            if not (_is_number(stripped) or stripped in ("true", "false") or stripped.startswith("$")):
+                reason = f"'{stripped}' is read without the spaces around it"
+                _note(element, f"{key} of <{element.tag}>", reason, "spaces are part of a name")
 
 
 def _adapt_declaration(element: etree._Element) -> None:
-    """Put right the declaration of a parameter or variable, and where distributions name one."""
+    """Correct the declaration of a parameter or variable, or the name that a distribution refers to."""
     kind = _DECLARATIONS.get(str(element.tag))
-    named = "name" if kind is not None else "parameterName" if str(element.tag).endswith("Distribution") else None
-    name = "" if named is None else element.attrib.get(named, "")
-    if named is not None and len(name) > 1 and name.startswith("$"):
-        element.set(named, name[1:])
-        why = f"'{name}' is read as '{name[1:]}'"
-        _note(element, f"{named} of <{element.tag}>", why, "names are declared without a dollar sign")
+    name_attribute = (
+        "name" if kind is not None else "parameterName" if str(element.tag).endswith("Distribution") else None
+    )
+    name = "" if name_attribute is None else element.attrib.get(name_attribute, "")
+    if name_attribute is not None and len(name) > 1 and name.startswith("$"):
+        element.set(name_attribute, name[1:])
+        reason = f"'{name}' is read as '{name[1:]}'"
+        _note(element, f"{name_attribute} of <{element.tag}>", reason, "names are declared without a dollar sign")
     if kind is None or element.attrib.get(kind):
         return
     value = element.attrib.get("value", "")
-    meant = "double" if _is_number(value) else "boolean" if value.lower() in ("true", "false") else "string"
-    element.set(kind, meant)
-    why = f"that of '{element.attrib.get('name', '')}' is read as {meant}, as its value is '{value[:40]}'"
-    _note(element, f"missing {kind} of <{element.tag}>", why, f"a declaration has a {kind}")
+    inferred = "double" if _is_number(value) else "boolean" if value.lower() in ("true", "false") else "string"
+    element.set(kind, inferred)
+    reason = f"'{element.attrib.get('name', '')}' is read as {inferred} because of its value '{value[:40]}'"
+    _note(element, f"missing {kind} of <{element.tag}>", reason, f"a declaration has a {kind}")
 
 
 def _adapt_values(element: etree._Element) -> None:
-    """Put right enumerations, booleans and counts that are spelled in another way."""
+    """Correct the spelling of enumerations, booleans and counts."""
     tag, declared = str(element.tag), _DECLARATIONS.get(str(element.tag))
     for key, value in _attributes(element):
-        known = _ENUMERATIONS.get(key) or _ENUMERATIONS.get(f"{tag}/{key}")
-        if known is not None and value not in known and not value.startswith("$"):
-            meant = _meant(value, known)
-            if meant is not None:
-                element.set(key, meant)
-                _note(element, f"{key} of <{tag}>", f"'{value}' is read as {meant}", f"it is {_either(known)}")
+        allowed = _ENUMERATIONS.get(key) or _ENUMERATIONS.get(f"{tag}/{key}")
+        if allowed is not None and value not in allowed and not value.startswith("$"):
+            match = _meant(value, allowed)
+            if match is not None:
+                element.set(key, match)
+                _note(element, f"{key} of <{tag}>", f"'{value}' is read as {match}", f"it is {_either(allowed)}")
         elif key in _FLAGS and value.lower() in ("true", "false") and value != value.lower():
             _set_flag(element, key, value)
     value = element.attrib.get("value", "")
@@ -199,8 +198,8 @@ def _adapt_values(element: etree._Element) -> None:
         _note(element, f"trailer of <{tag}>", "is read as trailerRef", f"<{tag}> has a trailerRef")
     if tag in ("Event", "ManeuverGroup") and element.attrib.get("maximumExecutionCount") == "-1":
         element.set("maximumExecutionCount", _ENDLESS)
-        why = "-1 is read as as often as it is triggered, as in esmini"
-        _note(element, f"maximumExecutionCount of <{tag}>", why, "it is a whole number above 0")
+        reason = "-1 is read as unlimited, as in esmini"
+        _note(element, f"maximumExecutionCount of <{tag}>", reason, "it is a whole number above 0")
 
 
 def _attributes(element: etree._Element) -> list[tuple[str, str]]:
@@ -210,12 +209,12 @@ def _attributes(element: etree._Element) -> list[tuple[str, str]]:
 def _set_flag(element: etree._Element, key: str, value: str) -> None:
     if value != value.lower():
         element.set(key, value.lower())
-        why = f"'{value}' is read as {value.lower()}"
-        _note(element, f"{key} of <{element.tag}>", why, "a boolean is true, false, 1 or 0")
+        reason = f"'{value}' is read as {value.lower()}"
+        _note(element, f"{key} of <{element.tag}>", reason, "a boolean is true, false, 1 or 0")
 
 
 def _adapt_missing(element: etree._Element) -> None:
-    """Fill in what the standard asks for, where it can be but one thing."""
+    """Add missing attributes that can only have one value."""
     tag = str(element.tag)
     needed = _NEEDED.get(tag)
     if needed is None:
@@ -223,21 +222,23 @@ def _adapt_missing(element: etree._Element) -> None:
     if tag.endswith("ActionDynamics") and element.attrib.get("dynamicsShape") == "step":
         needed = _AT_ONCE
     for key, value in needed.items():
-        spelled = next((one for one, _ in _attributes(element) if one.lower() == key.lower() and one != key), None)
-        if spelled is not None and key not in element.attrib:
-            element.set(key, element.attrib.pop(spelled))
-            _note(element, f"{spelled} of <{tag}>", f"is read as {key}", f"<{tag}> has a {key}")
+        misspelled = next(
+            (name for name, _ in _attributes(element) if name.lower() == key.lower() and name != key), None
+        )
+        if misspelled is not None and key not in element.attrib:
+            element.set(key, element.attrib.pop(misspelled))
+            _note(element, f"{misspelled} of <{tag}>", f"is read as {key}", f"<{tag}> has a {key}")
         elif element.attrib.get(key, "") == "":
             element.set(key, value)
             _note(element, f"missing {key} of <{tag}>", f"is read as {value}", f"<{tag}> has a {key}")
 
 
 def _meant(value: str, known: tuple[str, ...]) -> str | None:
-    """Which of the values is meant by one that is none of them; None where that is open."""
-    plain = re.sub("[^a-z]", "", value.lower())
-    if plain in _SYNONYMS and _SYNONYMS[plain] in known:
-        return _SYNONYMS[plain]
-    return next((one for one in known if one.lower() == plain), None)
+    """Return the allowed value that a misspelled one stands for, or None if that is not clear."""
+    letters = re.sub("[^a-z]", "", value.lower())
+    if letters in _SYNONYMS and _SYNONYMS[letters] in known:
+        return _SYNONYMS[letters]
+    return next((candidate for candidate in known if candidate.lower() == letters), None)
 
 
 def _either(known: tuple[str, ...]) -> str:
@@ -253,11 +254,11 @@ def _is_number(text: str) -> bool:
 
 
 def _note(element: etree._Element, what: str, why: str, rule: str) -> None:
-    for one in _shown(element):
-        adapt(one, what, why, rule)
+    for noted in _shown(element):
+        adapt(noted, what, why, rule)
 
 
 def _shown(element: etree._Element) -> Iterator[etree._Element]:
-    """Where a note is seen: of a catalog, only the entries are asked what was noted of them."""
+    """Yield the elements to record a change on: for a catalog its entries, since only these are looked at."""
     catalog = None if element.getparent() is not None else etree.ElementBase.find(element, "Catalog")
     yield from (element,) if catalog is None else etree.ElementBase.iterchildren(catalog, etree.Element)

@@ -1,4 +1,4 @@
-"""Attributes of a file, read for many concrete scenarios at once."""
+"""Read attributes of a file for a batch of concrete scenarios at once."""
 
 from __future__ import annotations
 
@@ -20,33 +20,22 @@ from cornercase.scenario.parameter import Value
 from cornercase.scenario.varies import VariesError
 
 _Placed = etree._Element | Declaration
-"""What has a line in the file."""
+"""Something with a line number in the file."""
 
-# Whole numbers count lanes and repetitions.
+# Integers are lane numbers and repetitions.
 _MOST: Final = 1e9
 
 
-# Files have the same few over and over.
+# Cached, since files repeat the same few numbers.
 _literal = lru_cache(4096)(finite_number)
 
 
 class Attributes:
-    """Reads attributes, given the values of parameters for N concrete scenarios.
+    """Reads attributes, given the parameter values of N concrete scenarios.
 
-    Parameters
-    ----------
-    source : str
-        Name of the file, for messages.
-    scenarios : int
-        N.
-    values : mapping of str to float, bool, str or ndarray of shape (N,)
-    origins : mapping of str to set of str
-        For each parameter, the parameters of the logical scenario that its value depends on.
-
-    Attributes
-    ----------
-    used : set of str
-        Parameters of the logical scenario on which an attribute depended that was read as one value for all.
+    `parameter_values` maps a parameter to a scalar or an array of shape (N,), `origin_parameters` to the parameters
+    of the logical scenario that its value depends on. `split_parameters` collects those on which an attribute
+    depended that was read as one value for all N.
     """
 
     def __init__(self, source: str, scenarios: int, values: Mapping[str, Any], origins: Mapping[str, set[str]]) -> None:
@@ -58,38 +47,14 @@ class Attributes:
         self._refused: list[tuple[str, BoolArray]] = []
 
     def origins(self, text: str) -> set[str]:
-        """Return the parameters of the logical scenario that an attribute depends on.
-
-        Parameters
-        ----------
-        text : str
-            Of the attribute.
-
-        Returns
-        -------
-        set of str
-        """
+        """Return the parameters of the logical scenario that an attribute's text depends on."""
         return {origin for name in names_in(text) for origin in self._origins.get(name, set())}
 
     def number(self, element: etree._Element, attribute: str, default: float | None = None) -> FloatArray:
-        """Read an attribute as a number for each scenario.
+        """Read an attribute as a number for each scenario, shape (N,).
 
-        Parameters
-        ----------
-        element : lxml element
-        attribute : str
-        default : float, optional
-            Where the attribute is missing; by default it must not be.
-
-        Returns
-        -------
-        ndarray of float64, shape (N,)
-            Not finite where an expression has no value; `refused` then tells so.
-
-        Raises
-        ------
-        InputError
-            It is missing, no number, or has no finite value in any scenario.
+        Values are not finite where an expression has no value; `invalid_values` then lists them. Without a default the
+        attribute is mandatory.
         """
         text = element.get(attribute)
         if text is None:
@@ -115,56 +80,22 @@ class Attributes:
         return np.full(self.scenarios, numbers)
 
     def _same(self, number: float) -> FloatArray:
-        # Twice as fast as `np.full`, and there are hundreds in a file.
+        # Twice as fast as `np.full`; a file has hundreds of numbers.
         result = np.empty(self.scenarios)
         result.fill(number)
         return result
 
     def refuse(self, element: _Placed, attribute: str, why: str, where: BoolArray) -> None:
-        """Note that an attribute has a value that cannot be used in some scenarios.
-
-        Parameters
-        ----------
-        element : lxml element
-        attribute : str
-        why : str
-            Goes on from the name of the attribute: ``"is not above 0"``.
-        where : ndarray of bool, shape (N,)
-        """
+        """Record that an attribute is invalid in some scenarios; `reason` is as in "is not above 0"."""
         if where.any():
             self._refused.append((f"line {element.sourceline}: {attribute} of <{element.tag}> {why}", where.copy()))
 
     def refused(self) -> list[tuple[str, BoolArray]]:
-        """Tell what cannot be used, and in which scenarios.
-
-        Returns
-        -------
-        list of (str, ndarray of bool of shape (N,))
-            Sentences without a full stop, in the order in which the file was read.
-        """
+        """Return invalid attributes in the order read: a sentence without full stop, and a mask of shape (N,)."""
         return list(self._refused)
 
     def one_number(self, element: etree._Element, attribute: str, default: float | None = None) -> float:
-        """Read an attribute as one number.
-
-        Parameters
-        ----------
-        element : lxml element
-        attribute : str
-        default : float, optional
-            Where the attribute is missing; by default it must not be.
-
-        Returns
-        -------
-        float
-
-        Raises
-        ------
-        InputError
-            It is missing or no number.
-        VariesError
-            It is not the same for all scenarios.
-        """
+        """Read an attribute as one number; raises `BatchSplitError` if the scenarios differ."""
         text = element.get(attribute, "")
         literal = _literal(text)
         if literal is not None:
@@ -181,28 +112,7 @@ class Attributes:
     def whole_number(
         self, element: etree._Element, attribute: str, default: int | None = None, least: int | None = None
     ) -> int:
-        """Read an attribute as one whole number.
-
-        Parameters
-        ----------
-        element : lxml element
-        attribute : str
-        default : int, optional
-            Where the attribute is missing; by default it must not be.
-        least : int, optional
-            Below which it cannot be used.
-
-        Returns
-        -------
-        int
-
-        Raises
-        ------
-        InputError
-            It is missing, no whole number, or below the least.
-        VariesError
-            It is not the same for all scenarios.
-        """
+        """Read an attribute as one integer; raises `BatchSplitError` if the scenarios differ."""
         value = self.one_number(element, attribute, default)
         if not abs(value) < _MOST or value != round(value):
             raise self._error(element, attribute, f"is {value:g}, which is not a whole number that can be used")
@@ -211,27 +121,7 @@ class Attributes:
         return round(value)
 
     def text(self, element: etree._Element, attribute: str, default: str | None = None) -> str:
-        """Read an attribute as one text.
-
-        Parameters
-        ----------
-        element : lxml element
-        attribute : str
-        default : str, optional
-            Where the attribute is missing; by default it must not be.
-
-        Returns
-        -------
-        str
-            Numbers and booleans as they would be written.
-
-        Raises
-        ------
-        InputError
-            It is missing.
-        VariesError
-            It is not the same for all scenarios.
-        """
+        """Read an attribute as one text; raises `BatchSplitError` if the scenarios differ."""
         text = element.get(attribute)
         if text is None:
             if default is None:
@@ -248,32 +138,13 @@ class Attributes:
         return value_text(value)
 
     def flag(self, element: etree._Element, attribute: str, default: bool) -> bool:
-        """Read an attribute as a boolean.
-
-        Parameters
-        ----------
-        element : lxml element
-        attribute : str
-        default : bool
-            Where the attribute is missing.
-
-        Returns
-        -------
-        bool
-
-        Raises
-        ------
-        InputError
-            It is neither true nor false.
-        VariesError
-            It is not the same for all scenarios.
-        """
+        """Read an attribute as one boolean; raises `BatchSplitError` if the scenarios differ."""
         text = self.text(element, attribute, "true" if default else "false")
         if text.lower() not in ("true", "false", "1", "0"):
             raise self._error(element, attribute, f"is '{text}', not true or false")
         if text != text.lower() and isinstance(element, etree._Element):
-            why = f"'{text}' is read as {text.lower()}"
-            adapt(element, f"{attribute} of <{element.tag}>", why, "a boolean is true, false, 1 or 0")
+            reason = f"'{text}' is read as {text.lower()}"
+            adapt(element, f"{attribute} of <{element.tag}>", reason, "a boolean is true, false, 1 or 0")
             text = text.lower()
         return text in ("true", "1")
 
@@ -293,7 +164,7 @@ class Attributes:
         return text
 
     def _note_texts(self, text: str, result: Any, element: _Placed, attribute: str) -> None:
-        """Note that an expression calculates with texts that are numbers."""
+        """Record that an expression uses texts as numbers."""
         texts = [name for name in sorted(names_in(text)) if isinstance(self.values.get(name), str)]
         if texts and isinstance(element, etree._Element) and isinstance(result, float | np.floating | np.ndarray):
             adapt(

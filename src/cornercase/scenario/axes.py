@@ -1,4 +1,4 @@
-"""Axes of a scenario file: those of the standard and of its road file, or the left-handed ones of CARLA."""
+"""Axes of a scenario file: the right-handed ones of the standard, or the left-handed ones of CARLA."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from lxml import etree
 from cornercase._common.recorded_xml import unrecorded
 
 LEFT_HANDED: Final = "CARLA:"
-"""A description in the header that begins so turns the axes of the whole file, as in ScenarioRunner."""
+"""Start of the header's description that declares left-handed axes, as in ScenarioRunner."""
 
 TURNED: Final = {
     "WorldPosition": ("y", "h"),
@@ -20,11 +20,11 @@ TURNED: Final = {
     "Clothoid": ("curvature", "curvaturePrime", "curvatureDot"),
     "ClothoidSplineSegment": ("curvatureStart", "curvatureEnd", "hOffset"),
 }
-"""Attributes by element that have the other sign in left-handed axes."""
+"""Attributes that change their sign in left-handed axes, by element."""
 
 
 def left_handed_header(root: etree._Element) -> etree._Element | None:
-    """Header of a scenario file that says that its axes are left-handed; None where it says nothing of the kind."""
+    """Return the file header if it declares left-handed axes, else None."""
     for header in unrecorded(root, "FileHeader"):
         if str(header.attrib.get("description", "")).startswith(LEFT_HANDED):
             return header
@@ -32,17 +32,11 @@ def left_handed_header(root: etree._Element) -> etree._Element | None:
 
 
 def turn_axes(root: etree._Element) -> None:
-    """Write positions in the other axes, in a tree whose attributes are numbers.
-
-    Parameters
-    ----------
-    root : lxml element
-        It is changed.
-    """
+    """Mirror all positions of a tree in place; its attributes have to be numbers."""
     for element in root.iter(*TURNED):
         for name in TURNED[str(element.tag)]:
             try:
                 number = float(element.get(name, ""))
             except ValueError:
-                continue  # what is no number is refused where it is read
+                continue  # refused when it is read
             element.set(name, repr(0.0 - number))

@@ -1,4 +1,4 @@
-"""Entries of catalogs, by the names of both."""
+"""Look up catalog entries by the names of catalog and entry."""
 
 from __future__ import annotations
 
@@ -13,25 +13,17 @@ from cornercase._common.errors import InputError, suggestion
 from cornercase._common.recorded_xml import children
 
 _CATALOG: Final = re.compile(rb"<(?:[A-Za-z_][\w.-]*:)?Catalog[\s/>]")
-# Files in two bytes a character begin so.
+# Byte order marks of UTF-16.
 _WIDE: Final = (b"\xff\xfe", b"\xfe\xff")
 
 
 def holds_catalog(content: bytes) -> bool:
-    """Tell whether a file holds a catalog, as far as that shows before it is parsed."""
+    """Whether a file seems to hold a catalog, judged by its text without parsing it."""
     return content.startswith(_WIDE) or _CATALOG.search(content) is not None
 
 
 class Catalogs:
-    """The catalogs of a scenario.
-
-    Parameters
-    ----------
-    source : Path
-        The scenario file, for messages.
-    documents : iterable of (Path, lxml element)
-        Files in its catalog locations, and their roots; what is no catalog is left out.
-    """
+    """The catalogs among the files in a scenario's catalog locations."""
 
     def __init__(self, source: Path, documents: Iterable[tuple[Path, etree._Element]]) -> None:
         self._source = source
@@ -39,60 +31,47 @@ class Catalogs:
         for file, root in documents:
             catalog = root.find("Catalog")
             if catalog is not None:
-                # As in esmini, a catalog can be named by its file as well.
+                # As in esmini, the file name also names the catalog.
                 for name in dict.fromkeys((catalog.get("name", ""), file.stem)):
                     self._named.setdefault(name, []).append((file, catalog))
 
     def named(self, catalog: str) -> list[etree._Element]:
-        """Return the catalogs of a name; none where there is none."""
-        return [one for _, one in self._named.get(catalog, ())]
+        """Return all catalogs of a name."""
+        return [element for _, element in self._named.get(catalog, ())]
 
     def entry_anywhere(self, entry: str) -> etree._Element | None:
-        """Return the element of a name of whichever catalog has it first; None where none has."""
+        """Return the first entry of a name in any catalog, or None."""
         for documents in self._named.values():
-            for _, one in documents:
-                for element in children(one):
+            for _, catalog in documents:
+                for element in children(catalog):
                     if element.attrib.get("name") == entry:
                         element.get("name")
                         return element
         return None
 
     def entry(self, catalog: str, entry: str) -> etree._Element:
-        """Return the element that a catalog holds under a name.
+        """Return an entry of a catalog.
 
-        Of several catalogs of the name, one whose file has it, too, goes before the others.
-
-        Parameters
-        ----------
-        catalog, entry : str
-
-        Returns
-        -------
-        lxml element
-
-        Raises
-        ------
-        InputError
-            There is no such catalog, it lacks the entry, or several of the name have it and differ.
+        Among several catalogs with that name, one whose file has the name too is preferred.
         """
         if catalog not in self._named:
             raise InputError(f"{self._source}: there is no catalog '{catalog}'; {suggestion(catalog, self._named)}")
-        found: list[tuple[Path, etree._Element]] = []
-        known: list[str] = []
-        for file, one in self._named[catalog]:
-            entries = {str(e.attrib.get("name", "")): e for e in children(one)}
-            known += entries
-            found += [(file, entries[entry])] if entry in entries else []
-        if not found:
+        matches: list[tuple[Path, etree._Element]] = []
+        names: list[str] = []
+        for file, holder in self._named[catalog]:
+            entries = {str(e.attrib.get("name", "")): e for e in children(holder)}
+            names += entries
+            matches += [(file, entries[entry])] if entry in entries else []
+        if not matches:
             raise InputError(
-                f"{self._source}: the catalog '{catalog}' has no entry '{entry}'; {suggestion(entry, known)}"
+                f"{self._source}: the catalog '{catalog}' has no entry '{entry}'; {suggestion(entry, names)}"
             )
-        first = [one for one in found if one[0].stem == catalog] or found
-        if len({etree.tostring(element, method="c14n").strip() for _, element in first}) > 1:
+        preferred = [holder for holder in matches if holder[0].stem == catalog] or matches
+        if len({etree.tostring(element, method="c14n").strip() for _, element in preferred}) > 1:
             raise InputError(
                 f"{self._source}: the entry '{entry}' of the catalog '{catalog}' is in"
-                f" {' and in '.join(str(file) for file, _ in first)}, with different contents;"
+                f" {' and in '.join(str(file) for file, _ in preferred)}, with different contents;"
                 " give the catalogs different names."
             )
-        first[0][1].get("name")
-        return first[0][1]
+        preferred[0][1].get("name")
+        return preferred[0][1]

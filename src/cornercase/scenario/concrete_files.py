@@ -1,4 +1,4 @@
-"""Concrete scenarios as files of their own."""
+"""Write concrete scenarios as files that run on their own."""
 
 from __future__ import annotations
 
@@ -19,20 +19,15 @@ from cornercase.scenario.openscenario import DRIVER_PROPERTY, Scenario
 from cornercase.scenario.parameter import Value
 from cornercase.scenario.xml import parse_xml
 
-# Initial actions that say who moves an entity.
+# Initial actions that set the controller of an entity.
 _CONTROLLERS: Final = ("ControllerAction", "AssignControllerAction", "ActivateControllerAction")
 
 
 @dataclass(frozen=True)
 class ConcreteFile:
-    """A concrete scenario as the content of a file, and what has to lie beside it.
+    """Content of a concrete scenario file (XML in UTF-8), and the files that have to be next to it.
 
-    Attributes
-    ----------
-    content : bytes
-        XML in UTF-8.
-    beside : tuple of (Path, str, str)
-        Files that it names: where each is, where it has to be from the folder of the file, and its root element.
+    `companions` has for each: its path, its path relative to the concrete file's folder, the tag of its root element.
     """
 
     content: bytes
@@ -46,38 +41,16 @@ def write_concrete(
     drivers: Mapping[str, str] | None = None,
     description: str | None = None,
 ) -> tuple[Path, ...]:
-    """Write a concrete scenario that runs by itself.
+    """Write a concrete scenario, with copies of its road file and catalogs next to it; return the paths of all files.
 
-    The road file and the catalogs are copied beside it, unless they are there already.
-
-    Parameters
-    ----------
-    scenario : Scenario
-        The logical scenario's file.
-    values : mapping of str to float or str
-        Values of parameters, written into their declarations.
-    target : Path
-    drivers : mapping of str to str, optional
-        Driver presets by entity, written as controller properties.
-    description : str, optional
-        Replaces the description in the file's header.
-
-    Returns
-    -------
-    tuple of Path
-        The file, and those beside it that it needs.
-
-    Raises
-    ------
-    InputError
-        A parameter or entity does not exist, or the target cannot be written.
+    `drivers` maps entities to driver presets. `description` replaces the one in the file header.
     """
-    made = fill_concrete(scenario, values, target, drivers, description)
-    for source, place, root in made.beside:
-        copy_beside(source, target.parent / place, root)
+    concrete = fill_concrete(scenario, values, target, drivers, description)
+    for source, relative, root in concrete.beside:
+        copy_beside(source, target.parent / relative, root)
     with written_whole(target) as temporary:
-        temporary.write_bytes(made.content)
-    return target, *(target.parent / place for _, place, _ in made.beside)
+        temporary.write_bytes(concrete.content)
+    return target, *(target.parent / relative for _, relative, _ in concrete.beside)
 
 
 def fill_concrete(
@@ -87,36 +60,13 @@ def fill_concrete(
     drivers: Mapping[str, str] | None = None,
     description: str | None = None,
 ) -> ConcreteFile:
-    """Give what `write_concrete` writes, and write nothing.
-
-    Parameters
-    ----------
-    scenario : Scenario
-        The logical scenario's file.
-    values : mapping of str to float or str
-        Values of parameters, written into their declarations.
-    target : Path
-        For messages.
-    drivers : mapping of str to str, optional
-        Driver presets by entity, written as controller properties.
-    description : str, optional
-        Replaces the description in the file's header.
-
-    Returns
-    -------
-    ConcreteFile
-
-    Raises
-    ------
-    InputError
-        A parameter or entity does not exist, or XML cannot hold a value.
-    """
+    """Return what `write_concrete_file` writes, without writing it; `target` is for messages."""
     scenario.require_parameters(list(values))
     tree = etree.ElementTree(etree.fromstring(etree.tostring(scenario.root)))
     root = tree.getroot()
     header = root.find("FileHeader")
     if description is not None and header is not None:
-        # It also says in which axes the file is.
+        # The prefix declares the axes of the file.
         axes = "" if left_handed_header(root) is None else LEFT_HANDED
         _set(header, "description", plain_text(axes + description), target)
     for declaration in root.iterfind("ParameterDeclarations/ParameterDeclaration"):
@@ -137,7 +87,7 @@ def fill_concrete(
 
 
 def _road_beside(scenario: Scenario, root: etree._Element) -> Iterator[tuple[Path, str, str]]:
-    """Let the scenario name its road beside it."""
+    """Make the scenario refer to a road file next to it, and yield that file."""
     logic_file = root.find("RoadNetwork/LogicFile")
     if logic_file is not None and logic_file.get("filepath"):
         holder, attribute = _holder(root, logic_file, "filepath")
@@ -147,25 +97,29 @@ def _road_beside(scenario: Scenario, root: etree._Element) -> Iterator[tuple[Pat
 
 
 def _catalogs_beside(scenario: Scenario, root: etree._Element) -> Iterator[tuple[Path, str, str]]:
-    """Let the scenario name its catalogs in a folder beside it."""
-    taken: dict[str, Path] = {}
+    """Make the scenario refer to catalogs in a folder next to it, and yield their files."""
+    folders: dict[str, Path] = {}
     for directory in root.iterfind("CatalogLocations//Directory"):
         holder, attribute = _holder(root, directory, "path")
         folder = scenario.beside(holder.get(attribute, ""), "catalog location")
-        # "..", too, is the name of a folder.
-        name = plain = portable_name(folder.stem if folder.is_file() else folder.name)
-        # Two folders may have one name.
-        while taken.setdefault(name, folder) != folder:
-            name = f"{plain}-{len(taken) + 1}"
-        # The location may be a file itself, as openPASS writes it.
-        held = scenario.catalog_files()
-        for file in [folder] if folder.is_file() else [one for one in sorted(folder.glob("*.xosc")) if one in held]:
+        # ".." is a folder name, too.
+        name = base = portable_name(folder.stem if folder.is_file() else folder.name)
+        # Folders may have the same name.
+        while folders.setdefault(name, folder) != folder:
+            name = f"{base}-{len(folders) + 1}"
+        # openPASS writes files as catalog locations.
+        catalog_files = scenario.catalog_files()
+        for file in (
+            [folder]
+            if folder.is_file()
+            else [candidate for candidate in sorted(folder.glob("*.xosc")) if candidate in catalog_files]
+        ):
             yield file, f"catalogs/{name}/{file.name}", "OpenSCENARIO"
         holder.set(attribute, f"catalogs/{name}")
 
 
 def _holder(root: etree._Element, element: etree._Element, attribute: str) -> tuple[etree._Element, str]:
-    """Where a path really stands: in the attribute, or in the declaration of the parameter that it names."""
+    """Return the element and attribute that hold a path: its own, or the declaration of a parameter."""
     text = element.get(attribute, "")
     for declaration in root.iterfind("ParameterDeclarations/ParameterDeclaration"):
         if text == f"${declaration.get('name')}":
@@ -174,7 +128,7 @@ def _holder(root: etree._Element, element: etree._Element, attribute: str) -> tu
 
 
 def _typed_text(value: Value, declaration: etree._Element, path: Path) -> str:
-    """Write a value as one of the type that its parameter is declared with."""
+    """Format a value as the declared type of its parameter."""
     if isinstance(value, str) and value.lstrip().startswith("$"):
         return value
     try:
@@ -187,7 +141,7 @@ def _set(element: etree._Element, attribute: str, text: str, target: Path) -> No
     try:
         element.set(attribute, text)
     except ValueError:
-        raise InputError(f"{target}: cannot be written, since XML cannot hold {plain_text(text)!r}.") from None
+        raise InputError(f"{target}: cannot be written, since XML cannot contain {plain_text(text)!r}.") from None
 
 
 def _set_driver(scenario_object: etree._Element, driver: str, target: Path) -> None:
@@ -203,7 +157,7 @@ def _set_driver(scenario_object: etree._Element, driver: str, target: Path) -> N
 
 
 def _keep_driver(root: etree._Element, entity: str) -> None:
-    """Leave out what gives an entity another controller as it begins: its driver stays in charge, as it was chosen."""
+    """Remove initial controller actions of an entity, so that they do not replace the driver that was chosen for it."""
     for private in root.findall("Storyboard/Init/Actions/Private"):
         if private.get("entityRef") == entity:
             for action in private.findall("PrivateAction"):
@@ -215,19 +169,7 @@ def _keep_driver(root: etree._Element, entity: str) -> None:
 
 
 def copy_beside(source: Path, target: Path, root: str) -> None:
-    """Copy an XML file that a scenario needs, unless it is there already.
-
-    Parameters
-    ----------
-    source, target : Path
-    root : str
-        Tag of its root element.
-
-    Raises
-    ------
-    InputError
-        As `read_beside`, or it cannot be written.
-    """
+    """Copy an XML file that a scenario needs, unless an identical copy exists; `root_tag` is its root tag."""
     content = read_beside(source, root)
     if target.exists() and target.read_bytes() == content:
         return
@@ -236,29 +178,14 @@ def copy_beside(source: Path, target: Path, root: str) -> None:
 
 
 def read_beside(source: Path, root: str) -> bytes:
-    """Read an XML file that a scenario needs, to copy it.
+    """Return the content of an XML file that a scenario needs; refuse a file whose root element has another tag.
 
-    A scenario may come from a stranger and name any file, so only one that is what it is needed for is copied.
-
-    Parameters
-    ----------
-    source : Path
-    root : str
-        Tag of its root element.
-
-    Returns
-    -------
-    bytes
-
-    Raises
-    ------
-    InputError
-        There is no such file, or it is of another kind.
+    The check matters for untrusted scenarios: they could name any file of this machine.
     """
     if not source.is_file():
-        raise InputError(f"{source}: is needed by the scenario but is not there.")
+        raise InputError(f"{source}: is needed by the scenario but does not exist.")
     content = read_file(source)
-    found = parse_xml(content, source).tag
-    if found != root:
-        raise InputError(f"{source}: the root element is <{found}>; the scenario needs a file with <{root}> there.")
+    tag = parse_xml(content, source).tag
+    if tag != root:
+        raise InputError(f"{source}: the root element is <{tag}>; the scenario needs a file with <{root}>.")
     return content

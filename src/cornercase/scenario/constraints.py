@@ -1,4 +1,4 @@
-"""Declarations of a scenario's parameters, and which of their values belong together."""
+"""Declarations of a scenario's parameters, and the constraints on their values."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ _RULES: Final[dict[str, Callable[[Any, Any], Any]]] = {
     "lessOrEqual": np.less_equal,
 }
 
-# Rules for what has no order.
+# Rules for types without an order.
 _OF_TEXTS: Final = {"equalTo", "notEqualTo"}
 
 _SIGNS: Final = {
@@ -35,20 +35,20 @@ _SIGNS: Final = {
     "lessOrEqual": "<=",
 }
 
-# Values are handed on with six decimals, so that a bound may be missed by the last of them.
+# Values are passed on with six decimals.
 _TOLERANCE: Final = 1e-6
 
 
 @dataclass(frozen=True)
 class Constraint:
-    """What the value of a parameter has to fulfil (OpenSCENARIO 1.3, ``ValueConstraint``).
+    """A condition on the value of a parameter (OpenSCENARIO 1.3, ``ValueConstraint``).
 
     Attributes
     ----------
     rule : str
         ``"equalTo"``, ``"notEqualTo"``, ``"greaterThan"``, ``"greaterOrEqual"``, ``"lessThan"`` or ``"lessOrEqual"``.
     value : str
-        What the parameter is compared with; it may be an expression of other parameters.
+        Right-hand side; may be an expression of other parameters.
     """
 
     rule: str
@@ -57,20 +57,20 @@ class Constraint:
 
 @dataclass(frozen=True)
 class Declaration:
-    """A parameter of a scenario, as its file declares it (OpenSCENARIO 1.3, ``ParameterDeclaration``).
+    """A parameter that a scenario file declares (OpenSCENARIO 1.3, ``ParameterDeclaration``).
 
     Attributes
     ----------
     name : str
-        Its name.
+        Name of the parameter.
     kind : str
-        Type of its values, ``"double"`` or ``"string"`` for instance.
+        Type of its values, such as ``"double"`` or ``"string"``.
     value : str
-        What it is where nothing else is said; it may be an expression of the parameters before it.
+        Default value; may be an expression of the parameters declared before it.
     groups : tuple of tuple of Constraint
-        The value has to fulfil all constraints of at least one group; without groups it may be any.
+        The value has to fulfil all constraints of at least one group. Without groups any value is allowed.
     sourceline : int or None
-        Where it stands in the file.
+        Line in the file.
     """
 
     tag: ClassVar[str] = "ParameterDeclaration"
@@ -83,7 +83,7 @@ class Declaration:
 
     @classmethod
     def read(cls, element: etree._Element, source: str) -> Declaration:
-        """Read an element of a file.
+        """Read a declaration from a file.
 
         Parameters
         ----------
@@ -99,7 +99,7 @@ class Declaration:
         Raises
         ------
         InputError
-            A constraint has no rule that exists.
+            A constraint has an unknown rule.
         """
         for constraint in element.iterfind("ConstraintGroup/ValueConstraint"):
             rule = constraint.get("rule", "")
@@ -109,84 +109,52 @@ class Declaration:
                     f" {suggestion(rule, _RULES)}"
                 )
         groups = tuple(
-            tuple(Constraint(one.get("rule", ""), one.get("value", "")) for one in group.iterfind("ValueConstraint"))
+            tuple(
+                Constraint(condition.get("rule", ""), condition.get("value", ""))
+                for condition in group.iterfind("ValueConstraint")
+            )
             for group in element.iterfind("ConstraintGroup")
         )
         kind = element.get("parameterType", "string")
-        ordered = {one.rule for group in groups for one in group} - _OF_TEXTS
+        ordered = {condition.rule for group in groups for condition in group} - _OF_TEXTS
         if kind == "string" and ordered:
             adapt(
                 element,
                 f"<ValueConstraint> of {element.get('name', '')}",
-                "its texts are compared as numbers where they are numbers",
-                "texts are only equalTo and notEqualTo each other",
+                "texts that are numbers are compared as numbers",
+                "the rule for texts is equalTo or notEqualTo",
             )
         line: Any = element.sourceline
         return cls(element.get("name", ""), kind, element.get("value", ""), groups, line)
 
 
 def read_declarations(root: etree._Element, source: str) -> tuple[Declaration, ...]:
-    """Read the parameters that an element of a file declares.
-
-    Parameters
-    ----------
-    root : lxml element
-        ``OpenSCENARIO``, an entry of a catalog, or another one with ``ParameterDeclarations``.
-    source : str
-        Name of the file, for messages.
-
-    Returns
-    -------
-    tuple of Declaration
-        In the order of the file.
-
-    Raises
-    ------
-    InputError
-        A constraint has no rule that exists.
-    """
+    """Read the parameters that an element declares, in order; `file_name` is for messages."""
     return made_once(root, "declarations", lambda: _read(root, source))
 
 
 def _read(root: etree._Element, source: str) -> tuple[Declaration, ...]:
-    found: dict[str, Declaration] = {}
+    declarations: dict[str, Declaration] = {}
     for element in root.iterfind("ParameterDeclarations/ParameterDeclaration"):
-        read = Declaration.read(element, source)
-        # Its value may refer to parameters that are declared between the two.
-        before = found.pop(read.name, None)
-        if before is not None:
-            why = f"'{read.name}' is declared in line {before.sourceline}, too; the later one counts, as in esmini"
-            adapt(element, "repeated <ParameterDeclaration>", why, "a parameter is declared once")
-        found[read.name] = read
-    return tuple(found.values())
+        declaration = Declaration.read(element, source)
+        # Keep the later position: its value may refer to parameters declared in between.
+        earlier = declarations.pop(declaration.name, None)
+        if earlier is not None:
+            name, line = declaration.name, earlier.sourceline
+            reason = f"'{name}' is declared in line {line}, too; the later one counts, as in esmini"
+            adapt(element, "repeated <ParameterDeclaration>", reason, "a parameter is declared once")
+        declarations[declaration.name] = declaration
+    return tuple(declarations.values())
 
 
 def violations(
     declarations: Sequence[Declaration], scenarios: int, value_of: Callable[[str], Any], bound: Callable[[str], Any]
 ) -> dict[str, BoolArray]:
-    """Find concrete scenarios whose parameters break the constraints of their declarations.
+    """Return masks of shape (N,) of the scenarios that violate constraints, by parameter; only if there are any.
 
-    Parameters
-    ----------
-    declarations : sequence of Declaration
-    scenarios : int
-        N.
-    value_of : callable
-        Name of a parameter to its value, one or (N,).
-    bound : callable
-        Text of a constraint's value to that value, one or (N,).
-
-    Returns
-    -------
-    dict of str to ndarray of bool, shape (N,)
-        Where each parameter with constraints breaks them; without those that never do.
-
-    Raises
-    ------
-    InputError
-        A constraint compares a parameter with what is no value of its type.
+    `get_value` maps a parameter to its value, `evaluate_bound` the text of a constraint; both scalars or shape (N,).
     """
-    found = {}
+    masks = {}
     for declaration in declarations:
         if not declaration.groups:
             continue
@@ -194,9 +162,9 @@ def violations(
         for group in declaration.groups:
             holds = np.ones(scenarios, dtype=np.bool_)
             for constraint in group:
-                value, other = value_of(declaration.name), bound(constraint.value)
+                value, reference = value_of(declaration.name), bound(constraint.value)
                 try:
-                    holds &= _compare(constraint.rule, value, other, declaration.kind)
+                    holds &= _compare(constraint.rule, value, reference, declaration.kind)
                 except ValueError:
                     raise InputError(
                         f"The constraint {in_words([constraint])} of the parameter {declaration.name} has no value of"
@@ -204,38 +172,44 @@ def violations(
                     ) from None
             fulfilled |= holds
         if not fulfilled.all():
-            found[declaration.name] = ~fulfilled
-    return found
+            masks[declaration.name] = ~fulfilled
+    return masks
 
 
 def in_words(group: Sequence[Constraint]) -> str:
-    """Say what a group of constraints asks for, as ``"> 18 and <= 20"``."""
-    return " and ".join(f"{_SIGNS[one.rule]} {one.value}" for one in group)
+    """Format a group of constraints, as ``"> 18 and <= 20"``."""
+    return " and ".join(f"{_SIGNS[constraint.rule]} {constraint.value}" for constraint in group)
 
 
 def to_json(declarations: Sequence[Declaration]) -> list[dict[str, Any]]:
-    """Plain values from which `from_json` makes the same declarations."""
+    """Return JSON values, the inverse of `declarations_from_json`."""
     return [
         {
-            "name": one.name,
-            "type": one.kind,
-            "value": one.value,
-            "groups": [[{"rule": each.rule, "value": each.value} for each in group] for group in one.groups],
+            "name": declaration.name,
+            "type": declaration.kind,
+            "value": declaration.value,
+            "groups": [
+                [{"rule": constraint.rule, "value": constraint.value} for constraint in group]
+                for group in declaration.groups
+            ],
         }
-        for one in declarations
+        for declaration in declarations
     ]
 
 
 def from_json(plain: Sequence[Mapping[str, Any]]) -> tuple[Declaration, ...]:
-    """Declarations from `to_json`."""
+    """Restore declarations from `declarations_to_json`."""
     return tuple(
         Declaration(
-            one["name"],
-            one["type"],
-            one["value"],
-            tuple(tuple(Constraint(_known(each["rule"]), each["value"]) for each in group) for group in one["groups"]),
+            declaration["name"],
+            declaration["type"],
+            declaration["value"],
+            tuple(
+                tuple(Constraint(_known(constraint["rule"]), constraint["value"]) for constraint in group)
+                for group in declaration["groups"]
+            ),
         )
-        for one in plain
+        for declaration in plain
     )
 
 
@@ -246,13 +220,13 @@ def _known(rule: str) -> str:
 
 
 def _compare(rule: str, value: Any, bound: Any, kind: str) -> Any:
-    """Compare values as those of a type; raises a `ValueError` for what is none of it."""
+    """Compare values as their declared type; raises `ValueError` if one does not have that type."""
     if kind not in NUMERIC and not (kind == "string" and rule not in _OF_TEXTS and _are_numbers(value, bound)):
-        of_kind = np.vectorize(lambda one: str(typed_value(_plain(one), kind)), otypes=[str])
+        of_kind = np.vectorize(lambda item: str(typed_value(_plain(item), kind)), otypes=[str])
         return _RULES[rule](of_kind(value), of_kind(bound))
     value, bound = np.asarray(value, dtype=np.float64), np.asarray(bound, dtype=np.float64)
-    near = np.abs(value - bound) <= _TOLERANCE
-    return near if rule == "equalTo" else _RULES[rule](value, bound) & ~near | (near & (rule.endswith("OrEqual")))
+    close = np.abs(value - bound) <= _TOLERANCE
+    return close if rule == "equalTo" else _RULES[rule](value, bound) & ~close | (close & (rule.endswith("OrEqual")))
 
 
 def _are_numbers(*values: Any) -> bool:

@@ -1,4 +1,4 @@
-"""Criteria by which ScenarioRunner judges a run, and which a scenario asks for in the form of conditions."""
+"""Pass/fail criteria of ScenarioRunner, which scenario files request in the form of conditions."""
 
 from __future__ import annotations
 
@@ -10,101 +10,55 @@ from lxml import etree
 from cornercase._common.recorded_xml import adapt, below
 from cornercase.scenario.scope import Scope
 
-# What ScenarioRunner cuts off the name of a condition to get that of a criterion.
+# Prefix of a condition's name that requests a criterion of ScenarioRunner.
 _PREFIX: Final = "criteria_"
 _RULE: Final = "a ParameterCondition refers to a declared parameter"
 
 
 @dataclass(frozen=True)
 class Criterion:
-    """A criterion that a scenario file asks for.
-
-    Attributes
-    ----------
-    name : str
-        As ScenarioRunner calls it: ``"CollisionTest"``.
-    value : float or None
-        Its bound; None where the file gives none.
-    """
+    """A criterion that a scenario file requests, such as ``"CollisionTest"``, and its bound if the file gives one."""
 
     name: str
     value: float | None
 
 
 def criteria_in(root: etree._Element, scope: Scope) -> tuple[Criterion, ...]:
-    """Criteria of a scenario file, in its order.
-
-    Parameters
-    ----------
-    root : lxml element
-    scope : Scope
-        Of one scenario.
-
-    Returns
-    -------
-    tuple of Criterion
-        As ScenarioRunner takes them, those of triggers that stop something.
-
-    Raises
-    ------
-    InputError
-        The bound of one is not a number.
-    """
-    found: list[Criterion] = []
+    """Return the criteria of a scenario file in its order: as in ScenarioRunner, those in stop triggers."""
+    criteria: list[Criterion] = []
     for trigger in below(root, "StopTrigger"):
-        for asked in below(trigger, "ParameterCondition"):
-            name = criterion_name(asked)
+        for condition in below(trigger, "ParameterCondition"):
+            name = criterion_name(condition)
             if name:
-                # Without the name of an argument, ScenarioRunner gives the criterion no value.
-                bounded = str(asked.attrib.get("parameterRef", "")).strip() and "value" in asked.attrib
-                found.append(Criterion(name, float(scope.number(asked, "value")[0]) if bounded else None))
-    return tuple(found)
+                # ScenarioRunner ignores the value if there is no parameterRef.
+                has_bound = str(condition.attrib.get("parameterRef", "")).strip() and "value" in condition.attrib
+                criteria.append(Criterion(name, float(scope.number(condition, "value")[0]) if has_bound else None))
+    return tuple(criteria)
 
 
 def criterion_name(element: etree._Element) -> str:
-    """Tell which criterion a condition stands for.
-
-    Parameters
-    ----------
-    element : lxml element
-        ``ParameterCondition``.
-
-    Returns
-    -------
-    str
-        Name of the criterion; empty where it stands for none.
-    """
+    """Return the criterion that a ``ParameterCondition`` requests; empty if none."""
     name = _condition_name(element)
     return name.removeprefix(_PREFIX) if name.startswith(_PREFIX) else ""
 
 
 def is_never_true(element: etree._Element, name: str) -> bool:
-    """Tell whether a condition on a parameter that the file does not declare is no mistake, and note what it means.
+    """Whether a condition on an undeclared parameter is no mistake; record on the element what it means.
 
-    Parameters
-    ----------
-    element : lxml element
-        ``ParameterCondition``.
-    name : str
-        Of the parameter.
-
-    Returns
-    -------
-    bool
-        Whether it is one of ScenarioRunner's criteria, or refers to no parameter at all.
+    That is so for ScenarioRunner's criteria, and for conditions that refer to no parameter at all.
     """
-    for read in ("value", "rule"):
-        element.get(read)
+    for attribute in ("value", "rule"):
+        element.get(attribute)
     if criterion_name(element):
-        why = (
-            "asks ScenarioRunner for a criterion to judge the run by, not for the value of a parameter; it is never"
-            " true, nor is a group that it stands in"
+        reason = (
+            "requests a criterion of ScenarioRunner instead of comparing a parameter; the condition and its group are"
+            " never true"
         )
-        adapt(element, _condition_name(element), why, _RULE)
+        adapt(element, _condition_name(element), reason, _RULE)
         return True
     if not name.strip():
-        why = "refers to no parameter; it is never true, nor is a group that it stands in"
-        adapt(element, f"condition '{_condition_name(element)}'", why, _RULE)
+        reason = "refers to no parameter; the condition and its group are never true"
+        adapt(element, f"condition '{_condition_name(element)}'", reason, _RULE)
         return True
     return False
 

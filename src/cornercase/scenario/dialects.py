@@ -1,4 +1,4 @@
-"""Formats that are near to OpenSCENARIO XML 1.0 to 1.3, told from it so that a message can say what to do."""
+"""Recognize formats similar to OpenSCENARIO XML 1.0 to 1.3, for helpful error messages."""
 
 from __future__ import annotations
 
@@ -10,9 +10,9 @@ from lxml import etree
 from cornercase._common.recorded_xml import adapt, unrecorded
 
 NEWEST: Final = 3
-"""Minor version of OpenSCENARIO XML 1 that is read."""
+"""Newest supported minor version of OpenSCENARIO XML 1."""
 
-# How lines of a file in ASAM's domain-specific language begin.
+# Statements of ASAM OpenSCENARIO DSL.
 _DSL: Final = re.compile(
     rb"^(?:import\s+\S|(?:actor|action|scenario|struct|enum|modifier|extend|type|unit|global|namespace|use|export)\s+[\w.]+)",
     re.MULTILINE,
@@ -27,19 +27,9 @@ _OPENPASS: Final = {
 
 
 def other_language(data: bytes) -> str:
-    """Say what a file is that is no XML; empty where that is not known.
-
-    Parameters
-    ----------
-    data : bytes
-
-    Returns
-    -------
-    str
-        A part of a sentence, without a full stop.
-    """
-    begin = data[:_LOOKED_AT].removeprefix(b"\xef\xbb\xbf").lstrip()
-    if begin.startswith(b"<") or not _DSL.search(begin):
+    """Describe what a file that is not XML contains, as a part of a sentence; empty if not recognized."""
+    head = data[:_LOOKED_AT].removeprefix(b"\xef\xbb\xbf").lstrip()
+    if head.startswith(b"<") or not _DSL.search(head):
         return ""
     return (
         "is written in the language of ASAM OpenSCENARIO DSL (2.x), which is not read; write the scenario as"
@@ -48,17 +38,7 @@ def other_language(data: bytes) -> str:
 
 
 def other_format(root: etree._Element) -> str:
-    """Say of what other format an XML file is; empty where that is not known.
-
-    Parameters
-    ----------
-    root : lxml element
-
-    Returns
-    -------
-    str
-        A part of a sentence, without a full stop.
-    """
+    """Describe an XML format that is no OpenSCENARIO 1.x, as a part of a sentence; empty if not recognized."""
     tag = str(root.tag).rpartition("}")[2]
     if tag in _OPENPASS:
         return f"<{tag}> {_OPENPASS[tag]}; give the scenario, Scenario.xosc beside it"
@@ -71,25 +51,15 @@ def other_format(root: etree._Element) -> str:
 
 
 def note_version(root: etree._Element) -> None:
-    """Note on the header of a scenario that it is of a later version than those that are read."""
+    """Record on the file header that the version is later than the supported ones."""
     minor = later_version(root)
     for header in unrecorded(root, "FileHeader") if minor is not None else ():
-        why = f"is {minor}, a version that is not published yet; the file is read as OpenSCENARIO XML 1.{NEWEST}"
-        adapt(header, "revMinor of <FileHeader>", why, f"revMinor is 0 to {NEWEST}")
+        reason = f"is {minor}, a version that is not published yet; the file is read as OpenSCENARIO XML 1.{NEWEST}"
+        adapt(header, "revMinor of <FileHeader>", reason, f"revMinor is 0 to {NEWEST}")
 
 
 def later_version(root: etree._Element) -> int | None:
-    """Tell whether a file is of a later minor version of OpenSCENARIO XML 1 than those that are read.
-
-    Parameters
-    ----------
-    root : lxml element
-
-    Returns
-    -------
-    int or None
-        The minor version; None of any other file.
-    """
+    """Return the minor version of a file if it is later than the supported ones, else None."""
     for header in unrecorded(root, "FileHeader"):
         major, minor = (str(header.attrib.get(name, "")).strip() for name in ("revMajor", "revMinor"))
         if major == "1" and minor.isascii() and minor.isdigit() and len(minor) < 4 and int(minor) > NEWEST:

@@ -1,4 +1,4 @@
-"""Stochastic distributions of OpenSCENARIO, as maps between the unit interval and values."""
+"""Probability distributions of OpenSCENARIO, as maps between the unit interval and values."""
 
 from __future__ import annotations
 
@@ -16,23 +16,17 @@ from cornercase._common.numbers import number_of
 from cornercase._common.typing import FloatArray
 
 _LEAST_SHARE: Final = 1e-12
-# Beyond this, numbers have no digits left for what lies between them.
+# Above this, doubles have no decimals left.
 _LARGEST: Final = 1e15
 _MOST_COUNTS: Final = 100_000
 
 
 @dataclass(frozen=True)
 class Distribution:
-    """A distribution cut off at bounds.
+    """A probability distribution, truncated to an interval; ``"poisson"`` and ``"set"`` are discrete.
 
-    Attributes
-    ----------
-    kind : str
-        ``"uniform"``, ``"normal"``, ``"lognormal"``, ``"histogram"``; ``"poisson"`` and ``"set"`` are discrete.
-    low, high : float
-        Bounds.
-    numbers : tuple of float
-        Mean and standard deviation, of the logarithm for ``"lognormal"``; the mean; edges and then weights; or weights.
+    `shape_parameters` are mean and standard deviation (normal; of the logarithm for lognormal), mean (poisson), all
+    edges followed by all weights (histogram), or weights (set).
     """
 
     kind: str
@@ -42,11 +36,11 @@ class Distribution:
 
     @property
     def discrete(self) -> bool:
-        """Whether it is one of single values."""
+        """Whether it is discrete."""
         return self.kind in ("poisson", "set")
 
     def quantiles(self, u: FloatArray) -> FloatArray:
-        """Values below which the shares `u` of the cut-off distribution lie, shape (n,); for the continuous kinds."""
+        """Return the quantiles of probabilities, shape (n,); for continuous kinds."""
         if self.kind == "uniform":
             return self.low + u * (self.high - self.low)
         if self.kind == "histogram":
@@ -56,7 +50,7 @@ class Distribution:
         return np.clip(np.exp(x) if self.kind == "lognormal" else x, self.low, self.high)
 
     def place(self, value: float) -> float:
-        """Share of the cut-off distribution that lies below `value`; for the continuous kinds."""
+        """Return the cumulative probability of a value; for continuous kinds."""
         if self.kind == "uniform":
             return float(np.clip((value - self.low) / (self.high - self.low), 0.0, 1.0))
         if self.kind == "histogram":
@@ -67,13 +61,13 @@ class Distribution:
         return float(_cut_normal(*self._normal()).cdf(value))
 
     def edges(self) -> FloatArray:
-        """Bounds of the values' shares of the unit interval, shape (n + 1,); for the discrete kinds."""
+        """Return the cumulative probabilities of the values, starting with 0, shape (n + 1,); for discrete kinds."""
         if self.kind == "set":
             return _cumulated(np.array(self.numbers))
         return _cumulated(_poisson(self.low, self.high, self.numbers[0]))
 
     def to_json(self) -> dict[str, Any]:
-        """Plain values."""
+        """Return JSON values, the inverse of `distribution_from_json`."""
         return {"kind": self.kind, "low": self.low, "high": self.high, "numbers": list(self.numbers)}
 
     def _normal(self) -> tuple[float, float, float, float]:
@@ -90,15 +84,14 @@ class Distribution:
 
 @lru_cache(maxsize=256)
 def _cut_normal(low: float, high: float, mean: float, deviation: float) -> Any:
-    # The package takes half a second to load, and few files need it.
+    # Imported here: it takes half a second, and few files need it.
     from scipy import stats
 
     return stats.truncnorm(low, high, loc=mean, scale=deviation)
 
 
 def _poisson(low: float, high: float, mean: float) -> FloatArray:
-    """Probability of each count from `low` to `high`."""
-    # As above.
+    """Return the probability of each count from `low` to `high`."""
     from scipy.special import gammaln, xlogy
 
     counts = np.arange(low, high + 1.0)
@@ -115,7 +108,7 @@ def _cumulated(weights: FloatArray) -> FloatArray:
 
 
 def from_json(plain: Mapping[str, Any]) -> Distribution:
-    """Distribution from `Distribution.to_json`."""
+    """Restore a distribution from `Distribution.to_json`."""
     return Distribution(plain["kind"], plain["low"], plain["high"], tuple(plain["numbers"]))
 
 
@@ -123,21 +116,16 @@ def read_distribution(element: etree._Element, path: str) -> tuple[Distribution,
     """Read a ``StochasticDistribution``, and the values of a probability set.
 
     Expected value and variance of a log-normal distribution are those of the logarithm, as in the C++ standard library.
-    A distribution without bounds is cut off where 0.01 % lie beyond.
-
-    Raises
-    ------
-    InputError
-        It is user-defined, or its numbers cannot be used.
+    Without bounds, 0.01 % are cut off on each side.
     """
     where = f"{path}, parameter {element.get('parameterName', '')}"
     law, choices = _read_law(element, where)
     if not max(abs(law.low), abs(law.high)) <= _LARGEST:
         raise InputError(
-            f"{where}: the distribution reaches from {law.low:g} to {law.high:g}; at most {_LARGEST:g} is searched."
+            f"{where}: the distribution reaches from {law.low:g} to {law.high:g}; the largest value is {_LARGEST:g}."
         )
     if not law.discrete and not law.low < law.high:
-        raise InputError(f"{where}: the distribution has hardly any value but {law.low:g}; give it a larger variance.")
+        raise InputError(f"{where}: almost all values are {law.low:g}; increase the variance.")
     return law, choices
 
 
@@ -176,9 +164,9 @@ def _read_law(element: etree._Element, where: str) -> tuple[Distribution, tuple[
 
 def _read_set(element: etree._Element, where: str) -> tuple[Distribution, tuple[str, ...]]:
     weights: dict[str, float] = {}
-    for one in element.iterfind("Element"):
-        value = one.get("value", "")
-        weights[value] = weights.get(value, 0.0) + _weight(one, where)
+    for item in element.iterfind("Element"):
+        value = item.get("value", "")
+        weights[value] = weights.get(value, 0.0) + _weight(item, where)
     total = sum(weights.values())
     weights = {value: weight for value, weight in weights.items() if weight > _LEAST_SHARE * total}
     if not weights:
@@ -187,7 +175,7 @@ def _read_set(element: etree._Element, where: str) -> tuple[Distribution, tuple[
 
 
 def _read_histogram(element: etree._Element, where: str) -> Distribution:
-    bins = sorted((*_bounds(one.find("Range"), where), _weight(one, where)) for one in element.iterfind("Bin"))
+    bins = sorted((*_bounds(item.find("Range"), where), _weight(item, where)) for item in element.iterfind("Bin"))
     if not bins or any(a[1] != b[0] for a, b in pairwise(bins)):
         raise InputError(f"{where}: the bins of the <Histogram> must follow each other without gaps.")
     if not any(weight for *_, weight in bins):
@@ -201,7 +189,7 @@ def _read_poisson(element: etree._Element, where: str) -> Distribution:
     if not mean > 0:
         raise InputError(f"{where}: the expected value of a Poisson distribution must be above 0.")
     if mean > _LARGEST:
-        raise InputError(f"{where}: the expected value is {mean:g}; at most {_LARGEST:g} is searched.")
+        raise InputError(f"{where}: the expected value is {mean:g}; the largest is {_LARGEST:g}.")
     if span is None:
         low, high = _poisson_bounds(mean)
     else:
@@ -209,16 +197,16 @@ def _read_poisson(element: etree._Element, where: str) -> Distribution:
     low, high = max(float(np.ceil(low)), 0.0), float(np.floor(high))
     if high - low > _MOST_COUNTS or max(low, high) > _LARGEST:
         raise InputError(f"{where}: a Poisson distribution may have {_MOST_COUNTS} values at most; narrow its range.")
-    # Counts that hardly ever occur have no place on the unit interval.
+    # Drop counts whose part of the unit interval would be too small.
     shares = _poisson(low, high, mean)
-    kept = np.flatnonzero(shares > _LEAST_SHARE * shares.sum())
-    if kept.size == 0:
-        raise InputError(f"{where}: hardly any count lies in the range; move it to {mean:g}.")
-    return Distribution("poisson", low + float(kept[0]), low + float(kept[-1]), (mean,))
+    likely = np.flatnonzero(shares > _LEAST_SHARE * shares.sum())
+    if likely.size == 0:
+        raise InputError(f"{where}: the range has almost no probability; move it to {mean:g}.")
+    return Distribution("poisson", low + float(likely[0]), low + float(likely[-1]), (mean,))
 
 
 def _poisson_bounds(mean: float) -> tuple[float, float]:
-    """Counts between which all but 0.02 % lie."""
+    """Return the 0.01 % and 99.99 % quantiles."""
     from scipy import stats
 
     return float(stats.poisson.ppf(1e-4, mean)), float(stats.poisson.ppf(1 - 1e-4, mean))
@@ -238,7 +226,7 @@ def _weight(element: etree._Element, where: str) -> float:
     if weight < 0:
         raise InputError(f"{where}: the weight {weight:g} is negative.")
     if weight > _LARGEST:
-        raise InputError(f"{where}: the weight {weight:g} is above {_LARGEST:g}; divide all of them.")
+        raise InputError(f"{where}: the weight {weight:g} is above {_LARGEST:g}; scale all weights down.")
     return weight
 
 

@@ -1,7 +1,7 @@
-"""OpenSCENARIO expressions ``${…}``, evaluated for many concrete scenarios at once.
+"""Evaluate OpenSCENARIO expressions ``${…}`` for many concrete scenarios at once.
 
 The grammar is that of ASAM OpenSCENARIO XML 1.3, section "Expressions": arithmetic, comparison and logic on
-numbers, booleans and strings, with the standard's functions. Nothing of an expression is ever run as code.
+numbers, booleans and strings, with the standard's functions. Expressions are parsed here and never run as code.
 """
 
 from __future__ import annotations
@@ -22,7 +22,6 @@ Operand = Any  # float, bool or str, or an array of them over concrete scenarios
 _MOST_CHARACTERS: Final = 10_000
 _MOST_NESTED: Final = 100
 _MOST_SHOWN: Final = 100
-# So many expressions are remembered.
 _REMEMBERED: Final = 1024
 
 _TOKEN: Final = re.compile(
@@ -68,23 +67,9 @@ _CONSTANTS: Final[dict[str, bool | float]] = {"true": True, "false": False, "pi"
 
 
 def evaluate(expression: str, values: Mapping[str, Operand]) -> Operand:
-    """Value of an expression, without the surrounding ``${`` and ``}``.
+    """Evaluate an expression, given without ``${`` and ``}``; arrays in `values` broadcast.
 
-    Parameters
-    ----------
-    expression : str
-    values : mapping of str to scalar or ndarray
-        The parameters that may occur; arrays broadcast.
-
-    Returns
-    -------
-    scalar or ndarray
-        Not finite where the expression has no value (a division by zero, the root of a negative number).
-
-    Raises
-    ------
-    InputError
-        The expression is malformed, too long or too deep, or names what does not exist.
+    The result is not finite if the expression has no value, as for a division by zero.
     """
     if len(expression) > _MOST_CHARACTERS:
         raise InputError(f"An expression has {len(expression)} characters; at most {_MOST_CHARACTERS} are read.")
@@ -103,7 +88,7 @@ def _is_text(value: Operand) -> bool:
 
 
 def _number(value: Operand) -> Operand:
-    """Number that a text is, of a parameter that is declared as a text; anything else as it is."""
+    """Convert a text to a number if possible; return anything else as it is."""
     try:
         return number_of(value) if _is_text(value) else value
     except ValueError:
@@ -111,14 +96,14 @@ def _number(value: Operand) -> Operand:
 
 
 def names_in(text: str) -> set[str]:
-    """Names of the parameters that an attribute refers to, as ``$name`` or within ``${…}``."""
+    """Return the parameters that an attribute's text refers to, as ``$name`` or within ``${…}``."""
     text = text.strip()
     if text.startswith("${") and text.endswith("}"):
         try:
-            words = {kind[1] for kind in _tokens(text[2:-1]) if kind[0] == "name"}
+            names = {kind[1] for kind in _tokens(text[2:-1]) if kind[0] == "name"}
         except InputError:
             return set()
-        return words - set(_FUNCTIONS) - set(_CONSTANTS) - {"and", "or", "not"}
+        return names - set(_FUNCTIONS) - set(_CONSTANTS) - {"and", "or", "not"}
     return {text[1:]} if text.startswith("$") else set()
 
 
@@ -136,7 +121,7 @@ def _tokens(expression: str) -> Iterator[tuple[str, str]]:
 
 @lru_cache(_REMEMBERED)
 def _token_list(expression: str) -> tuple[tuple[str, str], ...]:
-    """Tokens of an expression: a file's are evaluated again for each batch of its scenarios."""
+    """Tokens of an expression, cached: the same ones are evaluated for each batch."""
     return tuple(_tokens(expression))
 
 
@@ -159,7 +144,7 @@ class _Parser:
             self._next += 1
             strength, apply = _BINARY[word]
             right = self.binary(strength, depth + 1)
-            # Two texts are equal as texts, a text and a number as numbers.
+            # Compare two texts as texts, but a text with a number as numbers.
             if word not in ("==", "!=") or _is_text(left) != _is_text(right):
                 left, right = _number(left), _number(right)
             left = apply(left, right)
@@ -234,6 +219,6 @@ class _Parser:
 
 def rounded(value: Any) -> Any:
     """Round the result of an expression to six decimals."""
-    # esmini hands the results of expressions on as texts with six decimals; events may depend on the last of them.
+    # As in esmini, which passes results as texts with six decimals; events may depend on the last one.
     array = np.asarray(value)
     return np.round(array, 6)[()] if array.dtype.kind == "f" else value

@@ -6,21 +6,23 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
-from typing import Final
+from typing import Any, Final
+
+import numpy as np
 
 from cornercase._common.arguments import flag, path, texts
 from cornercase._common.errors import InputError
 from cornercase.scenario.constraints import read_declarations
-from cornercase.scenario.named_values import named_values
+from cornercase.scenario.declared_types import typed_value
 from cornercase.scenario.openscenario import Scenario
 from cornercase.scenario.parameter import Value
+from cornercase.scenario.scope import Scope
 from cornercase.scenario.space import ParameterSpace
 from cornercase.scenario.varied_roads import with_roads
 from cornercase.scenario.xml import XmlFiles
 
 _ENOUGH: Final = (
-    "; for a simulator of your own, a file is enough that declares parameters and entities"
-    " (docs/howto/own-simulator.md)"
+    "; your own simulator only needs a file that declares parameters and entities (docs/howto/own-simulator.md)"
 )
 
 
@@ -33,9 +35,9 @@ class ConcreteScenario:
     path : Path
         OpenSCENARIO file.
     values : mapping of str to float or str
-        Parameters that differ from the file's own.
+        Parameters that differ from the defaults of the file.
     source : Scenario, optional
-        The file as it was read; without it, it is read when it runs.
+        The parsed file; by default it is read when the scenario runs.
     """
 
     path: Path
@@ -43,12 +45,12 @@ class ConcreteScenario:
     source: Scenario | None = field(default=None, repr=False, compare=False)
 
     def scenario(self, known: Scenario | None = None) -> Scenario:
-        """Give the scenario file: as it was read, or read now where it was not.
+        """Return the parsed scenario file, reading it if necessary.
 
         Parameters
         ----------
         known : Scenario, optional
-            Given instead where it is the same file with the same content, so that nothing of it is read again.
+            Returned instead if it is the same file with the same content, so that nothing is read again.
 
         Returns
         -------
@@ -59,30 +61,30 @@ class ConcreteScenario:
         InputError
             The file cannot be used.
         """
-        given = Scenario.read(self.path) if self.source is None else self.source
-        return known if known is not None and known.is_same(given) else given
+        own = Scenario.read(self.path) if self.source is None else self.source
+        return known if known is not None and known.is_same(own) else own
 
     def by_name(self) -> ConcreteScenario:
-        """Give the same scenario with the values of all parameters that its file declares.
+        """Return the scenario with the values of all parameters that its file declares, converted to their types.
 
         Returns
         -------
         ConcreteScenario
-            Each value has the type that the file declares. It stays as it is where the file was not read.
+            Unchanged if it has no parsed file.
 
         Raises
         ------
         InputError
-            A value is not of its type, or cannot be evaluated.
+            A value does not have its declared type, or cannot be evaluated.
 
         Examples
         --------
-        >>> from cornercase.scenario import ConcreteScenario, Scenario
-        >>> scenario = Scenario.read("examples/r157/deceleration.xosc")
-        >>> ConcreteScenario(scenario.path, {"gap": 30.0}, scenario).by_name().values
+        >>> from cornercase import LogicalScenario
+        >>> logical = LogicalScenario.read("examples/r157/deceleration.xosc", ranges=["gap=20:40"])
+        >>> logical.concrete({"gap": 30.0}).by_name().values
         {'ego_kmh': 90.0, 'gap': 30.0, 'deceleration': 0.5}
         """
-        return self if self.source is None else replace(self, values=named_values(self.source, self.values))
+        return self if self.source is None else replace(self, values=_all_values(self.source, self.values))
 
 
 @dataclass(frozen=True)
@@ -94,11 +96,11 @@ class LogicalScenario:
     path : Path
         OpenSCENARIO file.
     space : ParameterSpace
-        What is varied, and in which bounds.
+        Varied parameters and their ranges.
     fingerprint : str
-        SHA-256 over the scenario file, its catalogs, and its road file; of all road files that the space names.
+        SHA-256 of the scenario file, its catalogs and its road file; also of all road files that the space names.
     source : Scenario, optional
-        The file as it was read.
+        The parsed file.
     """
 
     path: Path
@@ -111,7 +113,7 @@ class LogicalScenario:
 
     @cached_property
     def scenario(self) -> Scenario:
-        """The scenario file, as it was read."""
+        """The parsed scenario file."""
         return Scenario.read(self.path) if self.source is None else self.source
 
     @classmethod
@@ -127,13 +129,13 @@ class LogicalScenario:
         Parameters
         ----------
         scenario : path or Scenario, optional
-            OpenSCENARIO file; without one it is the file that `space` names.
+            OpenSCENARIO file; by default the file that `space` names.
         space : path, optional
             ParameterValueDistribution file.
         ranges : sequence of str
-            ``NAME=LOW:HIGH[:STEP]``; they add to the space or replace what it says.
+            ``NAME=LOW:HIGH[:STEP]``; they extend the space or replace its ranges.
         continuous : bool, default False
-            Search ranges with steps as continuous intervals.
+            Treat ranges with steps as continuous.
 
         Returns
         -------
@@ -142,7 +144,7 @@ class LogicalScenario:
         Raises
         ------
         InputError
-            A file cannot be used, nothing is varied, or a varied parameter is not declared in the scenario.
+            A file cannot be used, no parameter is varied, or a varied parameter is not declared in the scenario.
 
         Examples
         --------
@@ -157,9 +159,9 @@ class LogicalScenario:
         varied = None if space is None else ParameterSpace.from_file(path("space", space), files)
         if scenario is None:
             if space is None:
-                more = _ENOUGH if ranges else ""
+                hint = _ENOUGH if ranges else ""
                 raise InputError(
-                    f"There is no scenario; name an OpenSCENARIO file, or a `space` file that names one{more}."
+                    f"There is no scenario; name an OpenSCENARIO file, or a `space` file that names one{hint}."
                 )
             scenario = ParameterSpace.scenario_file(space, files)
         if ranges:
@@ -176,15 +178,40 @@ class LogicalScenario:
         return cls(file.path, varied, file.fingerprint(), file)
 
     def concrete(self, values: Mapping[str, Value]) -> ConcreteScenario:
-        """Return the concrete scenario of given values.
+        """Return a concrete scenario.
 
         Parameters
         ----------
         values : mapping of str to float or str
-            By parameter; what is not given is as in the file.
+            Parameter values; the others keep the defaults of the file.
 
         Returns
         -------
         ConcreteScenario
         """
         return ConcreteScenario(self.path, dict(values), self.source)
+
+
+def _all_values(scenario: Scenario, given: Mapping[str, Value]) -> dict[str, Value]:
+    """Return the values of all parameters: the given ones, else the evaluated defaults, with their declared types.
+
+    Values of parameters that the file does not declare stay as they are.
+    """
+    declarations = {
+        declaration.name: declaration for declaration in read_declarations(scenario.root, str(scenario.path))
+    }
+    changed = {
+        name: value for name, value in given.items() if name in declarations and value != declarations[name].value
+    }
+    scope = Scope.of_declarations(str(scenario.path), list(declarations.values()), [changed])
+    values = {name: _converted(scope.values[name], declaration.kind) for name, declaration in declarations.items()}
+    return values | {name: value for name, value in given.items() if name not in declarations}
+
+
+def _converted(value: Any, kind: str) -> Value:
+    scalar = value.flat[0].item() if isinstance(value, np.ndarray) else value
+    try:
+        return typed_value(scalar, kind)
+    except ValueError:
+        # The declaration may be for other tools only.
+        return str(scalar)

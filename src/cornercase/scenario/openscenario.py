@@ -1,4 +1,4 @@
-"""OpenSCENARIO XML files: what stands in one, and concrete copies of it."""
+"""OpenSCENARIO scenario files."""
 
 from __future__ import annotations
 
@@ -32,12 +32,12 @@ from cornercase.scenario.parameter import Value
 from cornercase.scenario.xml import XmlFiles, parse_xml
 
 DRIVER_PROPERTY = "cornercase.driver"
-"""Property of a controller that names the driver of an entity."""
+"""Controller property that names the driver of an entity."""
 
-# Of a file and of a path, in bytes and in characters; no system takes more.
+# Limits of file systems: bytes of a file name, characters of a path.
 _LONGEST_NAME = 255
 _LONGEST_PATH = 4000
-# Blocks of which a file has at most one, with what they stand in below the root.
+# Blocks that may occur once, as paths from the root.
 _ONCE = (
     ("FileHeader",), ("ParameterDeclarations",), ("VariableDeclarations",), ("CatalogLocations",), ("RoadNetwork",),
     ("Entities",), ("Storyboard",), ("Storyboard", "Init"), ("RoadNetwork", "LogicFile"),
@@ -45,24 +45,13 @@ _ONCE = (
 
 
 class Scenario:
-    """An OpenSCENARIO scenario file, and the catalogs and road files that belong to it.
+    """A scenario file, and the catalogs and road files that belong to it.
 
-    Each of these files is read once, when it is first needed. A copy in another process knows only the path and the
-    fingerprint: it reads the files again when they are needed there, and refuses them where they have changed.
+    Each file is read once, when it is first needed. A pickled copy holds only path and fingerprint: it reads the files
+    again in its process, and raises `InputError` if they have changed.
 
-    Parameters
-    ----------
-    path : path
-    fingerprint : str, optional
-        What `fingerprint` has to give; by default that of the files as they are.
-    roads : sequence of str
-        Road files that a varied parameter names, besides the one that the file itself names.
-
-    Attributes
-    ----------
-    path : Path
-    kept : dict
-        What others have made of it and keep, by its type.
+    `varied_roads` are road files that a varied parameter names, besides that of the file itself. `cache` is for
+    objects that others derive from the file, by their type.
     """
 
     def __init__(self, path: Path | str, fingerprint: str | None = None, roads: Sequence[str] = ()) -> None:
@@ -71,26 +60,12 @@ class Scenario:
         self.kept: dict[type, Any] = {}
         self._files = XmlFiles()
         self._fingerprint = fingerprint
-        # Where road files were, by what the file calls them: they stay there, whatever becomes of the folders.
+        # Paths of road files that were found, by reference; fixed from then on.
         self._roads_at: dict[str, Path] = {}
 
     @classmethod
     def read(cls, path: Path | str) -> Scenario:
-        """Read a scenario file.
-
-        Parameters
-        ----------
-        path : path
-
-        Returns
-        -------
-        Scenario
-
-        Raises
-        ------
-        InputError
-            The file is missing, is not XML, or is not a scenario.
-        """
+        """Read a scenario file; raises `InputError` if it is missing, is not XML, or is not a scenario."""
         scenario = cls(arguments.path("scenario", path))
         scenario._require_scenario(scenario.root)
         return scenario
@@ -102,25 +77,15 @@ class Scenario:
         return Scenario, (self.path, self.fingerprint(), self._roads)
 
     def naming(self, roads: Sequence[str]) -> Scenario:
-        """Return the same scenario, to which the road files belong that a varied parameter names.
-
-        Parameters
-        ----------
-        roads : sequence of str
-            As the scenario would name them.
-
-        Returns
-        -------
-        Scenario
-        """
-        other = Scenario(self.path, None, roads)
-        other._files = self._files
-        other._roads_at = self._roads_at
-        return other
+        """Return the scenario with additional road files, which a varied parameter names."""
+        copy = Scenario(self.path, None, roads)
+        copy._files = self._files
+        copy._roads_at = self._roads_at
+        return copy
 
     @cached_property
     def root(self) -> etree._Element:
-        """Root of the scenario file, ``OpenSCENARIO``; not to be changed."""
+        """Root element, ``OpenSCENARIO``; do not change it."""
         if self._fingerprint is not None and self._digest() != self._fingerprint:
             raise InputError(
                 f"{self.path}: this file, its road file or a catalog has changed since it was read; run the command"
@@ -133,58 +98,31 @@ class Scenario:
         return self._files.root(self.path)
 
     def as_written(self) -> etree._Element:
-        """Return the root of the scenario file as it stands there, with all that breaks the standard.
-
-        Returns
-        -------
-        lxml element
-        """
+        """Parse the file again without normalizing it."""
         return parse_xml(self._files.content(self.path), self.path)
 
     def xml(self, path: Path) -> etree._Element:
-        """Return the root of a file that belongs to the scenario, as `read_xml` does.
-
-        Parameters
-        ----------
-        path : Path
-
-        Returns
-        -------
-        lxml element
-            Not to be changed.
-        """
+        """Return the root of a file that belongs to the scenario; do not change it."""
         return self._files.root(path)
 
     def add_files(self, files: XmlFiles) -> None:
-        """Count more files among those of the scenario, such as that of a parameter space.
-
-        Parameters
-        ----------
-        files : XmlFiles
-        """
+        """Add files to those of the scenario, such as that of a parameter space."""
         self._files.update(files)
 
     def read_parts(self) -> list[tuple[Path, etree._Element]]:
-        """Give what of the scenario's files was read, as the elements that hold it.
-
-        Returns
-        -------
-        list of (Path, lxml element)
-            The root of the scenario file, the catalog entries that were asked for, and the roots of road files and of
-            files that belong to it.
-        """
-        found = []
+        """Return the paths and elements that were used: roots of files; of catalogs, the entries that were used."""
+        parts = []
         for path, root in self._files.parsed().items():
             catalog = etree.ElementBase.find(root, "Catalog") if root.tag == "OpenSCENARIO" else None
             if catalog is None:
-                found.append((path, root))
+                parts.append((path, root))
             else:
-                found += [(path, entry) for entry in children(catalog) if was_read(entry)]
-        return found
+                parts += [(path, entry) for entry in children(catalog) if was_read(entry)]
+        return parts
 
     def _require_scenario(self, root: etree._Element) -> None:
-        if other := other_format(root):
-            raise InputError(f"{place_of(root, str(self.path))}: {other}.")
+        if description := other_format(root):
+            raise InputError(f"{place_of(root, str(self.path))}: {description}.")
         if root.tag != "OpenSCENARIO":
             raise InputError(
                 f"{place_of(root, str(self.path))}: the root element is <{root.tag}>; an OpenSCENARIO file starts with"
@@ -194,12 +132,12 @@ class Scenario:
         if header is not None and header.get("revMajor", "1").strip() == "0":
             raise InputError(
                 f"{place_of(header, str(self.path))}: <FileHeader>: the file is of OpenSCENARIO"
-                f" 0.{header.get('revMinor', '9')}, whose files are built in another way; bring it to 1.0 with ASAM's"
+                f" 0.{header.get('revMinor', '9')}, which has another structure; convert it to 1.0 with ASAM's"
                 " migration script, which comes with OpenSCENARIO 1.0."
             )
         if (distribution := root.find("ParameterValueDistribution")) is not None:
-            place = f"{place_of(distribution, str(self.path))}: <{distribution.tag}>"
-            raise InputError(f"{place}: is a parameter value distribution, not a scenario; give it as `space`.")
+            location = f"{place_of(distribution, str(self.path))}: <{distribution.tag}>"
+            raise InputError(f"{location}: is a parameter value distribution, not a scenario; give it as `space`.")
         note_version(root)
         self._refuse_repeated(root)
         for needed in ("Entities", "Storyboard"):
@@ -207,51 +145,46 @@ class Scenario:
                 raise InputError(
                     f"{place_of(root, str(self.path))}: <{root.tag}> has no <{needed}>, so there is nothing to run."
                 )
-        # Refuses what has no name of its own.
+        # Raises if names are not unique.
         _ = self.entities
 
     def _refuse_repeated(self, root: etree._Element) -> None:
-        """Refuse the second block of a kind of which a file has one; the first would count for some of its readers."""
-        for *above, tag in _ONCE:
-            blocks = [one for one in unrecorded(root, *above) for one in children(one) if one.tag == tag]
+        """Refuse a repeated block that may occur once only; tools differ in which of them they use."""
+        for *parents, tag in _ONCE:
+            blocks = [block for block in unrecorded(root, *parents) for block in children(block) if block.tag == tag]
             if len(blocks) > 1:
                 raise InputError(
-                    f"{place_of(blocks[1], str(self.path))}: <{tag}>: is there a second time, after line"
+                    f"{place_of(blocks[1], str(self.path))}: <{tag}>: repeats the one in line"
                     f" {blocks[0].sourceline}; keep one."
                 )
 
     @property
     def is_left_handed(self) -> bool:
-        """Whether its positions are in CARLA's left-handed axes, instead of those of the road file."""
+        """Whether positions are in CARLA's left-handed axes, instead of those of the road file."""
         return left_handed_header(self.root) is not None
 
     def axes_notices(self) -> tuple[Notice, ...]:
-        """Say that positions are turned, where its axes are left-handed.
-
-        Returns
-        -------
-        tuple of Notice
-        """
+        """Return a notice that positions are mirrored, if the axes are left-handed."""
         header = left_handed_header(self.root)
         if header is None:
             return ()
-        why = (
-            "the description begins with 'CARLA:', so that positions are in left-handed axes, as ScenarioRunner reads"
-            " them; they are turned to the axes of the road file, in which recordings are, too"
+        reason = (
+            "the description begins with 'CARLA:', so positions are in left-handed axes, as in ScenarioRunner; they are"
+            " converted to the axes of the road file, which recordings use too"
         )
         rule = "positions are in right-handed axes, x east and y north, with headings counter-clockwise"
-        return (Notice(("signs of y and headings",), why, self.path, (line_of(header),), Label.ADAPTED, rule),)
+        return (Notice(("signs of y and headings",), reason, self.path, (line_of(header),), Label.ADAPTED, rule),)
 
     @cached_property
     def entities(self) -> tuple[str, ...]:
-        """Names of all entities, in the file's order."""
+        """Names of all entities, in the order of the file."""
         objects = list(self.root.iterfind("Entities/ScenarioObject"))
         names = tuple(e.get("name", "") for e in objects)
-        known: set[str] = {""}
-        for one, name in zip(objects, names, strict=True):
-            if name in known:
-                raise InputError(f"{place_of(one, str(self.path))}: every <ScenarioObject> needs a name of its own.")
-            known.add(name)
+        seen: set[str] = {""}
+        for element, name in zip(objects, names, strict=True):
+            if name in seen:
+                raise InputError(f"{place_of(element, str(self.path))}: every <ScenarioObject> needs a unique name.")
+            seen.add(name)
         return names
 
     @cached_property
@@ -262,43 +195,43 @@ class Scenario:
 
     @cached_property
     def path_parameters(self) -> frozenset[str]:
-        """Names of the declared parameters that say where the road file or a folder of catalogs is."""
+        """Names of the declared parameters that hold the path of the road file or of a catalog folder."""
         folders = (e.get("path", "") for e in self.root.iterfind("CatalogLocations//Directory"))
         texts = {self.logic_file(), *folders}
         return frozenset(name for name in self.parameters if f"${name}" in texts)
 
     @cached_property
     def drivers(self) -> dict[str, str]:
-        """Driver that a controller property asks for, by entity."""
-        asked = {e.get("name", ""): self._driver_of(e) for e in self.root.iterfind("Entities/ScenarioObject")}
-        return {name: driver for name, driver in asked.items() if driver is not None}
+        """Driver that a controller property requests, by entity."""
+        drivers = {e.get("name", ""): self._driver_of(e) for e in self.root.iterfind("Entities/ScenarioObject")}
+        return {name: driver for name, driver in drivers.items() if driver is not None}
 
     def may_drive(self, entity: str) -> bool:
-        """Tell whether the file names a driver of cornercase for an entity, or for anybody while its storyboard runs.
+        """Whether the file names a driver of cornercase for an entity, or may assign one while the storyboard runs.
 
-        Parameters
-        ----------
-        entity : str
-
-        Returns
-        -------
-        bool
-            True also where an action assigns a controller of a catalog, which may have a driver.
+        The latter is assumed of any action that assigns a controller of a catalog.
         """
-        # A loop without names does not count as reading.
-        actions = (one for one in self.root.iter() if one.tag == "AssignControllerAction")
-        below = (one for action in actions for one in action.iter())
-        named_there = any(one.tag == "CatalogReference" or one.attrib.get("name") == DRIVER_PROPERTY for one in below)
+        # Iterating over all elements does not mark them as used.
+        actions = (element for element in self.root.iter() if element.tag == "AssignControllerAction")
+        descendants = (element for action in actions for element in action.iter())
+        named_there = any(
+            element.tag == "CatalogReference" or element.attrib.get("name") == DRIVER_PROPERTY
+            for element in descendants
+        )
         return entity in self.drivers or named_there
 
     def _driver_of(self, scenario_object: etree._Element) -> str | None:
         driver = driver_property(scenario_object)
         if driver is not None:
             return driver
-        # A controller of a catalog counts where the file names it itself, not by a parameter.
+        # Catalog controllers count only if referred to literally, not by a parameter.
         for reference in unrecorded(scenario_object, "ObjectController", "CatalogReference"):
             catalog, name = (str(reference.attrib.get(key, "")) for key in ("catalogName", "entryName"))
-            entries = [one for each in self._catalogs.named(catalog) for one in unrecorded(each, "Controller")]
+            entries = [
+                controller
+                for element in self._catalogs.named(catalog)
+                for controller in unrecorded(element, "Controller")
+            ]
             for entry in entries:
                 driver = driver_of(entry) if entry.attrib.get("name") == name else None
                 if driver is not None:
@@ -307,56 +240,20 @@ class Scenario:
         return None
 
     def require_entity(self, name: str, role: str) -> None:
-        """Refuse a name that no entity has.
-
-        Parameters
-        ----------
-        name : str
-        role : str
-            What the entity is to be, for the message.
-
-        Raises
-        ------
-        InputError
-            There is no entity called `name`.
-        """
+        """Raise `InputError` if no entity has this name; `role` is what it was meant to be, for the message."""
         if name not in self.entities:
             raise InputError(f"{self.path}: has no entity '{name}' to be the {role}; {suggestion(name, self.entities)}")
 
     def require_parameters(self, names: tuple[str, ...] | list[str]) -> None:
-        """Refuse parameters that the file does not declare.
-
-        Parameters
-        ----------
-        names : tuple or list of str
-
-        Raises
-        ------
-        InputError
-            A parameter is not declared.
-        """
+        """Raise `InputError` if a parameter is not declared."""
         for name in names:
             if name not in self.parameters:
                 raise InputError(f"{self.path}: declares no parameter '{name}'; {suggestion(name, self.parameters)}")
 
     def beside(self, reference: str, what: str) -> Path:
-        """Return the path of a file or folder that the scenario refers to.
+        """Resolve a path of the file, relative to its folder; `description` is what the path is for, for messages.
 
-        Parameters
-        ----------
-        reference : str
-            As it stands in the file, relative to the file.
-        what : str
-            What it is, for the message.
-
-        Returns
-        -------
-        Path
-
-        Raises
-        ------
-        InputError
-            It is a network address, or no name that a file can have.
+        Raises `InputError` for network addresses and invalid file names.
         """
         if any(len(part.encode()) > _LONGEST_NAME for part in Path(reference).parts) or len(reference) > _LONGEST_PATH:
             raise InputError(f"{self.path}: the {what} '{reference[:60]}…' is not a valid file name.")
@@ -365,31 +262,17 @@ class Scenario:
         return self.path.parent / reference.replace("\\", "/")
 
     def catalog_entry(self, catalog: str, entry: str) -> etree._Element:
-        """Return the element that a catalog holds under a name.
-
-        Parameters
-        ----------
-        catalog, entry : str
-
-        Returns
-        -------
-        lxml element
-
-        Raises
-        ------
-        InputError
-            No catalog of that name lies in the catalog locations, it lacks the entry, or several have it and differ.
-        """
+        """Return an entry of a catalog, or the vehicle that replaces an agent profile of openPASS."""
         file = profiles_file(catalog)
         return self._of_profile(self.path.parent / file, entry) if file else self._catalogs.entry(catalog, entry)
 
     def _of_profile(self, file: Path, profile: str) -> etree._Element:
-        """Vehicle model of an agent profile of openPASS."""
-        what = f"'{profile}' of {file.name} is an agent profile of openPASS, a vehicle with a driver and sensors"
-        way = "name a vehicle of a catalog of OpenSCENARIO as the entity"
+        """Return the vehicle model of an agent profile of openPASS."""
+        description = f"'{profile}' of {file.name} is an agent profile of openPASS, a vehicle with a driver and sensors"
+        hint = "use a vehicle of an OpenSCENARIO catalog"
         if not file.is_file():
             raise InputError(
-                f"{self.path}: {what}, but the file does not lie beside the scenario; put it there, or {way}."
+                f"{self.path}: {description}, but the file is not next to the scenario; put it there, or {hint}."
             )
         profiles = self._files.root(file)
         models = vehicle_models(profiles, profile)
@@ -398,10 +281,10 @@ class Scenario:
                 f"{file}: has no agent profile '{profile}'; {suggestion(profile, profile_names(profiles))}"
             )
         if not models:
-            raise InputError(f"{self.path}: {what}, but has no vehicle model; {way}.")
+            raise InputError(f"{self.path}: {description}, but has no vehicle model; {hint}.")
         entry = self._catalogs.entry_anywhere(models[0])
         if entry is None:
-            raise InputError(f"{self.path}: {what}; its vehicle model '{models[0]}' is in no catalog; {way}.")
+            raise InputError(f"{self.path}: {description}; its vehicle model '{models[0]}' is in no catalog; {hint}.")
         note_profile(self._document, profile, models)
         return entry
 
@@ -410,13 +293,7 @@ class Scenario:
         return Catalogs(self.path, ((file, self._files.root(file)) for file in self._catalog_files))
 
     def catalog_files(self) -> list[Path]:
-        """Return all files in the catalog locations.
-
-        Returns
-        -------
-        list of Path
-            In the order of the locations and then of their names.
-        """
+        """Return all files in the catalog locations, in their order and then by name."""
         return list(self._catalog_files)
 
     @cached_property
@@ -425,112 +302,55 @@ class Scenario:
         for directory in self._document.iterfind("CatalogLocations//Directory"):
             with placed(directory, str(self.path)):
                 folder = self.beside(self._parameter_text(directory.get("path", ""), {}), "catalog location")
-            found = self._catalogs_in(folder) if folder.is_dir() else [folder]
-            files += [file for file in found if file.is_file() and file not in files]
+            candidates = self._catalogs_in(folder) if folder.is_dir() else [folder]
+            files += [file for file in candidates if file.is_file() and file not in files]
         return files
 
     def _catalogs_in(self, folder: Path) -> list[Path]:
-        """Files of a folder that hold a catalog; scenarios may lie there, too."""
-        every = [file for file in sorted(folder.glob("*.xosc")) if file.is_file()]
-        return [file for file in every if holds_catalog(self._files.content(file))]
+        """Return the files of a folder that hold a catalog; there may be scenarios among them."""
+        scenario_files = [file for file in sorted(folder.glob("*.xosc")) if file.is_file()]
+        return [file for file in scenario_files if holds_catalog(self._files.content(file))]
 
     @cached_property
     def profiles_files(self) -> tuple[Path, ...]:
-        """Files with agent profiles of openPASS that it names; it need not be there."""
+        """Path of openPASS's profiles file if the scenario refers to it; the file may be missing."""
         return (self.path.with_name(PROFILES_FILE),) if has_profiles(self._document) else ()
 
     def logic_file(self) -> str:
-        """Return the road file as the scenario names it.
-
-        Returns
-        -------
-        str
-            Possibly a parameter, ``"$Road"``; empty where there is none.
-        """
+        """Return the road file as written in the scenario, possibly a parameter (``"$Road"``), or an empty text."""
         file = self._document.find("RoadNetwork/LogicFile")
         return "" if file is None else file.get("filepath", "")
 
     def road_file(self, values: Mapping[str, Value] | None = None) -> Path | None:
-        """Return the path of the road file.
-
-        Parameters
-        ----------
-        values : mapping of str to float or str, optional
-            Where a parameter names the road file, its value is taken from here, else from its declaration.
-
-        Returns
-        -------
-        Path or None
-            None where there is none.
-        """
+        """Return the path of the road file for parameter values, by default the declared ones."""
         reference = self.road_reference(values)
         return self.road_at(reference) if reference else None
 
     def road_reference(self, values: Mapping[str, Value] | None = None) -> str:
-        """Return the road file as the scenario names it with values.
-
-        Parameters
-        ----------
-        values : mapping of str to float or str, optional
-            As for `road_file`.
-
-        Returns
-        -------
-        str
-            Empty where there is none.
-        """
+        """Return the road file as written in the scenario, with parameters replaced; empty if there is none."""
         return self._parameter_text(self.logic_file(), values or {})
 
     def road_at(self, reference: str) -> Path:
         """Return the path of a road file that the scenario names.
 
-        Parameters
-        ----------
-        reference : str
-            As it stands in the file.
-
-        Returns
-        -------
-        Path
-            Where nothing is at the place that it names, the map of that name beside the scenario or in a folder of
-            maps, if there is one.
-
-        Raises
-        ------
-        InputError
-            As in `beside`, or what is to be a folder of maps is none.
+        If there is no such file, a map of that name is searched for next to the scenario and in the map folders.
         """
         if reference in self._roads_at:
             return self._roads_at[reference]
         path = self.beside(reference, "road file")
-        found = path if path.is_file() else find_map(reference, self.path.parent)
-        if found is None:
+        map_file = path if path.is_file() else find_map(reference, self.path.parent)
+        if map_file is None:
             return path
-        self._roads_at[reference] = found
-        if found == path:
+        self._roads_at[reference] = map_file
+        if map_file == path:
             return path
         for element in self._document.iterfind("RoadNetwork/LogicFile"):
-            why = f"'{reference}' is not a file there; it was found by its name, as {found}"
-            adapt(element, "filepath of <LogicFile>", why, "filepath is the path of a file, from that of the scenario")
-        return found
+            reason = f"'{reference}' does not exist; the map of that name is used: {map_file}"
+            adapt(element, "filepath of <LogicFile>", reason, "filepath is a path relative to the scenario")
+        return map_file
 
     def present_road(self, reference: str) -> Path:
-        """Return the path of a road file as `road_at` does, and refuse one that is not there.
-
-        Parameters
-        ----------
-        reference : str
-            As it stands in the file.
-
-        Returns
-        -------
-        Path
-
-        Raises
-        ------
-        InputError
-            As in `road_at`, or there is no such file.
-        """
+        """Return the path of a road file like `road_path`; raises `InputError` if there is no such file."""
         path = self.road_at(reference)
         if reference not in self._roads_at and not path.exists():
             line = next((e.sourceline for e in self._document.iterfind("RoadNetwork/LogicFile")), 0)
@@ -538,80 +358,40 @@ class Scenario:
         return path
 
     def missing_road(self) -> str:
-        """Say which of its road files is not there.
-
-        Returns
-        -------
-        str
-            A part of a sentence, without a full stop; empty where all are.
-        """
+        """Describe which road file is missing, as a part of a sentence; empty if none is."""
         reference = self.missing_reference()
         return self._without_road(reference) if reference else ""
 
     def missing_reference(self) -> str:
-        """Return the first of its road files that is not there, as the scenario names it.
-
-        Returns
-        -------
-        str
-            Empty where all are there.
-        """
+        """Return the first missing road file as the scenario names it; empty if none is missing."""
         references = (self.road_reference(), *self._roads)
-        return next((one for one in references if one and not self.road_at(one).exists()), "")
+        return next((reference for reference in references if reference and not self.road_at(reference).exists()), "")
 
     def _without_road(self, reference: str) -> str:
-        named = self.beside(reference, "road file") if Path(reference).suffix else f"'{reference}'"
-        return f"there is no road file {named}; {way_to_map(reference)}"
+        description = self.beside(reference, "road file") if Path(reference).suffix else f"'{reference}'"
+        return f"there is no road file {description}; {way_to_map(reference)}"
 
     def road_near(self, path: Path) -> Path:
-        """Return where a road file of the scenario would be found beside it, wherever it is.
-
-        Parameters
-        ----------
-        path : Path
-            As `road_at` returns it.
-
-        Returns
-        -------
-        Path
-        """
+        """Return the path where a road file would be found next to the scenario, for a path from `road_path`."""
         references = (self.road_reference(), *self._roads)
-        found = next((one for one in references if one and self.road_at(one) == path), "")
-        near = self.path.parent / f"{map_name(found)}.xodr"
-        return path if not found or self.beside(found, "road file") == path else near
+        reference = next((name for name in references if name and self.road_at(name) == path), "")
+        default = self.path.parent / f"{map_name(reference)}.xodr"
+        return path if not reference or self.beside(reference, "road file") == path else default
 
     def road_files(self) -> tuple[Path, ...]:
-        """Return the paths of all road files that belong to the scenario.
-
-        Returns
-        -------
-        tuple of Path
-            That which it names, and those of `naming`; its fingerprint counts them.
-        """
+        """Return the paths of all road files: that of the file, and those that a varied parameter names."""
         road = self.road_file()
-        named = [self.road_at(one) for one in self._roads]
-        return tuple(dict.fromkeys([*([] if road is None else [road]), *named]))
+        varied = [self.road_at(reference) for reference in self._roads]
+        return tuple(dict.fromkeys([*([] if road is None else [road]), *varied]))
 
     def fingerprint(self) -> str:
-        """Return a digest of the scenario and all files that it is known to read, as they were when they were read.
-
-        Returns
-        -------
-        str
-            SHA-256.
-        """
+        """Return the SHA-256 of all files of the scenario, with the content that they had when they were read."""
         if self._fingerprint is None:
             self._fingerprint = self._digest()
         return self._fingerprint
 
     def files(self) -> tuple[Path, ...]:
-        """Return the paths of all files that the fingerprint counts.
-
-        Returns
-        -------
-        tuple of Path
-            The scenario file is the first; some may not be there.
-        """
+        """Return the paths of all files that the fingerprint includes, the scenario file first; some may not exist."""
         return (self.path, *self._catalog_files, *self.profiles_files, *self.road_files())
 
     @property
@@ -620,17 +400,9 @@ class Scenario:
         return self._roads
 
     def contents(self) -> dict[Path, bytes]:
-        """Return the content of all files that the fingerprint counts, as they were when they were read.
+        """Return the content of all files that the fingerprint includes, the scenario file first.
 
-        Returns
-        -------
-        dict of Path to bytes
-            The scenario file is the first one.
-
-        Raises
-        ------
-        InputError
-            A file cannot be read, or has changed since.
+        Raises `InputError` if a file has changed since it was read.
         """
         files = {file: self._files.content(file) for file in self.files() if file.is_file()}
         if self._digest() != self.fingerprint():
@@ -638,16 +410,7 @@ class Scenario:
         return files
 
     def is_same(self, other: Scenario) -> bool:
-        """Tell whether another scenario has the same path, and its files the same content.
-
-        Parameters
-        ----------
-        other : Scenario
-
-        Returns
-        -------
-        bool
-        """
+        """Whether another scenario has the same path and the same file contents."""
         return self is other or (self.path == other.path and self.fingerprint() == other.fingerprint())
 
     def _digest(self) -> str:
@@ -668,12 +431,12 @@ class Scenario:
 
 
 def driver_property(scenario_object: etree._Element) -> str | None:
-    """Name of the driver that a controller of a ``ScenarioObject``, which stands in the file itself, asks for."""
-    drivers = (driver_of(one) for one in unrecorded(scenario_object, "ObjectController", "Controller"))
+    """Return the driver that a controller inside a ``ScenarioObject`` requests, or None."""
+    drivers = (driver_of(controller) for controller in unrecorded(scenario_object, "ObjectController", "Controller"))
     return next((driver for driver in drivers if driver is not None), None)
 
 
 def driver_of(controller: etree._Element) -> str | None:
-    """Name of the driver that a property of a ``Controller`` asks for; any other controller does not count as read."""
+    """Return the driver that a ``Controller`` requests, or None; then the element is not marked as used."""
     item = named(unrecorded(controller, "Properties", "Property"), DRIVER_PROPERTY)
     return None if item is None else item.get("value")

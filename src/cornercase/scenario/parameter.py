@@ -1,4 +1,4 @@
-"""One varied parameter, between the unit interval and its values."""
+"""One varied parameter: its values, and their positions in the unit interval."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from cornercase.scenario.distributions import Distribution
 Value = float | str
 """Value of a parameter in a concrete scenario: a number, or one of the choices."""
 
-# Doubles count no further.
+# Doubles cannot represent all larger integers.
 _MOST_STEPS: Final = 2.0**53
 
 
@@ -29,27 +29,27 @@ class Parameter:
     ----------
     name : str
     low, high : float
-        Bounds; for a set of choices 0 and their number minus one.
+        Bounds; for choices 0 and their number minus one.
     step : float or None
-        Values lie on low, low + step, …, none above `high`; None for a continuous range.
+        Values are low, low + step, … up to `high`; None for a continuous range.
     choices : tuple of str
         Values of a set; empty for a range.
     unit : str
-        As it stands in tables and on axes; empty where unknown.
+        For tables and axes; empty if unknown.
     distribution : Distribution or None
-        Turns the unit interval into values by its inverse distribution function, so that a likely value has a large
-        share of it; None means uniform.
+        Maps the unit interval to values by its inverse distribution function, so that likely values get a large part
+        of it; None means uniform.
     sets : tuple of tuple of (str, str)
-        For each choice, the scenario's parameters that it sets together, and their values; empty where it sets but the
-        one of its own name.
+        For each choice, the scenario's parameters that it sets together, and their values; empty if it sets only the
+        parameter of its own name.
     whole : bool
-        Whether the values of a range are whole numbers, since the scenario declares them so.
+        Whether the scenario declares the values of a range as integers.
 
     Raises
     ------
     InputError
-        A bound or the step is no finite number, the step is not above 0, or the bounds are not in order, where a
-        range with a step may have a single value; or there are more steps than can be counted.
+        A bound or step is not finite, the step is not above 0, the bounds are not in order, or there are too many steps
+        to count. Only a range with a step may have a single value.
     """
 
     name: str
@@ -67,7 +67,6 @@ class Parameter:
         number("high", self.high)
         if self.step is not None:
             number("step", self.step, above=0.0)
-        # Choices and steps may be a single one.
         single = bool(self.choices) or self.step is not None
         if self.low > self.high or (self.low == self.high and not single):
             raise InputError(
@@ -86,30 +85,31 @@ class Parameter:
 
     @property
     def values_text(self) -> str:
-        """Its values in a few words, as ``"2 to 17 by 0.1"``."""
+        """The values in short, as ``"2 to 17 by 0.1"``."""
         if self.choices:
             return ", ".join(self.choices)
-        plain = self.step is None or (self.whole and self.step == 1.0)
-        return f"{self.low:g} to {self.high:g}" + ("" if plain else f" by {self.step:g}")
+        implicit_step = self.step is None or (self.whole and self.step == 1.0)
+        return f"{self.low:g} to {self.high:g}" + ("" if implicit_step else f" by {self.step:g}")
 
     @property
     def size(self) -> int | None:
-        """Number of different values; None where there are infinitely many."""
+        """Number of different values; None if infinite."""
         if self.choices:
             return len(self.choices)
         return None if self.step is None else int(np.floor((self.high - self.low) / self.step + 1e-9)) + 1
 
     @property
     def assigns(self) -> tuple[str, ...]:
-        """Names of the scenario's parameters that it gives values to."""
+        """Names of the scenario's parameters that it sets."""
         return tuple(dict(self.sets[0])) if self.sets else (self.name,)
 
     def assigned(self, u: float) -> dict[str, Value]:
-        """Return the scenario's parameters, and their values, at a place of the unit interval.
+        """Return the values of the scenario's parameters at a position of the unit interval.
 
         Parameters
         ----------
         u : float
+            From 0 to 1.
 
         Returns
         -------
@@ -118,11 +118,12 @@ class Parameter:
         return {name: value for name, (value,) in self.columns(np.array([u])).items()}
 
     def columns(self, u: FloatArray) -> dict[str, list[Value]]:
-        """Return the scenario's parameters, and their values, at many places of the unit interval.
+        """Return the values of the scenario's parameters at many positions of the unit interval.
 
         Parameters
         ----------
         u : ndarray of float64, shape (n,)
+            From 0 to 1.
 
         Returns
         -------
@@ -130,21 +131,22 @@ class Parameter:
         """
         if not self.sets:
             return {self.name: self._values(u)}
-        members = [dict(one) for one in self.sets]
+        members = [dict(assignments) for assignments in self.sets]
         numbers = self.numbers(u).tolist()
         return {name: [members[k][name] for k in numbers] for name in members[0]}
 
     def read(self, values: Mapping[str, Value]) -> Value:
-        """Find the value among those of a concrete scenario.
+        """Return the value of this parameter in a concrete scenario.
 
         Parameters
         ----------
         values : mapping of str to float or str
+            All values of the concrete scenario.
 
         Returns
         -------
         float or str
-            For values that are set together, the choice that they are.
+            For values that are set together, the choice that sets them.
 
         Raises
         ------
@@ -159,31 +161,33 @@ class Parameter:
         raise InputError(f"No value set of {self.name} has these values.")
 
     def read_number(self, values: Mapping[str, Value]) -> float:
-        """Find the value among those of a concrete scenario, as a number.
+        """Return the value of this parameter in a concrete scenario, as a number.
 
         Parameters
         ----------
         values : mapping of str to float or str
+            All values of the concrete scenario.
 
         Returns
         -------
         float
-            Of a choice which one it is, from 0 on.
+            For choices the index, from 0.
 
         Raises
         ------
         InputError
-            As of `read`.
+            No choice sets these values.
         """
         value = self.read(values)
         return float(self.choices.index(str(value)) if self.choices else value)
 
     def value(self, u: float) -> Value:
-        """Return the value at a place of the unit interval.
+        """Return the value at a position of the unit interval.
 
         Parameters
         ----------
         u : float
+            From 0 to 1.
 
         Returns
         -------
@@ -193,21 +197,21 @@ class Parameter:
         return value
 
     def _values(self, u: FloatArray) -> list[Value]:
-        """Values at places of the unit interval, shape (n,)."""
+        """Return the values at positions of the unit interval, shape (n,)."""
         if self.size is None:
             x = self.low + u * (self.high - self.low) if self.distribution is None else self.distribution.quantiles(u)
             return list(x.tolist())
         numbers = self.numbers(u)
         if self.choices:
             return [self.choices[k] for k in numbers.tolist()]
-        # Of many steps few are met, of few steps each many times.
+        # Compute each distinct value once.
         met, which = np.unique(numbers, return_inverse=True)
         steps = [_clean(self.low + k * float(self.step or 0.0)) for k in met.tolist()]
         values = [round(value) if self.whole else value for value in steps]
         return [values[k] for k in which.tolist()]
 
     def unit_place(self, value: Value) -> float:
-        """Return the place of a value on the unit interval, the inverse of `value`.
+        """Return the position of a value in the unit interval, the inverse of `value_at`.
 
         Parameters
         ----------
@@ -216,7 +220,7 @@ class Parameter:
         Returns
         -------
         float
-            The middle of its step or choice; what is out of bounds is moved to the nearest bound.
+            The middle of its step or choice; values out of bounds are clipped.
 
         Raises
         ------
@@ -237,16 +241,17 @@ class Parameter:
         return float(np.clip((x - self.low) / (self.high - self.low), 0.0, 1.0))
 
     def numbers(self, u: FloatArray) -> IntArray:
-        """Find which step or choice lies at each place of the unit interval.
+        """Return the index of the step or choice at each position of the unit interval.
 
         Parameters
         ----------
         u : ndarray of float64, shape (n,)
+            From 0 to 1.
 
         Returns
         -------
         ndarray of int64, shape (n,)
-            From 0 on.
+            From 0.
         """
         if self._edges is not None:
             return np.asarray(np.searchsorted(self._edges[1:-1], u, side="right"), dtype=np.int64)
@@ -254,12 +259,12 @@ class Parameter:
         return np.asarray(np.minimum(np.floor(u * size), size - 1), dtype=np.int64)
 
     def middles(self, numbers: IntArray) -> FloatArray:
-        """Return the middle of the share that each step or choice has of the unit interval.
+        """Return the middle of the part of the unit interval that each step or choice has.
 
         Parameters
         ----------
         numbers : ndarray of int64, shape (n,)
-            From 0 on.
+            Indices of steps or choices, from 0.
 
         Returns
         -------
@@ -271,22 +276,22 @@ class Parameter:
 
     @property
     def shares(self) -> FloatArray:
-        """Share that each step or choice has of the unit interval: its probability, shape (size,)."""
+        """Probability of each step or choice, which is its part of the unit interval, shape (size,)."""
         size = self.size or 1
         return np.full(size, 1.0 / size) if self._edges is None else np.diff(self._edges)
 
     @cached_property
     def _edges(self) -> FloatArray | None:
-        """Bounds of the shares where they differ."""
+        """Bounds of the parts of the unit interval, shape (size + 1,); None if all parts are equal."""
         if self.size is None or self.distribution is None:
             return None
         if self.distribution.discrete:
             return self.distribution.edges()
-        # Each value has the share of what is rounded to it.
+        # Probability of the interval that is rounded to the value.
         between = self.low + float(self.step or 1.0) * (np.arange(self.size - 1) + 0.5)
-        return np.array([0.0, *(self.distribution.place(float(one)) for one in between), 1.0])
+        return np.array([0.0, *(self.distribution.place(float(bound)) for bound in between), 1.0])
 
 
 def _clean(x: float) -> float:
-    """Round away what adding steps leaves behind, so that 3 × 0.1 is 0.3."""
+    """Remove rounding errors of added steps, so that 3 × 0.1 is 0.3."""
     return float(f"{x:.12g}")

@@ -1,4 +1,4 @@
-"""A scenario with all of its files, to be read on another machine."""
+"""A scenario with all of its files, to be used on another machine."""
 
 from __future__ import annotations
 
@@ -13,20 +13,10 @@ from cornercase.scenario.openscenario import Scenario
 
 @dataclass(frozen=True)
 class ScenarioParcel:
-    """Content of a scenario file and of the files that belong to it, as they were when they were read.
+    """Content of a scenario file and its companion files, as they were when they were read.
 
-    Attributes
-    ----------
-    folder : str
-        Innermost folder that all of them lie in, where they were packed.
-    files : mapping of str to bytes
-        Content by the path in that folder, with ``/`` between its parts.
-    main : str
-        Path of the scenario file in that folder.
-    roads : tuple of str
-        Road files that a varied parameter names, as the scenario would name them.
-    fingerprint : str
-        That of the scenario.
+    `files` maps paths in their `common_folder` (with ``/``) to content, `scenario_path` is that of the scenario file.
+    `varied_roads` are road files that a varied parameter names, as the scenario would name them.
     """
 
     folder: str
@@ -37,21 +27,7 @@ class ScenarioParcel:
 
     @classmethod
     def of(cls, scenario: Scenario) -> ScenarioParcel:
-        """Pack a scenario.
-
-        Parameters
-        ----------
-        scenario : Scenario
-
-        Returns
-        -------
-        ScenarioParcel
-
-        Raises
-        ------
-        InputError
-            The scenario names a file by an absolute path, which other machines do not have, or different files by one.
-        """
+        """Pack a scenario; raises `InputError` if it names a file by an absolute path."""
         contents = {scenario.road_near(file): content for file, content in scenario.contents().items()}
         for file in contents:
             if not _is_relative(file, scenario.path.parent):
@@ -59,48 +35,32 @@ class ScenarioParcel:
                     f"{scenario.path}: names {file} by an absolute path, which other machines do not have; name it"
                     " relative to the scenario file."
                 )
-        places: dict[str, bytes] = {}
+        packed: dict[str, bytes] = {}
         for file, content in contents.items():
-            # Where links are on the way, what two paths come to may differ.
-            if places.setdefault(os.path.abspath(file), content) != content:
-                raise InputError(f"{scenario.path}: names different files by one path, {file}; name each by its own.")
+            # With symbolic links, equal normalized paths may be different files.
+            if packed.setdefault(os.path.abspath(file), content) != content:
+                raise InputError(f"{scenario.path}: {file} leads to different files; give each its own path.")
         try:
-            folder = os.path.commonpath([os.path.dirname(place) for place in places])
+            folder = os.path.commonpath([os.path.dirname(path) for path in packed])
         except ValueError as error:
             raise InputError(f"{scenario.path}: names files of several drives; put them on one.") from error
         return cls(
             folder=folder,
-            files={_within(folder, place): content for place, content in places.items()},
+            files={_within(folder, path): content for path, content in packed.items()},
             main=_within(folder, os.path.abspath(scenario.path)),
             roads=scenario.varied_roads,
             fingerprint=scenario.fingerprint(),
         )
 
     def unpack(self, folder: Path) -> Scenario:
-        """Write the files, and give the scenario.
-
-        Parameters
-        ----------
-        folder : Path
-            An empty one.
-
-        Returns
-        -------
-        Scenario
-            Its fingerprint is that of the one that was packed.
-
-        Raises
-        ------
-        InputError
-            The files cannot be written.
-        """
+        """Write the files to an empty folder; the scenario that is returned has the fingerprint of the packed one."""
         for name, content in self.files.items():
-            place = folder / name
+            target = folder / name
             try:
-                place.parent.mkdir(parents=True, exist_ok=True)
-                place.write_bytes(content)
+                target.parent.mkdir(parents=True, exist_ok=True)
+                target.write_bytes(content)
             except OSError as error:
-                raise InputError(f"{place}: cannot be written ({error.strerror}); make room for it.") from error
+                raise InputError(f"{target}: cannot be written ({error.strerror}); make room for it.") from error
         return Scenario(folder / self.main, self.fingerprint, self.roads)
 
 

@@ -1,4 +1,4 @@
-"""The parameters of a batch: each attribute of the file is one value for every concrete scenario."""
+"""Parameter values of a batch of concrete scenarios, in which attributes are evaluated."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from cornercase.scenario.parameter import Value
 from cornercase.scenario.varies import VariesError
 
 Catalogs = Callable[[str, str], etree._Element]
-"""Name of a catalog and of an entry to the entry."""
+"""Returns a catalog entry by the names of catalog and entry."""
 
 _DEEPEST = 20
 
@@ -29,19 +29,8 @@ _DEEPEST = 20
 class Scope(Attributes):
     """Values of parameters for N concrete scenarios.
 
-    Parameters
-    ----------
-    source : str
-        Name of the file, for messages.
-    scenarios : int
-        N.
-    values : mapping of str to float, bool, str or ndarray of shape (N,)
-    origins : mapping of str to set of str
-        For each parameter, the parameters of the logical scenario that its value depends on.
-    catalogs : callable, optional
-        Gives the entry of a catalog, by the names of both.
-    left_handed : bool, default False
-        Whether the file's positions are in left-handed axes; what is read of them is turned.
+    `catalog_lookup` returns a catalog entry by the names of catalog and entry. If `left_handed`, positions that are
+    read are mirrored to the axes of the road file.
     """
 
     def __init__(
@@ -66,29 +55,15 @@ class Scope(Attributes):
         concretes: Sequence[Mapping[str, Value]],
         catalogs: Catalogs | None = None,
     ) -> Scope:
-        """Make the scope of a scenario file's parameter declarations.
-
-        Parameters
-        ----------
-        source : str
-            Name of the file, for messages.
-        root : lxml element
-        concretes : sequence of mapping of str to float or str, length N
-        catalogs : callable, optional
-
-        Returns
-        -------
-        Scope
-            As in `of_declarations`.
-        """
+        """Create the scope of a scenario file for N concrete scenarios, as `from_declarations` does."""
         scope = cls.of_declarations(source, read_declarations(root, source), concretes, catalogs)
         scope._left_handed = left_handed_header(root) is not None
         return scope
 
     def number(self, element: etree._Element, attribute: str, default: float | None = None) -> FloatArray:
-        """Read an attribute as a number for each scenario, in the axes of the road file; as `Attributes.number`."""
-        found = super().number(element, attribute, default)
-        return 0.0 - found if self._left_handed and attribute in TURNED.get(str(element.tag), ()) else found
+        """Read an attribute as a number for each scenario, in the axes of the road file, shape (N,)."""
+        values = super().number(element, attribute, default)
+        return 0.0 - values if self._left_handed and attribute in TURNED.get(str(element.tag), ()) else values
 
     @classmethod
     def of_declarations(
@@ -98,28 +73,10 @@ class Scope(Attributes):
         concretes: Sequence[Mapping[str, Value]],
         catalogs: Catalogs | None = None,
     ) -> Scope:
-        """Make the scope of declared parameters.
+        """Create the scope of declared parameters; `scenario_values` has the values that differ from them.
 
-        Parameters
-        ----------
-        source : str
-            Name of the file, for messages.
-        declarations : sequence of Declaration
-        concretes : sequence of mapping of str to float or str, length N
-            Values that differ from the declared ones, for each concrete scenario.
-        catalogs : callable, optional
-            Gives the entry of a catalog, by the names of both.
-
-        Returns
-        -------
-        Scope
-
-        Raises
-        ------
-        InputError
-            A value is given for a parameter that is not declared, or cannot be evaluated.
-        VariesError
-            A parameter that is no number has several values.
+        Raises `InputError` for undeclared parameters and values that cannot be evaluated, `BatchSplitError` if a
+        parameter that is not a number has several values.
         """
         scope = cls(source, len(concretes), {}, {}, catalogs)
         names = {name for values in concretes for name in values}
@@ -143,47 +100,33 @@ class Scope(Attributes):
         return scope
 
     def _numbers(self, declaration: Declaration, given: Mapping[int, Value]) -> FloatArray:
-        """Values of a numeric parameter, its own where none is given, shape (N,)."""
+        """Return the values of a numeric parameter, by default the declared one, shape (N,)."""
         result = np.full(self.scenarios, np.nan)
         if len(given) == self.scenarios and (numbers := typed_numbers([*given.values()], declaration.kind)) is not None:
             return numbers
         if len(given) < self.scenarios:
-            own = self._typed(self._value(declaration.value, declaration), declaration)
-            result[:] = np.nan if isinstance(own, str) else own
+            default = self._typed(self._value(declaration.value, declaration), declaration)
+            result[:] = np.nan if isinstance(default, str) else default
         for i, value in given.items():
-            one = self._value(value, declaration) if isinstance(value, str) else value
-            one = one[i] if isinstance(one, np.ndarray) else one
-            result[i] = float(self._typed_one(one, declaration))
+            number = self._value(value, declaration) if isinstance(value, str) else value
+            number = number[i] if isinstance(number, np.ndarray) else number
+            result[i] = float(self._typed_one(number, declaration))
         return result
 
     def _one_text(self, declaration: Declaration, given: Mapping[int, Value], origins: set[str]) -> Any:
-        """Value of a parameter that is no number, the same for all."""
-        found = {str(self._typed_one(value, declaration)) for value in given.values()}
+        """Return the common value of a parameter that is not a number."""
+        texts = {str(self._typed_one(value, declaration)) for value in given.values()}
         if len(given) < self.scenarios:
-            own = np.unique(np.asarray(self._typed(self._value(declaration.value, declaration), declaration)))
-            found |= {value_text(one) for one in own.tolist()}
-        if len(found) > 1:
+            defaults = np.unique(np.asarray(self._typed(self._value(declaration.value, declaration), declaration)))
+            texts |= {value_text(default) for default in defaults.tolist()}
+        if len(texts) > 1:
             raise VariesError(origins)
-        return self._typed(found.pop(), declaration)
+        return self._typed(texts.pop(), declaration)
 
     def within(self, element: etree._Element, assignments: etree._Element | None = None) -> Scope:
-        """Make the scope of a catalog entry or maneuver.
+        """Create the scope of a catalog entry or maneuver.
 
-        Parameters
-        ----------
-        element : lxml element
-            Its own declarations come first.
-        assignments : lxml element, optional
-            Overwrite them; their values are read in this scope.
-
-        Returns
-        -------
-        Scope
-
-        Raises
-        ------
-        InputError
-            A value cannot be evaluated.
+        Its own declarations come first; `assignments`, evaluated in this scope, override them.
         """
         source = file_of(element, self.source)
         inner = Scope(source, self.scenarios, self.values, self._origins, self._catalogs, self._left_handed)
@@ -199,31 +142,15 @@ class Scope(Attributes):
         return inner
 
     def declared(self, root: etree._Element, path: str, kind: str) -> dict[str, Any]:
-        """Read the values of declarations such as those of variables.
+        """Read the values of declarations such as variables, shape (N,), by name.
 
-        Parameters
-        ----------
-        root : lxml element
-        path : str
-            To the declarations.
-        kind : str
-            Attribute that holds the type.
-
-        Returns
-        -------
-        dict of str to ndarray of float64 or str, shape (N,)
-            By name.
-
-        Raises
-        ------
-        InputError
-            A value is missing or cannot be evaluated.
+        `path` leads to the declarations; `type_attribute` holds their type.
         """
         values: dict[str, Any] = {}
         for declaration in root.iterfind(path):
             if (name := declaration.get("name", "")) in values:
                 raise InputError(
-                    f"{place_of(declaration, self.source)}: <{declaration.tag}>: '{name}' is declared a second time;"
+                    f"{place_of(declaration, self.source)}: <{declaration.tag}>: '{name}' is declared twice;"
                     " keep one of them."
                 )
             numeric = declaration.get(kind, "string") in NUMERIC
@@ -236,46 +163,16 @@ class Scope(Attributes):
         return values
 
     def violations(self, root: etree._Element) -> dict[str, BoolArray]:
-        """Find where parameters break the constraints of their declarations in a file.
-
-        Parameters
-        ----------
-        root : lxml element
-
-        Returns
-        -------
-        dict of str to ndarray of bool, shape (N,)
-            By parameter, without those that never do.
-
-        Raises
-        ------
-        InputError
-            A bound cannot be evaluated.
-        """
+        """Return masks of shape (N,) of the scenarios that violate constraints of a file, by parameter."""
         return self.broken(read_declarations(root, self.source))
 
     def broken(self, declarations: Sequence[Declaration]) -> dict[str, BoolArray]:
-        """Find where parameters break the constraints of declarations.
-
-        Parameters
-        ----------
-        declarations : sequence of Declaration
-
-        Returns
-        -------
-        dict of str to ndarray of bool, shape (N,)
-            By parameter, without those that never do.
-
-        Raises
-        ------
-        InputError
-            A bound cannot be evaluated.
-        """
-        found: dict[str, BoolArray] = {}
+        """Return masks of shape (N,) of the scenarios that violate constraints, by parameter; only if there are any."""
+        masks: dict[str, BoolArray] = {}
         for declaration in declarations:
             with placed(declaration, self.source):
-                found |= violations([declaration], self.scenarios, self.values.__getitem__, self._bound)
-        return found
+                masks |= violations([declaration], self.scenarios, self.values.__getitem__, self._bound)
+        return masks
 
     def _bound(self, text: str) -> Any:
         text = text.strip()
@@ -284,24 +181,7 @@ class Scope(Attributes):
         return evaluate(text, self.values) if text.startswith("$") else text
 
     def referred(self, holder: etree._Element, tag: str) -> tuple[etree._Element, Scope]:
-        """Find an element that stands in a holder, or in a catalog that the holder refers to.
-
-        Parameters
-        ----------
-        holder : lxml element
-        tag : str
-
-        Returns
-        -------
-        lxml element
-        Scope
-            To read it in.
-
-        Raises
-        ------
-        InputError
-            There is neither.
-        """
+        """Return a child element, or the catalog entry that is referenced instead, and the scope to read it in."""
         element = holder.find(tag)
         if element is not None:
             return element, self.within(element)
@@ -314,30 +194,12 @@ class Scope(Attributes):
         return self.from_catalog(reference, tag)
 
     def from_catalog(self, reference: etree._Element, *tags: str) -> tuple[etree._Element, Scope]:
-        """Find the entry that a ``CatalogReference`` names.
-
-        Parameters
-        ----------
-        reference : lxml element
-        *tags : str
-            Kinds of entry that are allowed; by default all.
-
-        Returns
-        -------
-        lxml element
-        Scope
-            To read it in.
-
-        Raises
-        ------
-        InputError
-            There is no such entry, or it is of another kind.
-        """
+        """Return the entry of a ``CatalogReference``, and the scope to read it in."""
         assert self._catalogs is not None
         if self._depth > _DEEPEST:
             raise InputError(
-                f"{self.source}, line {reference.sourceline}: catalog entries refer to each other more than {_DEEPEST}"
-                " deep, or in a circle."
+                f"{self.source}, line {reference.sourceline}: references between catalog entries are more than"
+                f" {_DEEPEST} deep, or circular."
             )
         names = self.text(reference, "catalogName"), self.text(reference, "entryName")
         with placed(reference, self.source):
@@ -345,7 +207,7 @@ class Scope(Attributes):
         if tags and element.tag not in tags:
             raise InputError(
                 f"{self.source}, line {reference.sourceline}: the catalog entry '{self.text(reference, 'entryName')}'"
-                f" is a <{element.tag}>, where a <{tags[0]}> is needed."
+                f" is a <{element.tag}>; use a <{tags[0]}>."
             )
         inner = self.within(element, reference.find("ParameterAssignments"))
         inner._depth += 1
@@ -356,7 +218,7 @@ class Scope(Attributes):
         self._origins[declaration.name] = self.origins(declaration.value)
 
     def _typed(self, value: Any, declaration: Declaration) -> Any:
-        """Give a declared value its type; it may be the result of an expression, one for each scenario."""
+        """Convert a declared value, or the result of an expression for each scenario, to its type."""
         if isinstance(value, np.ndarray):
             if declaration.kind in INTEGERS:
                 broken = np.isfinite(value) & (np.abs(value - np.round(value)) > 1e-6)
@@ -364,13 +226,13 @@ class Scope(Attributes):
             return value
         if not isinstance(value, str) and declaration.kind not in INTEGERS:
             return value
-        # A declaration may be there for other tools only: what is no number is refused where it is used.
+        # The declaration may be for other tools only; invalid numbers are refused when they are used.
         if declaration.kind in NUMERIC and not _is_number(value):
             return value
-        one = self._typed_one(value, declaration)
+        converted = self._typed_one(value, declaration)
         if declaration.kind == "boolean":
-            return one == "true"
-        return one if isinstance(one, str) else float(one)
+            return converted == "true"
+        return converted if isinstance(converted, str) else float(converted)
 
     def _typed_one(self, value: Any, declaration: Declaration) -> Value:
         try:
@@ -384,3 +246,24 @@ def _is_number(value: Any) -> bool:
         return bool(np.isfinite(number_of(value)))
     except ValueError:
         return False
+
+
+def admitted(
+    declarations: Sequence[Declaration], values: Sequence[Mapping[str, Value]], source: str = "the scenario"
+) -> BoolArray:
+    """Return which concrete scenarios fulfil the constraints of their parameters, shape (n,)."""
+    result = np.ones(len(values), dtype=np.bool_)
+    try:
+        scope = Scope.of_declarations(source, declarations, values)
+    except VariesError as error:
+        # Parameters that are not numbers have one value per batch: evaluate each combination of them separately.
+        names = sorted(error.names)
+        batches: dict[tuple[str, ...], list[int]] = {}
+        for i, scenario in enumerate(values):
+            batches.setdefault(tuple(str(scenario.get(name)) for name in names), []).append(i)
+        for rows in batches.values():
+            result[rows] = admitted(declarations, [values[i] for i in rows], source)
+        return result
+    for broken in scope.broken(declarations).values():
+        result &= ~broken
+    return result

@@ -1,4 +1,4 @@
-"""Parameter spaces: what is varied, and the unit cube that optimizers see."""
+"""Parameter spaces: the varied parameters, and the unit cube that optimizers search."""
 
 from __future__ import annotations
 
@@ -13,32 +13,32 @@ import numpy as np
 from cornercase._common.errors import InputError
 from cornercase._common.typing import BoolArray, FloatArray
 from cornercase.scenario import constraints, distributions
-from cornercase.scenario.admission import admitted
 from cornercase.scenario.constraints import Declaration, in_words
+from cornercase.scenario.declared_types import typed_parameter
+from cornercase.scenario.distribution_files import read_distribution_file, scenario_file_of, without
 from cornercase.scenario.parameter import Parameter, Value
-from cornercase.scenario.typed_ranges import typed_parameter
-from cornercase.scenario.varied import read_distribution_file, read_ranges, scenario_file_of, without
+from cornercase.scenario.scope import admitted
+from cornercase.scenario.varied import read_ranges
 from cornercase.scenario.xml import XmlFiles
 
-# So many points are looked at to see whether constraints leave anything.
+# Number of points to test constraints with.
 _SAMPLED = 2048
 
 
 class ParameterSpace:
-    """A named box of parameters.
+    """A box of named parameters, possibly restricted by constraints.
 
     Parameters
     ----------
     parameters : sequence of Parameter
-        At least one; no name twice.
+        At least one, with different names.
     declarations : sequence of Declaration
-        Parameters of the scenario as its file declares them, where some of them have constraints: the space is what
-        fulfils these. By default it is the whole box.
+        Declared parameters of the scenario, if some have constraints; the space is limited to what fulfils these.
 
     Raises
     ------
     InputError
-        There are no parameters, or two have one name.
+        There are no parameters, or two have the same name.
     """
 
     def __init__(self, parameters: Sequence[Parameter], declarations: Sequence[Declaration] = ()) -> None:
@@ -59,17 +59,17 @@ class ParameterSpace:
         return hash((self.parameters, self.declarations))
 
     def __repr__(self) -> str:
-        constrained = [one.name for one in self.declarations if one.groups]
-        where = f", {', '.join(constrained)} constrained" if constrained else ""
-        return f"<ParameterSpace: {', '.join(map(str, self.parameters))}{where}>"
+        constrained = [declaration.name for declaration in self.declarations if declaration.groups]
+        suffix = f", {', '.join(constrained)} constrained" if constrained else ""
+        return f"<ParameterSpace: {', '.join(map(str, self.parameters))}{suffix}>"
 
     def _repr_html_(self) -> str:
         """Table of the parameters, for notebooks."""
-        groups = {one.name: one.groups for one in self.declarations}
+        groups = {declaration.name: declaration.groups for declaration in self.declarations}
         lines = [
-            (one.name, one.values_text, one.unit, "uniform" if one.distribution is None else one.distribution.kind,
-             " or ".join(map(in_words, groups.get(one.name, ()))))
-            for one in self.parameters
+            (p.name, p.values_text, p.unit, "uniform" if p.distribution is None else p.distribution.kind,
+             " or ".join(map(in_words, groups.get(p.name, ()))))
+            for p in self.parameters
         ]  # fmt: skip
         head = "".join(f"<th>{name}</th>" for name in ("parameter", "values", "unit", "distribution", "constraints"))
         body = "".join("<tr>" + "".join(f"<td>{escape(text)}</td>" for text in line) + "</tr>" for line in lines)
@@ -77,12 +77,12 @@ class ParameterSpace:
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Names in order."""
+        """Names of the parameters, in order."""
         return tuple(parameter.name for parameter in self.parameters)
 
     @property
     def assigns(self) -> tuple[str, ...]:
-        """Names of all parameters of the scenario that a point gives values to."""
+        """Names of all parameters of the scenario that a point sets."""
         return tuple(name for parameter in self.parameters for name in parameter.assigns)
 
     @property
@@ -92,7 +92,7 @@ class ParameterSpace:
 
     @property
     def size(self) -> int | None:
-        """Number of concrete scenarios; None where there are infinitely many."""
+        """Number of concrete scenarios; None if infinite."""
         product = 1
         for parameter in self.parameters:
             if parameter.size is None:
@@ -102,7 +102,7 @@ class ParameterSpace:
 
     @classmethod
     def from_ranges(cls, ranges: Sequence[str]) -> ParameterSpace:
-        """Space of ``NAME=LOW:HIGH[:STEP]`` texts.
+        """Create a space from ``NAME=LOW:HIGH[:STEP]`` texts.
 
         Parameters
         ----------
@@ -129,13 +129,13 @@ class ParameterSpace:
 
     @classmethod
     def from_file(cls, path: Path | str, files: XmlFiles | None = None) -> ParameterSpace:
-        """Space of an OpenSCENARIO ParameterValueDistribution file.
+        """Read the space of an OpenSCENARIO ParameterValueDistribution file.
 
         Parameters
         ----------
         path : path
         files : XmlFiles, optional
-            Keeps it, and what was read of it.
+            Cache of parsed files.
 
         Returns
         -------
@@ -156,7 +156,7 @@ class ParameterSpace:
         ----------
         path : path
         files : XmlFiles, optional
-            Keeps it, and what was read of it.
+            Cache of parsed files.
 
         Returns
         -------
@@ -170,7 +170,7 @@ class ParameterSpace:
         return scenario_file_of(path, files)
 
     def with_ranges(self, ranges: Sequence[str]) -> ParameterSpace:
-        """Space with parameters added, or replaced where the name is the same.
+        """Return the space with parameters added, or replaced if the name exists.
 
         Parameters
         ----------
@@ -186,58 +186,60 @@ class ParameterSpace:
         InputError
             A text is malformed, a bound is not finite, or LOW is not below HIGH.
         """
-        new = read_ranges(ranges)
-        kept = [without(parameter, {one.name for one in new}) for parameter in self.parameters]
-        merged = {parameter.name: parameter for parameter in kept if parameter is not None}
-        for parameter in new:
-            before = merged.get(parameter.name)
-            merged[parameter.name] = parameter if before is None else replace(parameter, unit=before.unit)
+        added = read_ranges(ranges)
+        remaining = [without(parameter, {addition.name for addition in added}) for parameter in self.parameters]
+        merged = {parameter.name: parameter for parameter in remaining if parameter is not None}
+        for parameter in added:
+            replaced = merged.get(parameter.name)
+            merged[parameter.name] = parameter if replaced is None else replace(parameter, unit=replaced.unit)
         return ParameterSpace(list(merged.values()), self.declarations)
 
     def continuous(self) -> ParameterSpace:
-        """Space in which ranges with steps are intervals; a range of a single value stays what it is.
+        """Return the space with continuous ranges instead of steps; ranges of a single value keep it.
 
         Returns
         -------
         ParameterSpace
         """
         parameters = [
-            replace(one, step=None) if one.low < one.high and not one.choices and not _counts(one) else one
-            for one in self.parameters
+            replace(parameter, step=None)
+            if parameter.low < parameter.high and not parameter.choices and not _counts(parameter)
+            else parameter
+            for parameter in self.parameters
         ]
         return ParameterSpace(parameters, self.declarations)
 
     def typed(self, declarations: Sequence[Declaration], source: str = "the scenario") -> ParameterSpace:
-        """Space whose values have the types that a scenario declares for its parameters.
+        """Return the space with values converted to the types that a scenario declares.
 
         Parameters
         ----------
         declarations : sequence of Declaration
-            All parameters that the scenario declares.
+            All declared parameters of the scenario.
         source : str
             Name of the file, for messages.
 
         Returns
         -------
         ParameterSpace
-            Ranges of integers hold the whole numbers only, those of booleans false and true.
+            Ranges of integers get integer steps, those of booleans the choices false and true.
 
         Raises
         ------
         InputError
-            A range does not suit the type.
+            A range does not fit its type.
         """
-        kinds = {one.name: one.kind for one in declarations}
-        parameters = [typed_parameter(one, kinds.get(one.name, "double"), source) for one in self.parameters]
+        kinds = {declaration.name: declaration.kind for declaration in declarations}
+        parameters = [typed_parameter(p, kinds.get(p.name, "double"), source) for p in self.parameters]
         return ParameterSpace(parameters, self.declarations)
 
     def constrained(self, declarations: Sequence[Declaration], source: str = "the scenario") -> ParameterSpace:
-        """Space without what breaks the constraints of a scenario's parameters.
+        """Return the space restricted to the constraints of a scenario's parameters.
 
         Parameters
         ----------
         declarations : sequence of Declaration
-            All parameters that the scenario declares.
+            All declared parameters of the scenario.
         source : str
             Name of the file, for messages.
 
@@ -248,20 +250,20 @@ class ParameterSpace:
         Raises
         ------
         InputError
-            Hardly anything would be left of it.
+            None of 2048 random points fulfils the constraints.
         """
         if not any(declaration.groups for declaration in declarations):
             return ParameterSpace(self.parameters)
-        some = self._some()
-        if not admitted(declarations, self.values(self.snap(some)), source).any():
+        points = self._some()
+        if not admitted(declarations, self.values(self.snap(points)), source).any():
             raise InputError(
-                f"None of {len(some)} concrete scenarios fulfils the constraints of the scenario's parameters; vary"
+                f"None of {len(points)} concrete scenarios fulfils the constraints of the scenario's parameters; vary"
                 " them within their constraints."
             )
         return ParameterSpace(self.parameters, declarations)
 
     def admits(self, points: FloatArray) -> BoolArray:
-        """Tell which points stand for scenarios that fulfil the constraints.
+        """Return which points fulfil the constraints.
 
         Parameters
         ----------
@@ -277,19 +279,19 @@ class ParameterSpace:
         return admitted(self.declarations, self.values(points))
 
     def values(self, points: FloatArray) -> list[dict[str, Value]]:
-        """Return the values of points.
+        """Return the parameter values of points.
 
         Parameters
         ----------
         points : ndarray of float64, shape (n, d)
-            In the unit cube; what lies outside is moved to its border.
+            In the unit cube; coordinates outside are clipped.
 
         Returns
         -------
         list of dict of str to float or str, length n
             By parameter of the scenario.
         """
-        # In columns, as a search with constraints looks at a hundred thousand points.
+        # By column for speed: with constraints, a search tests 100,000 points.
         columns: dict[str, list[Value]] = {}
         if len(points):
             for parameter, u in zip(self.parameters, np.clip(points, 0.0, 1.0).T, strict=True):
@@ -297,7 +299,7 @@ class ParameterSpace:
         return [dict(zip(columns, row, strict=True)) for row in zip(*columns.values(), strict=True)]
 
     def points(self, values: Sequence[Mapping[str, Value]]) -> FloatArray:
-        """Return the points of values, the inverse of `values`.
+        """Return the points of parameter values, the inverse of `values`.
 
         Parameters
         ----------
@@ -314,30 +316,29 @@ class ParameterSpace:
             A value is none of its parameter's choices.
         """
         return np.array(
-            [[parameter.unit_place(parameter.read(one)) for parameter in self.parameters] for one in values]
+            [[parameter.unit_place(parameter.read(scenario)) for parameter in self.parameters] for scenario in values]
         ).reshape(-1, self.dimension)
 
     def middle(self) -> FloatArray:
-        """Return a point in the middle of the space, within its constraints.
+        """Return the center of the space, or a random admissible point if the center violates the constraints.
 
         Returns
         -------
         ndarray of float64, shape (1, d)
-            The middle of the box where it fulfils the constraints, else a random point that does.
         """
         points = self.snap(np.concatenate([np.full((1, self.dimension), 0.5), self._some()]))
         return points[self.admits(points)][:1]
 
     def samples(self) -> FloatArray:
-        """Return a few points within the constraints, among which are all choices of each parameter.
+        """Return a few admissible points that include all choices of each parameter.
 
         Returns
         -------
         ndarray of float64, shape (n, d)
-            In the unit cube; the first is the middle of the space.
+            In the unit cube; the first is `center_point`.
         """
-        most = max(len(parameter.choices) for parameter in self.parameters)
-        points = np.full((max(most, 1), self.dimension), 0.5)
+        count = max(len(parameter.choices) for parameter in self.parameters)
+        points = np.full((max(count, 1), self.dimension), 0.5)
         for j, parameter in enumerate(self.parameters):
             if parameter.choices:
                 points[:, j] = parameter.middles(np.arange(len(points)) % len(parameter.choices))
@@ -345,12 +346,12 @@ class ParameterSpace:
         return np.concatenate([self.middle(), points[self.admits(points)]])
 
     def _some(self) -> FloatArray:
-        """Points that are looked at to see whether constraints leave anything: all of a few, else random ones."""
+        """Points to test constraints with: all of a small space, else random ones."""
         few = self.size is not None and self.size <= _SAMPLED
         return self.lattice() if few else np.random.default_rng(0).random((_SAMPLED, self.dimension))
 
     def snap(self, points: FloatArray) -> FloatArray:
-        """Move points to what is really run: the middle of each step or choice.
+        """Move points to the middle of their step or choice, which is what is simulated.
 
         Parameters
         ----------
@@ -373,7 +374,7 @@ class ParameterSpace:
         Parameters
         ----------
         steps : sequence of int, length d, optional
-            How many values of each parameter, evenly apart; by default all, which needs a finite space.
+            Number of evenly spaced values of each parameter; by default all, which needs a finite space.
 
         Returns
         -------
@@ -384,30 +385,30 @@ class ParameterSpace:
         for j, parameter in enumerate(self.parameters):
             size = parameter.size
             count = steps[j] if steps is not None else int(size or 1)
-            places = (np.arange(count) + 0.5) / count
-            # A likely value may have several places on the unit interval, but is one value.
-            axes.append(places if size is None else parameter.middles((places * size).astype(np.int64)))
+            positions = (np.arange(count) + 0.5) / count
+            # Several positions may fall on one likely value, so go by index.
+            axes.append(positions if size is None else parameter.middles((positions * size).astype(np.int64)))
         return np.asarray(np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, self.dimension))
 
     def shares(self, points: FloatArray) -> FloatArray:
-        """Return the probability of each scenario of a finite space, by the distributions of its parameters.
+        """Return the probability of scenarios of a finite space, from the distributions of its parameters.
 
         Parameters
         ----------
         points : ndarray of float64, shape (n, d)
-            In the unit cube; constraints do not count.
+            In the unit cube; constraints are ignored.
 
         Returns
         -------
         ndarray of float64, shape (n,)
         """
-        found = np.ones(len(points))
+        probabilities = np.ones(len(points))
         for j, parameter in enumerate(self.parameters):
-            found *= parameter.shares[parameter.numbers(points[:, j])]
-        return found
+            probabilities *= parameter.shares[parameter.numbers(points[:, j])]
+        return probabilities
 
     def to_json(self) -> dict[str, Any]:
-        """Return plain values from which `from_json` makes the same space.
+        """Return JSON values, the inverse of `from_json`.
 
         Returns
         -------
@@ -424,7 +425,7 @@ class ParameterSpace:
                     "unit": p.unit,
                     "distribution": None if p.distribution is None else p.distribution.to_json(),
                     "sets": [dict(members) for members in p.sets],
-                    # Studies of earlier versions do not know it.
+                    # Omitted by default, as in studies of earlier versions.
                     **({"whole": True} if p.whole else {}),
                 }
                 for p in self.parameters
@@ -434,11 +435,12 @@ class ParameterSpace:
 
     @classmethod
     def from_json(cls, plain: Mapping[str, Any]) -> ParameterSpace:
-        """Make a space of what `to_json` gave.
+        """Restore a space from `to_json`.
 
         Parameters
         ----------
         plain : mapping
+            As returned by `to_json`.
 
         Returns
         -------
@@ -462,5 +464,5 @@ class ParameterSpace:
 
 
 def _counts(parameter: Parameter) -> bool:
-    """Whether a parameter takes numbers from a law of single ones, which no interval goes between."""
+    """Whether a parameter has a discrete distribution, which cannot become continuous."""
     return parameter.distribution is not None and parameter.distribution.discrete

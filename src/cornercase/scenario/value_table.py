@@ -1,4 +1,4 @@
-"""Values of many concrete scenarios, from a table."""
+"""Read the parameter values of many concrete scenarios from a CSV table."""
 
 from __future__ import annotations
 
@@ -23,17 +23,7 @@ FILE_COLUMN: Final = "file"
 
 @dataclass(frozen=True)
 class ValueRow:
-    """One line of a table of values.
-
-    Attributes
-    ----------
-    line : int
-        In the file.
-    file : str
-        What it calls the recording; empty where the table does not say.
-    values : mapping of str to str
-        By parameter.
-    """
+    """One line of a table: line number, name of the recording (empty if not given), values by parameter."""
 
     line: int
     file: str
@@ -41,24 +31,7 @@ class ValueRow:
 
 
 def read_value_table(path: Path, scenario: Scenario) -> tuple[ValueRow, ...]:
-    """Read the values of a scenario's parameters, one concrete scenario a line.
-
-    Parameters
-    ----------
-    path : Path
-        CSV with a column for each parameter that is varied, and possibly ``file``.
-    scenario : Scenario
-        Declares the parameters.
-
-    Returns
-    -------
-    tuple of ValueRow
-
-    Raises
-    ------
-    InputError
-        It is no such table, or a value is not of the type that its parameter is declared with.
-    """
+    """Read a CSV table with a column for each varied parameter, and optionally ``file``; a scenario per line."""
     try:
         reader = csv.DictReader(io.StringIO(read_file(path).decode("utf-8-sig"), newline=""))
         names = list(reader.fieldnames or ())
@@ -81,10 +54,10 @@ def read_value_table(path: Path, scenario: Scenario) -> tuple[ValueRow, ...]:
     rows = []
     for line, cells in lines:
         if None in cells or None in cells.values() or "" in cells.values():
-            raise InputError(f"{path}, line {line}: has a field too many, or one is empty.")
+            raise InputError(f"{path}, line {line}: has an empty field, or too many fields.")
         values = {parameter: text_of_cell(cells[name]).strip() for name, parameter in parameters.items()}
         rows.append(ValueRow(line, text_of_cell(cells.get(FILE_COLUMN, "")), values))
     declarations = read_declarations(scenario.root, str(scenario.path))
-    for place, why in unusable_values(declarations, [row.values for row in rows]).items():
-        raise InputError(f"{path}, line {rows[place].line}: {why}.")
+    for index, problem in unusable_values(declarations, [row.values for row in rows]).items():
+        raise InputError(f"{path}, line {rows[index].line}: {problem}.")
     return tuple(rows)

@@ -1,4 +1,4 @@
-"""Numbers of OpenSCENARIO that may be varied: names, units, bounds, and the ranges that are proposed."""
+"""Numbers of OpenSCENARIO files that can be varied: names, units, bounds, proposed ranges."""
 
 from __future__ import annotations
 
@@ -9,21 +9,10 @@ from typing import Final
 
 @dataclass(frozen=True)
 class Kind:
-    """What numbers of one kind have in common.
+    """What numbers of one physical quantity have in common.
 
-    Attributes
-    ----------
-    unit : str
-    share : float
-        The proposed range reaches as far to both sides, as a share of the value.
-    half : float
-        It reaches as far to both sides whatever the value is, where this is not 0.
-    zero : float
-        It reaches as far from a value of 0, to both sides where the value may be negative.
-    least : float or None
-        What the standard allows at least.
-    whole : bool
-        Whether it is a whole number.
+    The proposed range is the value ± `half_width` if that is not 0, else ± `relative_width` times the value; for a
+    value of 0 it is ± `half_width_at_zero`. `minimum` is what the standard allows.
     """
 
     unit: str = ""
@@ -34,22 +23,22 @@ class Kind:
     whole: bool = False
 
     def proposed(self, value: float, least: float | None, most: float | None) -> tuple[float, float] | None:
-        """Propose a range around a value, within bounds; None where hardly anything would be left."""
+        """Propose a range around a value, within bounds; None if hardly anything would be left."""
         reach = self.half or abs(value) * self.share or self.zero
         if self.whole:
             low, high = value - round(reach), value + round(reach)
         else:
             low, high = value - reach, value + reach
-            # A standing car that drives backwards is not a variant of it.
+            # Do not let a standing car drive backwards.
             low = max(low, 0.0) if value == 0.0 and self.unit == "m/s" else low
-            low, high = (_readable(one, reach) for one in (low, high))
+            low, high = (_readable(bound, reach) for bound in (low, high))
         low = low if least is None else max(low, least)
         high = high if most is None else min(high, most)
         return (low, high) if low < high and low <= value <= high else None
 
 
 def _readable(value: float, reach: float) -> float:
-    """Round to about two digits of the reach, so that a range is quickly read."""
+    """Round to about two digits of the width, so that the range is easy to read."""
     digits = 1
     while digits < 6 and reach * 10**digits < 50.0:
         digits += 1
@@ -71,7 +60,7 @@ _LIMIT: Final = replace(_ACCELERATION, least=0.0)
 _JERK: Final = Kind("m/s³", share=0.3, zero=1.0, least=0.0)
 _FACTOR: Final = Kind("", share=0.3, zero=0.5)
 LANE: Final = Kind(whole=True)
-"""Number of a lane; only its road tells which ones there are."""
+"""Lane number; the possible ones depend on the road."""
 _LANES: Final = Kind("lanes", whole=True)
 
 NUMBERS: Final[Mapping[str, Mapping[str, tuple[str, Kind]]]] = {
@@ -135,20 +124,16 @@ NUMBERS: Final[Mapping[str, Mapping[str, tuple[str, Kind]]]] = {
         "angle": ("angle", _ANGLE), "angleTolerance": ("tolerance", replace(_ANGLE, least=0.0)),
     },
 }  # fmt: skip
-"""By element and attribute: the last part of the name, and the kind."""
+"""Last part of the name, and quantity, by element and attribute."""
 
-DYNAMICS: Final = {
-    "time": ("duration", _TIME),
-    "distance": ("length", _DISTANCE),
-    "rate": ("rate", _LIMIT),
-}
-"""What the value of a transition is, by its dimension."""
+DYNAMICS: Final = {"time": ("duration", _TIME), "distance": ("length", _DISTANCE), "rate": ("rate", _LIMIT)}
+"""Name and quantity of a transition's value, by its dimension."""
 
 RATE_OF_LANES: Final = ("rate", _SPEED_LIMIT)
-"""What it is where a lane is changed at a rate."""
+"""The same for the rate of a lane change."""
 
 SPEED_FACTOR: Final = ("speed_factor", _FACTOR)
-"""What the value of a `RelativeTargetSpeed` is that is a factor."""
+"""The same for a `RelativeTargetSpeed` that is a factor."""
 
 ELSEWHERE: Final = frozenset({"Trajectory", "Route", "TrafficAction", "EnvironmentAction", "ControllerAction"})
-"""Elements that are not looked into."""
+"""Elements whose numbers are not listed."""

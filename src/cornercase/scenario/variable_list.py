@@ -1,4 +1,4 @@
-"""What of a scenario file could be varied: its numbers, with names that can be typed."""
+"""List the numbers of a scenario file that can be varied, with names that can be typed."""
 
 from __future__ import annotations
 
@@ -22,18 +22,10 @@ from cornercase.scenario.criteria import is_never_true
 from cornercase.scenario.declared_types import INTEGERS, NUMERIC
 from cornercase.scenario.openscenario import Scenario
 from cornercase.scenario.road_extent import RoadExtent, read_extents
-from cornercase.scenario.variable_kinds import (
-    DYNAMICS,
-    ELSEWHERE,
-    LANE,
-    NUMBERS,
-    RATE_OF_LANES,
-    SPEED_FACTOR,
-    Kind,
-)
+from cornercase.scenario.variable_kinds import DYNAMICS, ELSEWHERE, LANE, NUMBERS, RATE_OF_LANES, SPEED_FACTOR, Kind
 from cornercase.scenario.xml import parse_xml
 
-# Characters of a part of a name, and of one between others, so that a table of names fits a terminal.
+# Largest lengths of parts of names, so that the table of names fits a terminal.
 _LONGEST: Final = 24
 _LONGEST_BETWEEN: Final = 16
 _LONGEST_SHOWN: Final = 60
@@ -43,42 +35,42 @@ _ON_ROADS: Final = ("LanePosition", "RoadPosition")
 
 @dataclass(frozen=True)
 class Variable:
-    """A number of a scenario file that could be varied, or one that could not, and why.
+    """A number of a scenario file that can be varied, or the reason why it cannot.
 
     Attributes
     ----------
     name : str
-        By which `vary` knows it: ``"Ego.initial.speed"``.
+        Its name for `vary`: ``"Ego.initial.speed"``.
     group : str
-        Whose it is: ``"entity Ego"``, ``"event CutIn"``.
+        What it belongs to: ``"entity Ego"``, ``"event CutIn"``.
     text : str
-        As it stands in the file.
+        As written in the file.
     unit : str
         Empty for numbers without one.
     line : int
-        Where it stands in the file; the first of several places.
+        Line in the file; the first of several.
     low, high : float or None
-        Range that is proposed; None where there is none.
+        Proposed range; None if there is none.
     least, most : float or None
-        Bounds that a range may not leave; None where there are none.
+        Bounds for any range; None if there are none.
     whole : bool
-        Whether it takes whole numbers only.
+        Whether it is an integer.
     parameter : str
-        Name of the parameter that stands for it once it varies; of one that is a parameter already, its own.
+        Name of the parameter that replaces it when it is varied, or its own if it is a parameter already.
     fixed : str
-        Why it cannot be varied here; empty where it can.
+        Why it cannot be varied; empty if it can.
     declared : bool
         Whether it is a parameter already.
     lanes : frozenset of int
-        Numbers that it can have where it is that of a lane on a road that could be read.
+        Possible values of a lane number, if the road could be read.
     places : tuple of (int, str)
-        Which elements of the file hold it, in the order of the file from 0 on, and their attributes.
+        Index of each element that holds it, in the order of the file from 0, and the attribute.
 
     Examples
     --------
     >>> from cornercase.scenario import variables
-    >>> known = {one.name: one for one in variables("examples/x_intersection/x_intersection.xosc")}
-    >>> known["C_stops.rate"].text, known["C_stops.rate"].unit, known["C_stops.rate"].proposal
+    >>> listed = {variable.name: variable for variable in variables("examples/x_intersection/x_intersection.xosc")}
+    >>> listed["C_stops.rate"].text, listed["C_stops.rate"].unit, listed["C_stops.rate"].proposal
     ('4', 'm/s²', '2.8:5.2')
     """
 
@@ -100,13 +92,13 @@ class Variable:
 
     @property
     def proposal(self) -> str:
-        """Range that is proposed, as ``"5:20"``; empty where there is none."""
+        """Proposed range, as ``"5:20"``; empty if there is none."""
         return "" if self.low is None or self.high is None else f"{_plain(self.low)}:{_plain(self.high)}"
 
 
 @dataclass(frozen=True)
 class _Found:
-    """A number, before those of its group have got names of their own."""
+    """A number before it gets a name that is unique in its group."""
 
     base: str
     qualifier: str
@@ -115,21 +107,20 @@ class _Found:
 
 
 def variables(scenario: Scenario | Path | str) -> tuple[Variable, ...]:
-    """List what of a scenario could be varied.
+    """List the numbers of a scenario that can be varied.
 
-    These are the numeric parameters that it declares, and the numbers that stand in it: initial speeds and places, what
-    triggers wait for, and what actions aim at and how fast. Each number has a name that holds the name of its entity or
-    event, and a range that is proposed.
+    These are the numeric parameters that it declares, and the numbers in it: initial speeds and positions, values of
+    triggers, targets and dynamics of actions. Each has a name that includes its entity or event, and a proposed range.
 
     Parameters
     ----------
     scenario : Scenario or path
-        OpenSCENARIO file, in whose own axes the numbers are.
+        OpenSCENARIO file; the numbers are in its own axes.
 
     Returns
     -------
     tuple of Variable
-        In the order of the file; also those that cannot be varied, with the reason.
+        In the order of the file; includes those that cannot be varied, with the reason.
 
     Raises
     ------
@@ -138,13 +129,13 @@ def variables(scenario: Scenario | Path | str) -> tuple[Variable, ...]:
 
     See Also
     --------
-    vary : Writes a scenario in which some of them vary.
+    vary : Writes a scenario with varied numbers.
 
     Examples
     --------
     >>> from cornercase.scenario import variables
-    >>> for one in variables("examples/r157/cut_in.xosc")[4:6]:
-    ...     print(one.name, one.text, one.unit, one.proposal)
+    >>> for variable in variables("examples/r157/cut_in.xosc")[4:6]:
+    ...     print(variable.name, variable.text, variable.unit, variable.proposal)
     Ego.initial.x 100 m 95:105
     Ego.initial.y -5.25 m -10.2:-0.2
     """
@@ -153,19 +144,7 @@ def variables(scenario: Scenario | Path | str) -> tuple[Variable, ...]:
 
 
 def variables_of(scenario: Scenario, root: etree._Element) -> tuple[Variable, ...]:
-    """List what could be varied in the tree of a scenario file.
-
-    Parameters
-    ----------
-    scenario : Scenario
-        The same file, of which catalogs and roads are read.
-    root : lxml element
-        What is read of it does not count as read by anybody.
-
-    Returns
-    -------
-    tuple of Variable
-    """
+    """List the variables of a parsed scenario file; reading `root` does not mark its elements as used."""
     return _Listing(scenario, root).all()
 
 
@@ -179,24 +158,24 @@ class _Listing:
         self._roads: dict[str, RoadExtent] | None = None
 
     def all(self) -> tuple[Variable, ...]:
-        """All of them, with names and names of parameters that are unique."""
+        """All variables, with unique names and parameter names."""
         with suppress(InputError):
-            # What names no file of this machine is said where the scenario is run.
-            if missing := self._without_road():
-                warn(f"no range is proposed for places along a road: {missing}")
-        found = [*self._of_init(), *self._of_storyboard()]
-        several = Counter((one.base, one.suffix) for one in found)
+            # Invalid paths are reported when the scenario runs.
+            if problem := self._without_road():
+                warn(f"no range is proposed for positions on roads: {problem}")
+        numbers = [*self._of_init(), *self._of_storyboard()]
+        several = Counter((number.base, number.suffix) for number in numbers)
         listed = list(self._of_parameters())
-        names = _Names(one.name for one in listed)
+        names = _Names(number.name for number in listed)
         parameters = _Names(
             str(e.get("name", "")) for e in self._root.iter("ParameterDeclaration", "VariableDeclaration")
         )
-        for one in found:
-            middle = (one.qualifier,) if several[one.base, one.suffix] > 1 and one.qualifier else ()
-            name = names.new(".".join((one.base, *middle, one.suffix)))
-            plain = re.sub(r"[^A-Za-z0-9_]", "_", name)
-            parameter = parameters.new(plain if plain[:1].isalpha() else f"v_{plain}")
-            listed.append(replace(one.variable, name=name, parameter=parameter))
+        for number in numbers:
+            middle = (number.qualifier,) if several[number.base, number.suffix] > 1 and number.qualifier else ()
+            name = names.new(".".join((number.base, *middle, number.suffix)))
+            identifier = re.sub(r"[^A-Za-z0-9_]", "_", name)
+            parameter = parameters.new(identifier if identifier[:1].isalpha() else f"v_{identifier}")
+            listed.append(replace(number.variable, name=name, parameter=parameter))
         return tuple(listed)
 
     def _of_parameters(self) -> Iterator[Variable]:
@@ -249,7 +228,7 @@ class _Listing:
                 yield from self._below(action, name, _part(action.get("name", ""), longest=_LONGEST_BETWEEN), group)
 
     def _of_reference(self, reference: etree._Element) -> Iterator[_Found]:
-        """Values that a maneuver of a catalog is given here; the others stand in the catalog."""
+        """Values that are assigned to a maneuver of a catalog; its other numbers are in the catalog."""
         catalog, entry = self._text(reference.get("catalogName", "")), self._text(reference.get("entryName", ""))
         group = f"maneuver {shorten(entry, _LONGEST_SHOWN)} of the catalog {shorten(catalog, _LONGEST_SHOWN)}"
         try:
@@ -262,27 +241,27 @@ class _Listing:
             if kinds.get(name) in NUMERIC:
                 kind = Kind(whole=kinds[name] in INTEGERS)
                 yield from self._number([element], "value", _part(entry), "", _part(name), kind, group)
-        place = shorten(catalog, _LONGEST_SHOWN)
-        why = f"its numbers stand in the catalog {place}; copy the maneuver into the scenario to vary them"
+        shown_catalog = shorten(catalog, _LONGEST_SHOWN)
+        reason = f"its numbers are in the catalog {shown_catalog}; copy the maneuver into the scenario to vary them"
         yield _Found(
-            _part(entry), "", "catalog", Variable("", group, "in a catalog", line=line_of(reference), fixed=why)
+            _part(entry), "", "catalog", Variable("", group, "in a catalog", line=line_of(reference), fixed=reason)
         )
 
     def _of_trigger(self, trigger: etree._Element | None, base: str, group: str) -> Iterator[_Found]:
-        """Numbers of conditions; a condition that stands in several groups of one trigger varies in all of them."""
-        alike: dict[Any, list[etree._Element]] = {}
+        """Numbers of conditions; identical conditions in several groups of a trigger share their variables."""
+        identical: dict[Any, list[etree._Element]] = {}
         groups = () if trigger is None else trigger.iterfind("ConditionGroup")
-        # What is never true waits for nothing.
-        lasting = (group for group in groups if not self._is_never_true(group))
-        for condition in (one for group in lasting for one in group.iterchildren("Condition")):
-            inner = tuple(_content(child) for child in condition.iterchildren("*"))
-            alike.setdefault((condition.get("delay", ""), inner), []).append(condition)
-        for same in alike.values():
-            qualifier = _part(same[0].get("name", ""), longest=_LONGEST_BETWEEN)
-            yield from self._below(same[0], base, qualifier, group, same)
+        # Groups that are never true have no effect.
+        possible = (group for group in groups if not self._is_never_true(group))
+        for condition in (condition_ for group in possible for condition_ in group.iterchildren("Condition")):
+            content = tuple(_content(child) for child in condition.iterchildren("*"))
+            identical.setdefault((condition.get("delay", ""), content), []).append(condition)
+        for conditions in identical.values():
+            qualifier = _part(conditions[0].get("name", ""), longest=_LONGEST_BETWEEN)
+            yield from self._below(conditions[0], base, qualifier, group, conditions)
 
     def _is_never_true(self, group: etree._Element) -> bool:
-        """Whether a group holds one of ScenarioRunner's criteria, or another condition that is never true."""
+        """Whether a group contains a criterion of ScenarioRunner, or another condition that is never true."""
         for condition in group.iterfind("Condition/ByValueCondition/ParameterCondition"):
             name = condition.get("parameterRef", "").lstrip("$")
             if name not in self._declared and is_never_true(condition, name):
@@ -292,16 +271,16 @@ class _Listing:
     def _below(
         self, top: etree._Element, base: str, qualifier: str, group: str, same: list[etree._Element] | None = None
     ) -> Iterator[_Found]:
-        """Numbers of an element and all below it; elements of the `same` content have them, too."""
-        rows = zip(*(_looked_into(one) for one in same or [top]), strict=True)
+        """Numbers of an element and its descendants; `identical_elements` share them."""
+        rows = zip(*(_looked_into(twin) for twin in same or [top]), strict=True)
         entries = 0
         for row in rows:
             element = row[0]
             entries += element.tag == "SpeedProfileEntry"
-            inner = f"entry_{entries}" if element.tag == "SpeedProfileEntry" else qualifier
+            row_qualifier = f"entry_{entries}" if element.tag == "SpeedProfileEntry" else qualifier
             for attribute, (suffix, kind) in _numbers_of(element).items():
-                whole = f"{_role(element, top)}{suffix}"
-                yield from self._number(list(row), attribute, base, inner, whole, kind, group)
+                full_suffix = f"{_role(element, top)}{suffix}"
+                yield from self._number(list(row), attribute, base, row_qualifier, full_suffix, kind, group)
 
     def _number(
         self, elements: list[etree._Element], attribute: str, base: str, qualifier: str, suffix: str, kind: Kind,
@@ -309,19 +288,19 @@ class _Listing:
     ) -> Iterator[_Found]:  # fmt: skip
         element = elements[0]
         text = (element.get(attribute) or "").strip()
-        found = Variable("", group, text, kind.unit, line_of(element), whole=kind.whole)
+        variable = Variable("", group, text, kind.unit, line_of(element), whole=kind.whole)
         if text.startswith("$"):
-            why = f"it is {shorten(text, _LONGEST_SHOWN)}" + (
+            reason = f"it is {shorten(text, _LONGEST_SHOWN)}" + (
                 "; vary the parameter" if text[1:] in self._declared else ""
             )
-            yield _Found(base, qualifier, suffix, replace(found, fixed=why))
+            yield _Found(base, qualifier, suffix, replace(variable, fixed=reason))
             return
         value = finite_number(text)
         if value is None or (kind.whole and value != round(value)):
             return
         least, most = kind.least, None
         if least is not None and value < least and kind.unit in _BRAKING:
-            # As many files write that something brakes.
+            # Many files write a negative value for braking.
             least = None
         inner_least, inner_most, lanes = least, most, frozenset[int]()
         road, lane, s = self._on_road(element)
@@ -333,43 +312,43 @@ class _Listing:
                 lanes = road.lanes_at(s)
                 inner_least, inner_most = road.alike(round(value), s) or (None, None)
                 kind = replace(kind, half=math.inf) if inner_least is not None else kind
-        # What the file has stays possible.
+        # The value in the file stays possible.
         least = None if least is not None and value < least else least
         most = None if most is not None and value > most else most
         if road is None and attribute == "s" and element.tag in _ON_ROADS:
-            # Where the road ends is not known.
+            # Propose no range, as the length of the road is unknown.
             kind = Kind(kind.unit)
         range_ = _proposed(kind, value, inner_least, inner_most)
         yield _Found(
             base, qualifier, suffix,
             replace(
-                found, low=range_[0], high=range_[1], least=least, most=most, lanes=lanes,
-                places=tuple((self._numbers[one], attribute) for one in elements),
+                variable, low=range_[0], high=range_[1], least=least, most=most, lanes=lanes,
+                places=tuple((self._numbers[twin], attribute) for twin in elements),
             ),
         )  # fmt: skip
 
     def _on_road(self, element: etree._Element) -> tuple[RoadExtent | None, int | None, float | None]:
-        """The road that a position lies on, and its lane and s, as far as they are known."""
+        """Return road, lane and s of a position, as far as they are known."""
         if element.tag not in _ON_ROADS:
             return None, None, None
         if self._roads is None:
             self._roads = read_extents(self._scenario.road_file())
         lane, s = (finite_number(self._text(element.get(name) or "")) for name in ("laneId", "s"))
-        whole = None if lane is None or lane != round(lane) else round(lane)
-        return self._roads.get(self._text(element.get("roadId", ""))), whole, s
+        lane_id = None if lane is None or lane != round(lane) else round(lane)
+        return self._roads.get(self._text(element.get("roadId", ""))), lane_id, s
 
     def _without_road(self) -> str:
-        """Why the road file cannot be looked into; empty where it can."""
+        """Return why the road file cannot be read; empty if it can."""
         if "$" in self._scenario.road_reference():
             return "an expression names the road file"
         return self._scenario.missing_road()
 
     def _text(self, text: str) -> str:
-        """A text, or the value of the parameter that it names."""
+        """Return a text, or the value of the parameter that it refers to."""
         return self._declared.get(text[1:], text) if text.startswith("$") else text
 
     def _name(self, element: etree._Element, what: str) -> str:
-        """Part of names that an element is, unique among those of its kind."""
+        """Return the part of a name that stands for an element, unique among elements of its kind."""
         if element not in self._parts:
             self._parts[element] = self._known.setdefault(what, _Names(())).new(_part(element.get("name", ""), what))
         return self._parts[element]
@@ -381,21 +360,21 @@ def _numbers_of(element: etree._Element) -> Mapping[str, tuple[str, Kind]]:
         return {"value": SPEED_FACTOR}
     if tag in ("SpeedActionDynamics", "LaneChangeActionDynamics"):
         dimension = element.get("dynamicsDimension", "")
-        # A step takes no time, whatever the value says.
+        # A step takes no time, whatever the value.
         if element.get("dynamicsShape") == "step" or dimension not in DYNAMICS:
             return {}
         lanes = tag == "LaneChangeActionDynamics" and dimension == "rate"
         return {"value": RATE_OF_LANES if lanes else DYNAMICS[dimension]}
-    return {name: one for name, one in NUMBERS.get(tag, {}).items() if element.get(name) is not None}
+    return {name: entry for name, entry in NUMBERS.get(tag, {}).items() if element.get(name) is not None}
 
 
 def _role(element: etree._Element, top: etree._Element) -> str:
     """What goes before the name of a number, where an action has two positions."""
-    above: etree._Element | None = element.getparent()
-    while above is not None and above is not top:
-        if above.tag in ("TargetPositionMaster", "TargetPosition"):
-            return "master_" if above.tag == "TargetPositionMaster" else "target_"
-        above = above.getparent()
+    ancestor: etree._Element | None = element.getparent()
+    while ancestor is not None and ancestor is not top:
+        if ancestor.tag in ("TargetPositionMaster", "TargetPosition"):
+            return "master_" if ancestor.tag == "TargetPositionMaster" else "target_"
+        ancestor = ancestor.getparent()
     return ""
 
 
@@ -407,7 +386,7 @@ def _looked_into(element: etree._Element) -> Iterator[etree._Element]:
 
 
 def _content(element: etree._Element) -> tuple[Any, ...]:
-    """What an element says, without how it is laid out."""
+    """Content of an element, independent of its formatting."""
     attributes = tuple(sorted((str(key), str(value)) for key, value in element.attrib.items()))
     return str(element.tag), attributes, tuple(_content(child) for child in element.iterchildren("*"))
 
@@ -425,9 +404,9 @@ def _each(element: etree._Element, holder: str) -> Iterator[etree._Element]:
 
 
 def _part(text: str, empty: str = "", longest: int = _LONGEST) -> str:
-    """A name as a part of one that can be typed: letters, digits, hyphens and underscores."""
-    plain = re.sub(r"[^\w-]+", "_", text).strip("_-")
-    return plain[:longest].rstrip("_-") or empty
+    """Make a text usable as a part of a name: letters, digits, hyphens and underscores."""
+    identifier = re.sub(r"[^\w-]+", "_", text).strip("_-")
+    return identifier[:longest].rstrip("_-") or empty
 
 
 def _called(element: etree._Element) -> str:
@@ -435,19 +414,19 @@ def _called(element: etree._Element) -> str:
 
 
 class _Names:
-    """Names of which none is given twice."""
+    """Makes names unique."""
 
     def __init__(self, taken: Iterable[str]) -> None:
         self._counts = dict.fromkeys(taken, 1)
 
     def new(self, name: str) -> str:
-        """A name as asked for, or with a number behind it."""
-        found = name
-        while found in self._counts:
+        """Return the name, with a number appended if it exists."""
+        unique = name
+        while unique in self._counts:
             self._counts[name] += 1
-            found = f"{name}_{self._counts[name]}"
-        self._counts[found] = 1
-        return found
+            unique = f"{name}_{self._counts[name]}"
+        self._counts[unique] = 1
+        return unique
 
 
 def _plain(value: float) -> str:

@@ -1,4 +1,4 @@
-"""Road files that a varied parameter names."""
+"""Road files that are chosen by a varied parameter."""
 
 from __future__ import annotations
 
@@ -15,36 +15,27 @@ from cornercase.scenario.scope import Scope
 from cornercase.scenario.space import ParameterSpace
 from cornercase.scenario.varies import VariesError
 
-# So many combinations of values are looked at; nobody has more roads.
+# Largest number of combinations that are tried.
 _MOST: Final = 1000
 
 
 def with_roads(scenario: Scenario, space: ParameterSpace) -> Scenario:
-    """Count the road files that a space names among the files of a scenario.
-
-    Parameters
-    ----------
-    scenario : Scenario
-    space : ParameterSpace
-
-    Returns
-    -------
-    Scenario
-        The `scenario` itself, where no varied parameter names its road file.
-    """
+    """Return the scenario with the road files that the space can choose; the same object if there are none."""
     needed = _needed(scenario)
-    chosen = [one for one in space.parameters if needed & set(one.assigns) and one.size is not None]
+    chosen = [
+        parameter for parameter in space.parameters if needed & set(parameter.assigns) and parameter.size is not None
+    ]
     holder = scenario.root.find("RoadNetwork/LogicFile")
     if not chosen or holder is None:
         return scenario
     roads: dict[str, None] = {}
-    for parts in islice(product(*map(_choices, chosen)), _MOST):
-        values = {name: value for part in parts for name, value in part.items()}
+    for combination in islice(product(*map(_choices, chosen)), _MOST):
+        values = {name: value for part in combination for name, value in part.items()}
         try:
             scope = Scope.of_file(str(scenario.path), scenario.root, [values], scenario.catalog_entry)
             roads[scope.text(holder, "filepath")] = None
         except (InputError, VariesError):
-            continue  # said where the scenario is run
+            continue  # reported when the scenario runs
     return scenario.naming([road for road in roads if road])
 
 
@@ -54,17 +45,17 @@ def _needed(scenario: Scenario) -> set[str]:
         element.get("name", ""): element.get("value", "")
         for element in scenario.root.iterfind("ParameterDeclarations/ParameterDeclaration")
     }
-    found: set[str] = set()
-    waiting = names_in(scenario.logic_file())
-    while waiting:
-        name = waiting.pop()
-        if name not in found:
-            found.add(name)
-            waiting |= names_in(declared.get(name, ""))
-    return found
+    names: set[str] = set()
+    pending = names_in(scenario.logic_file())
+    while pending:
+        name = pending.pop()
+        if name not in names:
+            names.add(name)
+            pending |= names_in(declared.get(name, ""))
+    return names
 
 
 def _choices(parameter: Parameter) -> list[dict[str, Value]]:
-    """What each value of a parameter assigns."""
+    """What each value of a parameter sets."""
     middles = parameter.middles(np.arange(min(parameter.size or 0, _MOST)))
     return [parameter.assigned(float(u)) for u in middles]

@@ -1,19 +1,12 @@
-"""What says that a batch has to be split."""
+"""Signal that a batch of scenarios has to be split."""
 
 from __future__ import annotations
 
 
 class VariesError(Exception):
-    """An attribute that shapes the storyboard differs between the scenarios of a batch.
+    """An attribute that shapes the storyboard differs between scenarios of a batch.
 
-    Parameters
-    ----------
-    names : set of str
-        The varied parameters that it depends on; the batch has to be split by their values.
-
-    Attributes
-    ----------
-    names : set of str
+    It depends on the varied parameters `parameter_names`; the batch has to be split by their values.
     """
 
     def __init__(self, names: set[str]) -> None:

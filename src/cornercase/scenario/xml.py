@@ -1,4 +1,4 @@
-"""Reading XML of unknown origin."""
+"""Parse untrusted XML files."""
 
 from __future__ import annotations
 
@@ -17,56 +17,28 @@ from cornercase.scenario.adapting import adapt_openscenario
 from cornercase.scenario.dialects import other_language
 
 _DEEPEST: Final = 200
-# The declaration of XML, which should stand first, with the white space and comments before it.
+# XML declaration, with misplaced white space and comments before it.
 _DECLARATION: Final = re.compile(r"((?>\s+|<!--(?:(?!-->).)*-->)*)<\?xml\s[^>]*\?>", re.DOTALL)
 
-# What may stand before a document type declaration.
+# Allowed content before a document type declaration.
 _PROLOGUE: Final = re.compile(r"(?>\ufeff|\s+|<!--.*?-->|<\?.*?\?>)*", re.DOTALL)
 
 
 def read_xml(path: Path | str) -> etree._Element:
-    """Root of an XML file; entities are never resolved and nothing is fetched.
-
-    Parameters
-    ----------
-    path : path
-        At most 200 MB, nested at most 200 deep.
-
-    Returns
-    -------
-    lxml element
-
-    Raises
-    ------
-    InputError
-        The file cannot be read, is no XML, has a document type declaration, or is too large or too deep.
-    """
+    """Parse an XML file of at most 200 MB; see `parse_xml`."""
     return parse_xml(read_file(path), path)
 
 
 def parse_xml(data: bytes, path: Path | str) -> etree._Element:
-    """Root of an XML document; entities are never resolved and nothing is fetched.
+    """Parse XML without resolving entities or fetching anything; `path` is for messages.
 
-    Parameters
-    ----------
-    data : bytes
-    path : path
-        Where it comes from, for messages.
-
-    Returns
-    -------
-    lxml element
-
-    Raises
-    ------
-    InputError
-        It is no XML, has a document type declaration, or is nested more than 200 deep.
+    Raises `InputError` for malformed XML, document type declarations, and nesting of more than 200 levels.
     """
     try:
         root = _parsed(data, path)
     except etree.XMLSyntaxError as error:
-        if other := other_language(data):
-            raise InputError(f"{path}: {other}.") from error
+        if description := other_language(data):
+            raise InputError(f"{path}: {description}.") from error
         mended = _parsed_leniently(data, path)
         if mended is None:
             raise InputError(f"{path}, line {error.lineno or 1}: is not well-formed XML ({error.msg}).") from error
@@ -91,12 +63,12 @@ def _parsed(data: bytes, path: Path | str) -> etree._Element:
     parser = recording_parser(
         resolve_entities=False, no_network=True, load_dtd=False, huge_tree=False, remove_comments=False
     )
-    # Elements know their file by it; nothing is fetched from there.
+    # The base URL records the file of each element; nothing is fetched.
     return etree.fromstring(data, parser, base_url=str(path))
 
 
 def _parsed_leniently(data: bytes, path: Path | str) -> etree._Element | None:
-    """Root of a document whose declaration, encoding or comments alone break the rules; None where other things do."""
+    """Parse XML in which only declaration, encoding or comments are malformed; None if there is more."""
     try:
         text, encoding = data.decode("utf-8-sig"), "UTF-8"
     except UnicodeDecodeError:
@@ -104,7 +76,7 @@ def _parsed_leniently(data: bytes, path: Path | str) -> etree._Element | None:
     faults = []
     declaration = _DECLARATION.match(text)
     if declaration is not None:
-        # What stands before it stays, so that lines are what they were.
+        # Keep what comes before, so that line numbers stay correct.
         text = declaration[1] + text[declaration.end() :]
         if declaration[1]:
             faults.append(
@@ -119,27 +91,26 @@ def _parsed_leniently(data: bytes, path: Path | str) -> etree._Element | None:
         return None
     if not faults or encoding != "UTF-8":
         faults.append(("encoding", f"the file is read as {encoding}", "the declaration names the encoding"))
-    for what, why, rule in faults:
-        adapt(root, what, why, f"{rule} (XML 1.0)")
+    for subject, effect, rule in faults:
+        adapt(root, subject, effect, f"{rule} (XML 1.0)")
     return root
 
 
 def _with_mended_comments(text: str) -> str:
-    """Document whose comments, each of which ends at its first "-->", hold no two hyphens in a row."""
-    pieces, place = [], 0
-    while (begin := text.find("<!--", place)) >= 0 and (end := text.find("-->", begin + 4)) >= 0:
-        comment = text[begin + 4 : end].replace("--", "__")
-        pieces += [text[place : begin + 4], comment[:-1] + "_" if comment.endswith("-") else comment]
-        place = end
-    return "".join((*pieces, text[place:]))
+    """Replace double hyphens in comments; each comment ends at its first "-->"."""
+    pieces, position = [], 0
+    while (start := text.find("<!--", position)) >= 0 and (end := text.find("-->", start + 4)) >= 0:
+        comment = text[start + 4 : end].replace("--", "__")
+        pieces += [text[position : start + 4], comment[:-1] + "_" if comment.endswith("-") else comment]
+        position = end
+    return "".join((*pieces, text[position:]))
 
 
 class XmlFiles:
-    """Files that belong together, each read once and parsed once, when it is first asked for.
+    """Files that belong together, each read and parsed once, when first needed.
 
-    Their elements remember what was read of them; a `Ledger` then names what was not.
-
-    What is parsed later is what was there when the file was read, so that it fits its digest.
+    Parsing uses the content that was read first, so that it matches the digest. Elements record which attributes were
+    used; a `SupportTable` lists the others.
     """
 
     def __init__(self) -> None:
@@ -148,30 +119,30 @@ class XmlFiles:
         self._elements: dict[Path, list[etree._Element]] = {}
 
     def digest(self, path: Path) -> bytes:
-        """SHA-256 of a file's content; raises an `InputError` where it cannot be read."""
+        """SHA-256 of a file's content."""
         return hashlib.sha256(self.content(path)).digest()
 
     def root(self, path: Path) -> etree._Element:
-        """Root of a file, as in `read_xml`; the same object each time, which is not to be changed."""
+        """Root element of a file, normalized; always the same object, which must not be changed."""
         if path not in self._roots:
             self._roots[path] = root = parse_xml(self.content(path), path)
-            # Elements remember what was read of them, and how, as long as somebody holds them.
+            # lxml elements lose their records when they are garbage-collected, so keep them.
             self._elements[path] = list(root.iter())
             adapt_openscenario(root)
         return self._roots[path]
 
     def update(self, other: XmlFiles) -> None:
-        """Keep other files too."""
+        """Add the files of another object."""
         self._data |= other._data
         self._roots |= other._roots
         self._elements |= other._elements
 
     def parsed(self) -> dict[Path, etree._Element]:
-        """Roots of the files that were asked for, by their path."""
+        """Root elements of the files that were parsed, by path."""
         return dict(self._roots)
 
     def content(self, path: Path) -> bytes:
-        """Content of a file; raises an `InputError` where it cannot be read."""
+        """Content of a file."""
         if path not in self._data:
             self._data[path] = read_file(path)
         return self._data[path]

@@ -1,4 +1,4 @@
-"""XML as text, in which attributes are replaced and nothing else changes."""
+"""Edit attributes of an XML file while keeping the rest of its text."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from xml.sax.saxutils import quoteattr
 
 from cornercase.scenario.xml import parse_xml
 
-# Of well-formed XML without a document type declaration.
+# Tokens of well-formed XML without a document type declaration.
 _TOKEN: Final = re.compile(
     r"<!--.*?-->|<\?.*?\?>|<!\[CDATA\[.*?\]\]>"
     r"|<(?P<close>/?)(?P<tag>[^\s/>!?]++)(?P<rest>(?:\"[^\"]*+\"|'[^']*+'|[^\"'>]++)*+)>",
@@ -19,19 +19,7 @@ _ATTRIBUTE: Final = re.compile(r"([^\s=/]+)\s*=\s*(\"[^\"]*\"|'[^']*')")
 
 
 class XmlText:
-    """The text of an XML document, to be changed at a few places.
-
-    Parameters
-    ----------
-    content : bytes
-    path : Path
-        Where it comes from, for messages.
-
-    Raises
-    ------
-    InputError
-        As `parse_xml`.
-    """
+    """Text of an XML document with pending edits; elements are given by index in document order."""
 
     def __init__(self, content: bytes, path: Path) -> None:
         info = parse_xml(content, path).getroottree().docinfo
@@ -52,41 +40,41 @@ class XmlText:
                 open_.append(len(self._starts) - 1)
 
     def attribute(self, element: int, name: str) -> str:
-        """Give the value of an attribute as it is written, without quotes; the element is the k-th of the document."""
+        """Return the value of an attribute as written, without quotes."""
         return self._attribute(element, name)[2]
 
     def set(self, element: int, name: str, value: str) -> None:
-        """Write another value of an attribute that the k-th element of the document has."""
+        """Replace the value of an existing attribute."""
         start, end, _ = self._attribute(element, name)
         self._edits.append((start, end, quoteattr(value)))
 
     def fill(self, element: int, lines: list[str]) -> None:
-        """Write lines as the first ones within the k-th element, which has no other elements."""
+        """Insert lines at the beginning of an element without children."""
         start, end = self._starts[element], self._ends.get(element)
-        inner = "".join(f"{self._newline}{self._indent(start)}  {one}" for one in lines)
-        last = self._newline + self._indent(start)
+        block = "".join(f"{self._newline}{self._indent(start)}  {line}" for line in lines)
+        closing_indent = self._newline + self._indent(start)
         if end is None:
             opened = start[0][:-2].rstrip()
-            self._edits.append((start.start(), start.end(), f"{opened}>{inner}{last}</{start['tag']}>"))
+            self._edits.append((start.start(), start.end(), f"{opened}>{block}{closing_indent}</{start['tag']}>"))
         elif self._text[start.end() : end.start()].strip():
-            self._edits.append((start.end(), start.end(), inner))
+            self._edits.append((start.end(), start.end(), block))
         else:
-            self._edits.append((start.end(), end.start(), inner + last))
+            self._edits.append((start.end(), end.start(), block + closing_indent))
 
     def insert(self, lines: list[str], element: int, after: bool) -> None:
-        """Write lines before or after the k-th element, indented as it is."""
+        """Insert lines before or after an element, with its indentation."""
         start, end = self._starts[element], self._ends.get(element, self._starts[element])
         between = self._newline + self._indent(start)
         if after:
-            self._edits.append((end.end(), end.end(), "".join(between + one for one in lines)))
+            self._edits.append((end.end(), end.end(), "".join(between + line for line in lines)))
         else:
-            self._edits.append((start.start(), start.start(), "".join(one + between for one in lines)))
+            self._edits.append((start.start(), start.start(), "".join(line + between for line in lines)))
 
     def content(self) -> bytes:
-        """Give the document with all changes."""
+        """Return the document with all edits."""
         text = self._text
-        for start, end, new in sorted(self._edits, reverse=True):
-            text = text[:start] + new + text[end:]
+        for start, end, replacement in sorted(self._edits, reverse=True):
+            text = text[:start] + replacement + text[end:]
         return text.encode(self._encoding, "xmlcharrefreplace")
 
     def _attribute(self, element: int, name: str) -> tuple[int, int, str]:
@@ -101,6 +89,6 @@ class XmlText:
         return "\r\n" if "\r\n" in self._text else "\n"
 
     def _indent(self, token: re.Match[str]) -> str:
-        """What the line of an element begins with."""
+        """Return the white space before an element."""
         line = self._text[self._text.rfind("\n", 0, token.start()) + 1 : token.start()]
         return line[: len(line) - len(line.lstrip())]

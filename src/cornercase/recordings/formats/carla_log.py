@@ -1,4 +1,4 @@
-"""Binary files of CARLA's recorder."""
+"""Files of CARLA's recorder."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ _FRAME, _ADDED, _REMOVED, _COLLISIONS, _POSITIONS, _BOXES = 0, 2, 3, 5, 6, 13
 _VEHICLE, _WALKER = 1, 2
 _MAGIC: Final = b"CARLA_RECORDER"
 _CM: Final = 0.01
-# Bytes of a file: ten minutes of a thousand actors.
+# Largest file in bytes: ten minutes of a thousand actors.
 _LARGEST: Final = 1_000_000_000
 
 
@@ -27,30 +27,16 @@ class _Actor:
     name: str
     kind: str
     box: tuple[float, float, float, float] | None = None
-    """Centre ahead of and to the right of the actor's origin, half length and half width, in m."""
+    """Center ahead and to the right of the actor's origin, half length, half width, in m."""
     places: list[tuple[float, float, float, float]] = field(default_factory=list)
     """Time in s, x and y in m, and heading in rad."""
 
 
 def read_carla_log(path: Path | str) -> Recording:
-    """Read a recording of CARLA, without CARLA.
+    """Read a file of CARLA's recorder (0.9.13 and later, which store boxes), without CARLA.
 
-    Parameters
-    ----------
-    path : path
-        As written by ``client.start_recorder``, of CARLA 0.9.13 and later, which store boxes.
-
-    Returns
-    -------
-    Recording
-        Vehicles and walkers, by their role name where that is one's own (``hero``), else by type and number. Reference
-        points are the box centres. CARLA's left-handed axes are turned: y and headings change their sign. Speeds are
-        those of the positions, collisions those that CARLA noted between two of them.
-
-    Raises
-    ------
-    InputError
-        The file cannot be read, is none of CARLA's recorder, or is cut off.
+    Vehicles and walkers are named by their role if it is unique (``hero``), else by type and number. Reference points
+    are the box centers; y and headings change their sign, since CARLA's axes are left-handed.
     """
     path = Path(path)
     data = read_file(path, _LARGEST)
@@ -60,31 +46,31 @@ def read_carla_log(path: Path | str) -> Recording:
         actors, touched = _actors(data)
     except (struct.error, UnicodeDecodeError, IndexError) as error:
         raise InputError(f"{path}: is cut off or damaged; record it again.") from error
-    roles = [one.name.partition(" ")[0] for one in actors]
+    roles = [actor.name.partition(" ")[0] for actor in actors]
     often = Counter(roles)
     tracks: dict[str, EntitySamples] = {}
     names: dict[str, str] = {}
-    for one, role in zip(actors, roles, strict=True):
-        if not one.places or one.box is None:
+    for actor, role in zip(actors, roles, strict=True):
+        if not actor.places or actor.box is None:
             continue
-        names[one.name] = role if often[role] == 1 else one.name
-        ahead, right, length, width = one.box
-        track = EntitySamples(one.kind, 2.0 * length, 2.0 * width)
-        for time, x, y, heading in one.places:
+        names[actor.name] = role if often[role] == 1 else actor.name
+        ahead, right, length, width = actor.box
+        track = EntitySamples(actor.kind, 2.0 * length, 2.0 * width)
+        for time, x, y, heading in actor.places:
             track.samples[time] = (*box_center(x, y, heading, ahead, -right), heading, math.nan, math.nan)
-        tracks[names[one.name]] = track
-    place = {name: k for k, name in enumerate(tracks)}
+        tracks[names[actor.name]] = track
+    order = {name: k for k, name in enumerate(tracks)}
     collisions: dict[frozenset[str], Collision] = {}
     for time, a, b in touched:
         if a in names and b in names:
-            one_name, other = sorted((names[a], names[b]), key=place.__getitem__)
-            collisions.setdefault(frozenset((a, b)), Collision(time, (one_name, other)))
-    return recording_of(path, tracks, sorted(collisions.values(), key=lambda one: one.time))
+            first, second = sorted((names[a], names[b]), key=order.__getitem__)
+            collisions.setdefault(frozenset((a, b)), Collision(time, (first, second)))
+    return recording_of(path, tracks, sorted(collisions.values(), key=lambda collision: collision.time))
 
 
 def _actors(data: bytes) -> tuple[list[_Actor], list[tuple[float, str, str]]]:
-    """All actors that appear, and their collisions."""
-    # A version, the magic words, a date, and the name of the map.
+    """Return all actors, and the collisions between them."""
+    # Header: version, magic, date, name of the map.
     _, at = _text(data, 2 + 2 + len(_MAGIC) + 8)
     present: dict[int, _Actor] = {}
     everyone: list[_Actor] = []
@@ -99,9 +85,9 @@ def _actors(data: bytes) -> tuple[list[_Actor], list[tuple[float, str, str]]]:
         if kind == _FRAME:
             _, _, time = struct.unpack_from("<Qdd", packet)
         elif kind == _ADDED:
-            for number, one in _added(packet):
-                present[number] = one
-                everyone.append(one)
+            for number, actor in _added(packet):
+                present[number] = actor
+                everyone.append(actor)
         elif kind == _REMOVED:
             (count,) = struct.unpack_from("<H", packet)
             for number in struct.unpack_from(f"<{count}I", packet, 2):
@@ -109,8 +95,8 @@ def _actors(data: bytes) -> tuple[list[_Actor], list[tuple[float, str, str]]]:
         elif kind == _POSITIONS:
             for number, x, y, _, _, _, yaw in _rows(packet, "<I6f"):
                 if number in present:
-                    place = (time, x * _CM, -y * _CM, -math.radians(yaw))
-                    present[number].places.append(place)
+                    pose = (time, x * _CM, -y * _CM, -math.radians(yaw))
+                    present[number].places.append(pose)
         elif kind == _COLLISIONS:
             for _, a, b, *_ in _rows(packet, "<III2?"):
                 if a in present and b in present:
@@ -123,11 +109,11 @@ def _actors(data: bytes) -> tuple[list[_Actor], list[tuple[float, str, str]]]:
 
 
 def _added(packet: bytes) -> list[tuple[int, _Actor]]:
-    """Vehicles and walkers among the actors that appear."""
-    (count,), at, found = struct.unpack_from("<H", packet), 2, []
+    """Return the vehicles and walkers among new actors."""
+    (count,), at, actors = struct.unpack_from("<H", packet), 2, []
     for _ in range(count):
         number, sort = struct.unpack_from("<IB", packet, at)
-        # Then come a place, a rotation, and the number of the blueprint.
+        # Skip position, rotation, and number of the blueprint.
         kind, at = _text(packet, at + 5 + 28)
         (attributes,), at = struct.unpack_from("<H", packet, at), at + 2
         values = {}
@@ -137,8 +123,8 @@ def _added(packet: bytes) -> list[tuple[int, _Actor]]:
         if sort in (_VEHICLE, _WALKER):
             role = values.get("role_name", "")
             name = role if role and role not in ("autopilot", "scenario", "default", "background") else kind
-            found.append((number, _Actor(f"{name} {number}", "car" if sort == _VEHICLE else "pedestrian")))
-    return found
+            actors.append((number, _Actor(f"{name} {number}", "car" if sort == _VEHICLE else "pedestrian")))
+    return actors
 
 
 def _rows(packet: bytes, form: str) -> list[Any]:

@@ -16,7 +16,7 @@ from cornercase.recordings.recording import Recording
 from cornercase.recordings.samples import EntitySamples, recording_of
 from cornercase.scenario import read_xml
 
-# Of any number, and of an angle in rad.
+# Largest number, and largest angle in rad.
 _MOST, _MOST_TURNED = 1e12, 1e4
 _KINDS = {
     "truck": "truck",
@@ -33,28 +33,13 @@ _KINDS = {
 
 
 def read_commonroad(path: Path | str) -> Recording:
-    """Read the obstacles of a CommonRoad scenario.
+    """Read the obstacles of a CommonRoad scenario, named by their ids; needs the extra ``commonroad``.
 
-    Parameters
-    ----------
-    path : path
-        Scenario as XML.
-
-    Returns
-    -------
-    Recording
-        Dynamic obstacles with a trajectory, and static ones, which stand all the time. Names are their ids,
-        as text; the reference points are the centres of the rectangles or circles. What a planner shall find
-        out, the ego's motion, is not part of such a file: add it as an obstacle.
-
-    Raises
-    ------
-    InputError
-        commonroad-io is not installed (extra ``commonroad``), the file cannot be read, or an obstacle has
-        another shape, no orientation or a set of predicted occupancies instead of a trajectory.
+    Dynamic obstacles need a trajectory; static ones stand all the time. The ego's motion is not part of such a file,
+    since a planner has to find it: add it as an obstacle.
     """
     path = Path(path)
-    # Refuses what commonroad-io would take: document types, endless files, and ...
+    # Refuse what commonroad-io would accept: document types, huge files, huge numbers.
     _require_numbers(path, read_xml(path))
     try:
         from commonroad.common.file_reader import CommonRoadFileReader
@@ -68,7 +53,7 @@ def read_commonroad(path: Path | str) -> Recording:
             warnings.simplefilter("ignore")
             scenario, _ = CommonRoadFileReader(str(path)).open()
     except Exception as error:
-        # The library raises whatever its parsing stumbles on.
+        # The library may raise anything.
         logging.getLogger(__name__).debug("commonroad-io", exc_info=True)
         raise InputError(f"{path}: commonroad-io cannot read it ({type(error).__name__}: {error}).") from error
 
@@ -91,16 +76,20 @@ def read_commonroad(path: Path | str) -> Recording:
 
 
 def _require_numbers(path: Path, root: etree._Element) -> None:
-    """Refuse numbers that commonroad-io would work on for ever: it turns angles back round by round."""
+    """Refuse numbers with which commonroad-io would not terminate: it normalizes angles turn by turn."""
     for element in root.iter("*"):
         try:
             number = abs(float(element.text or ""))
         except ValueError:
             continue
-        most = _MOST_TURNED if any(one.tag == "orientation" for one in (element, *element.iterancestors())) else _MOST
-        if not number <= most:
+        limit = (
+            _MOST_TURNED
+            if any(ancestor.tag == "orientation" for ancestor in (element, *element.iterancestors()))
+            else _MOST
+        )
+        if not number <= limit:
             raise InputError(
-                f"{path}, line {element.sourceline}: <{element.tag}> is {element.text}; at most {most:g} is read."
+                f"{path}, line {element.sourceline}: <{element.tag}> is {element.text}; at most {limit:g} is read."
             )
 
 

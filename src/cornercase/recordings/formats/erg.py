@@ -1,4 +1,4 @@
-"""Result files of CarMaker, ERG."""
+"""Result files of CarMaker (ERG)."""
 
 from __future__ import annotations
 
@@ -23,37 +23,21 @@ _TYPES: Final = {
 }  # fmt: skip
 _NAME: Final = re.compile(r"File\.At\.(\d{1,9})\.Name")
 _BYTES: Final = re.compile(r"(\d{1,5}) Bytes")
-# Bytes of a result file: an hour of a thousand quantities.
+# Largest file in bytes: an hour of a thousand quantities.
 _LARGEST: Final = 2_000_000_000
 # CarMaker's files do not hold the size of an entity.
 _USUAL: Final = EntityBox("car", 4.5, 1.8)
 
 
 def read_erg_columns(path: Path | str) -> dict[str, npt.NDArray[Any]]:
-    """Read all quantities of a result file.
-
-    Parameters
-    ----------
-    path : path
-        With ``.info`` beside it.
-
-    Returns
-    -------
-    dict of str to ndarray, each (T,)
-        In the units of CarMaker, which are SI.
-
-    Raises
-    ------
-    InputError
-        One of the files cannot be read, is no result file, is cut in the middle of a record, or they do not fit.
-    """
+    """Read all quantities of a result file, shape (T,) each, in SI units; ``.info`` has to be next to the file."""
     path = Path(path)
-    about = path.with_name(path.name + ".info")
-    data, text = read_file(path, _LARGEST), read_file(about).decode("utf-8", "replace")
+    info = path.with_name(path.name + ".info")
+    data, text = read_file(path, _LARGEST), read_file(info).decode("utf-8", "replace")
     if len(data) < _HEADER or data[:8] != b"CM-ERG\0\0":
         raise InputError(f"{path}: is not a result file of CarMaker, which begins with CM-ERG.")
     facts = dict(_facts(text))
-    names = {int(found[1]): name for key, name in facts.items() if (found := _NAME.fullmatch(key))}
+    names = {int(match[1]): name for key, name in facts.items() if (match := _NAME.fullmatch(key))}
     end = ">" if facts.get("File.ByteOrder") == "BigEndian" else "<"
     fields: list[tuple[str, str]] = []
     for number, name in sorted(names.items()):
@@ -63,19 +47,19 @@ def read_erg_columns(path: Path | str) -> dict[str, npt.NDArray[Any]]:
         elif padding := _BYTES.fullmatch(kind):
             fields.append((name, f"V{padding[1]}"))
         else:
-            raise InputError(f"{about}: '{name}' has the type '{kind}', which is not known.")
+            raise InputError(f"{info}: '{name}' has the type '{kind}', which is not known.")
     if not fields:
-        raise InputError(f"{about}: names no quantity.")
+        raise InputError(f"{info}: names no quantity.")
     if not all(names.values()):
-        raise InputError(f"{about}: has a quantity without a name.")
+        raise InputError(f"{info}: has a quantity without a name.")
     if len(set(names.values())) < len(names):
-        raise InputError(f"{about}: names a quantity twice.")
+        raise InputError(f"{info}: names a quantity twice.")
     record = np.dtype(fields)
     if not record.itemsize:
-        raise InputError(f"{about}: describes records without content.")
+        raise InputError(f"{info}: describes records without content.")
     size = int.from_bytes(data[10:12], "little" if end == "<" else "big")
     if size != record.itemsize:
-        raise InputError(f"{path}: has records of {size} bytes, and {about.name} describes {record.itemsize}.")
+        raise InputError(f"{path}: has records of {size} bytes, and {info.name} describes {record.itemsize}.")
     count, rest = divmod(len(data) - _HEADER, record.itemsize)
     if rest:
         raise InputError(f"{path}: is cut in the middle of record {count + 1}; run the TestRun again.")
@@ -84,7 +68,7 @@ def read_erg_columns(path: Path | str) -> dict[str, npt.NDArray[Any]]:
 
 
 def _facts(text: str) -> Iterator[tuple[str, str]]:
-    """Keys and values of an info file."""
+    """Yield keys and values of an info file."""
     for line in text.splitlines():
         key, sign, value = line.partition("=")
         if sign:
@@ -93,25 +77,10 @@ def _facts(text: str) -> Iterator[tuple[str, str]]:
 
 @np.errstate(all="ignore")
 def read_erg(path: Path | str, bodies: Mapping[str, EntityBox] | None = None) -> Recording:
-    """Read the motion of the ego and of the traffic objects from a result file.
+    """Read the motion of ``Ego`` and of traffic objects (``T00``, ``T01``, …) from a result file.
 
-    Parameters
-    ----------
-    path : path
-        With ``.info`` beside it.
-    bodies : mapping of str to EntityBox, optional
-        What the entities are, as the file does not tell.
-
-    Returns
-    -------
-    Recording
-        ``Ego``, and traffic objects as ``T00``, ``T01``, …. Positions in the file are taken for the middle of the rear
-        end, as CarMaker's vehicle frame has it; entities that are not among `bodies` are cars of 4.5 m x 1.8 m.
-
-    Raises
-    ------
-    InputError
-        As `read_erg_columns`, or the ego's motion was not recorded.
+    Positions are those of the middle of the rear end, as in CarMaker's vehicle frame. Entities without a box in
+    `entity_boxes` are cars of 4.5 m x 1.8 m, since the file does not tell.
     """
     path = Path(path)
     columns = read_erg_columns(path)
@@ -120,20 +89,20 @@ def read_erg(path: Path | str, bodies: Mapping[str, EntityBox] | None = None) ->
     if missing:
         raise InputError(f"{path}: has no {', '.join(missing)}; add it to the quantities that CarMaker stores.")
     time = columns["Time"].astype(np.float64)
-    known = bodies or {}
-    tracks = {"Ego": _track(known.get("Ego", _USUAL), time, *(columns[name] for name in needed[1:]))}
-    for name in sorted(found.group(1) for key in columns if (found := re.fullmatch(r"Traffic\.(T\d+)\.tx", key))):
+    boxes = bodies or {}
+    tracks = {"Ego": _track(boxes.get("Ego", _USUAL), time, *(columns[name] for name in needed[1:]))}
+    for name in sorted(match.group(1) for key in columns if (match := re.fullmatch(r"Traffic\.(T\d+)\.tx", key))):
         x, y = columns[f"Traffic.{name}.tx"], columns.get(f"Traffic.{name}.ty")
         if y is None:
             raise InputError(f"{path}: has Traffic.{name}.tx, but no Traffic.{name}.ty.")
         along, across = (columns.get(f"Traffic.{name}.v_0.{axis}") for axis in "xy")
         heading, speed = columns.get(f"Traffic.{name}.rz"), columns.get(f"Traffic.{name}.LongVel")
-        # What overflows is refused when the recording is put together.
+        # Overflows are refused when the recording is created.
         if heading is None:
             heading = _course(time, x, y) if along is None or across is None else np.arctan2(across, along)
         if speed is None:
             speed = np.full(len(time), np.nan) if along is None or across is None else np.hypot(along, across)
-        tracks[name] = _track(known.get(name, _USUAL), time, x, y, heading, speed)
+        tracks[name] = _track(boxes.get(name, _USUAL), time, x, y, heading, speed)
     return recording_of(path, tracks)
 
 
@@ -149,7 +118,7 @@ def _track(
 
 
 def _course(time: FloatArray, x: FloatArray, y: FloatArray) -> FloatArray:
-    """Direction of motion; while the entity stands, the direction before."""
+    """Return the direction of motion; a standing entity keeps the last one."""
     if len(time) < 2:
         return np.zeros(len(time))
     dx, dy = np.gradient(x.astype(np.float64), time), np.gradient(y.astype(np.float64), time)

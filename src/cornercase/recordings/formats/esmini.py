@@ -1,4 +1,4 @@
-"""Logs that esmini writes with ``--csv_logger``."""
+"""Logs of esmini's ``--csv_logger``."""
 
 from __future__ import annotations
 
@@ -22,43 +22,27 @@ _NEEDED = (
 
 
 def read_esmini(path: Path | str) -> Recording:
-    """Read a log of esmini.
-
-    Parameters
-    ----------
-    path : path
-        CSV with esmini's words about itself before the header.
-
-    Returns
-    -------
-    Recording
-        Reference points are the box centres; all entities are cars, as the log does not tell what they are.
-
-    Raises
-    ------
-    InputError
-        The file cannot be read, lacks a column, or is cut in the middle of a line.
-    """
+    """Read a log of esmini; all entities become cars, since the log does not tell."""
     path = Path(path)
     try:
         lines = read_file(path).decode("utf-8").splitlines()
     except UnicodeDecodeError as error:
         raise InputError(f"{path}: cannot be read ({error}).") from error
-    first = next((k for k, line in enumerate(lines) if line.startswith("Index [-]")), None)
-    if first is None:
+    header_line = next((k for k, line in enumerate(lines) if line.startswith("Index [-]")), None)
+    if header_line is None:
         raise InputError(f"{path}: has no header beginning with 'Index [-]'; write it with esmini --csv_logger.")
-    header = [name.partition("[")[0].strip() for name in lines[first].split(",")]
+    header = [name.partition("[")[0].strip() for name in lines[header_line].split(",")]
     columns = {name: k for k, name in enumerate(header) if name}
-    numbers = sorted({int(found[1]) for name in columns if (found := _NUMBERED.match(name))})
+    numbers = sorted({int(match[1]) for name in columns if (match := _NUMBERED.match(name))})
     for number in numbers:
         for name in _NEEDED:
             if f"#{number} {name}" not in columns:
                 raise InputError(f"{path}: the header lacks '#{number} {name}'.")
     tracks: dict[str, EntitySamples] = {}
-    for k, row in enumerate(_rows(path, lines[first + 1 :]), first + 2):
+    for k, row in enumerate(_rows(path, lines[header_line + 1 :]), header_line + 2):
         if not row:
             continue
-        # Each line ends with a comma; a line without it was cut.
+        # Complete lines end with a comma.
         if len(row) < 3 or row[-1].strip():
             raise InputError(f"{path}, line {k}: is cut off; leave it out or write the log again.")
         _add(tracks, path, k, row, columns, numbers)
@@ -76,9 +60,9 @@ def _add(
     tracks: dict[str, EntitySamples], path: Path, line: int, row: list[str], columns: dict[str, int], numbers: list[int]
 ) -> None:
     for number in numbers:
-        place = columns[f"#{number} Entity_Name"]
-        # An entity that has been deleted has no columns at the end of the line.
-        if place >= len(row) - 1 or not row[place].strip():
+        name_column = columns[f"#{number} Entity_Name"]
+        # Columns of deleted entities are missing at the end of the line.
+        if name_column >= len(row) - 1 or not row[name_column].strip():
             continue
         try:
             time = float(row[columns["TimeStamp"]])
@@ -86,7 +70,7 @@ def _add(
                 float(row[columns[f"#{number} {name}"]]) for name in _NEEDED[1:]
             )
         except (ValueError, IndexError, KeyError):
-            raise InputError(f"{path}, line {line}: has no number where one has to be.") from None
-        name = row[place].strip()
+            raise InputError(f"{path}, line {line}: a number is missing or malformed.") from None
+        name = row[name_column].strip()
         track = tracks.setdefault(name, EntitySamples("car", length, width))
         track.samples[time] = (*box_center(x, y, heading, ahead, left), heading, speed, math.nan)

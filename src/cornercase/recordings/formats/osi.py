@@ -13,34 +13,19 @@ from cornercase._common.texts import in_one_line
 from cornercase.recordings.recording import Recording
 from cornercase.recordings.samples import EntitySamples, recording_of
 
-# Bytes of a message and of all, unpacked: a few bytes of a packed file can become many.
+# Largest unpacked message and file in bytes, against decompression bombs.
 _LARGEST_MESSAGE: Final = 64_000_000
 _LARGEST: Final = 2_000_000_000
-# Of a chunk of an MCAP file, unpacked; those who write it pack them by the megabyte.
+# Largest unpacked chunk of an MCAP file; usual are some megabytes.
 _LARGEST_CHUNK: Final = 256_000_000
-# The words at both ends of an MCAP file, the head of a record, and the kind of it that is a chunk.
+# MCAP: length of the magic at both ends, length of a record header, opcode of a chunk.
 _MAGIC, _HEAD, _CHUNK = 8, 9, 6
 
 
 def read_osi(path: Path | str) -> Recording:
-    """Read an ASAM OSI trace.
+    """Read the moving objects of an ASAM OSI trace, named by their ids; needs the extra ``osi``.
 
-    Parameters
-    ----------
-    path : path
-        Single-channel (``.osi``, also compressed as ``.xz`` or ``.lzma``) or multi-channel (``.mcap``), of
-        GroundTruth or SensorView messages.
-
-    Returns
-    -------
-    Recording
-        The moving objects of the ground truth. Names are their ids, as text; the reference points are the
-        centres of the boxes. Speed and acceleration are those along the heading.
-
-    Raises
-    ------
-    InputError
-        osi-python is not installed (extra ``osi``), the file is cut off, or it holds no ground truth.
+    It is single-channel (``.osi``, ``.xz``, ``.lzma``) or multi-channel (``.mcap``), of GroundTruth or SensorView.
     """
     path = Path(path)
     try:
@@ -51,10 +36,7 @@ def read_osi(path: Path | str) -> Recording:
         ) from error
 
     moving = osi_object_pb2.MovingObject
-    kinds = {
-        moving.TYPE_PEDESTRIAN: "pedestrian",
-        moving.TYPE_ANIMAL: "animal",
-    }
+    kinds = {moving.TYPE_PEDESTRIAN: "pedestrian", moving.TYPE_ANIMAL: "animal"}
     vehicle = moving.VehicleClassification
     vehicles = {
         vehicle.TYPE_DELIVERY_VAN: "van",
@@ -72,16 +54,16 @@ def read_osi(path: Path | str) -> Recording:
     tracks: dict[str, EntitySamples] = {}
     for truth in _ground_truths(path):
         time = truth.timestamp.seconds + truth.timestamp.nanos * 1e-9
-        for one in truth.moving_object:
-            name, base = str(one.id.value), one.base
-            kind = kinds.get(one.type) or vehicles.get(one.vehicle_classification.type, "car")
-            if one.type == moving.TYPE_OTHER:
+        for moving_object in truth.moving_object:
+            name, base = str(moving_object.id.value), moving_object.base
+            kind = kinds.get(moving_object.type) or vehicles.get(moving_object.vehicle_classification.type, "car")
+            if moving_object.type == moving.TYPE_OTHER:
                 kind = "misc"
             track = tracks.setdefault(name, EntitySamples(kind, base.dimension.length, base.dimension.width))
             if time in track.samples:
-                raise InputError(f"{path}: object {name} is there twice at {time} s.")
+                raise InputError(f"{path}: object {name} occurs twice at {time} s.")
             heading = base.orientation.yaw
-            # What is no direction is refused when the recording is put together.
+            # Invalid headings are refused when the recording is created.
             cos, sin = (math.cos(heading), math.sin(heading)) if math.isfinite(heading) else (math.nan, math.nan)
             track.samples[time] = (
                 base.position.x,
@@ -94,7 +76,7 @@ def read_osi(path: Path | str) -> Recording:
 
 
 def _ground_truths(path: Path) -> Iterator[Any]:
-    """Ground truth of each message; the kind of message is the one that shows moving objects."""
+    """Yield the ground truth of each message, of the message type that has moving objects."""
     for kind in ("SensorView", "GroundTruth"):
         truths = (m.global_ground_truth if kind == "SensorView" else m for m in _messages(path, kind))
         first = next(truths, None)
@@ -110,7 +92,7 @@ def _messages(path: Path, kind: str) -> Iterator[Any]:
 
 
 def _of_one_channel(path: Path, kind: str) -> Iterator[Any]:
-    """Messages one after the other, each behind its size; never more in memory than one may have."""
+    """Yield length-prefixed messages, with limited memory."""
     from google.protobuf.message import DecodeError
     from osi3trace.osi_trace import OSITrace
 
@@ -151,7 +133,7 @@ def _of_channels(path: Path, kind: str) -> Iterator[Any]:
     except (McapError, EOFError) as error:
         raise InputError(f"{path}: is not an MCAP file, or is cut off ({error}).") from error
     except ValueError:
-        # It has no channel of this kind.
+        # There is no channel of this message type.
         return
     except Exception as error:
         raise InputError(f"{path}: is not an MCAP file, or is damaged ({in_one_line(error)}).") from error
@@ -161,14 +143,14 @@ def _of_channels(path: Path, kind: str) -> Iterator[Any]:
             count += 1
             yield message
     except Exception as error:
-        # What unpacks chunks raises errors of its own.
+        # Decompression libraries have their own errors.
         raise InputError(f"{path}: is broken or cut off after {count} messages ({in_one_line(error)}).") from error
     finally:
         trace.close()
 
 
 def _require_sizes(path: Path) -> None:
-    """Refuse records that are longer than the file, and chunks that grow: the package believes what they say."""
+    """Refuse records longer than the file, and chunks that unpack to too much; mcap trusts the file."""
     size = path.stat().st_size
     if size > _LARGEST:
         raise InputError(f"{path}: has more than {_LARGEST} bytes, which are not read.")
@@ -176,9 +158,9 @@ def _require_sizes(path: Path) -> None:
         at = _MAGIC
         while at + _HEAD <= size - _MAGIC:
             file.seek(at)
-            # A chunk says its first and its last instant, and then how large it is unpacked.
+            # A chunk starts with its first and last time and its unpacked size.
             head = file.read(_HEAD + 24)
-            length, unpacked = (int.from_bytes(head[begin : begin + 8], "little") for begin in (1, _HEAD + 16))
+            length, unpacked = (int.from_bytes(head[start : start + 8], "little") for start in (1, _HEAD + 16))
             if length > size - at - _HEAD:
                 raise InputError(f"{path}: is not an MCAP file, or is cut off (a record of {length} bytes).")
             if head[0] == _CHUNK and unpacked > _LARGEST_CHUNK:

@@ -1,4 +1,4 @@
-"""Floating car data that SUMO writes with ``--fcd-output``."""
+"""Floating car data of SUMO's ``--fcd-output``."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from cornercase.recordings.recording import Recording
 from cornercase.recordings.samples import EntitySamples, box_center, recording_of
 from cornercase.scenario import read_xml
 
-# Of SUMO's default types: kind, length and width in m.
+# Kind, length and width in m of SUMO's default types.
 _BOXES: Final = {
     "DEFAULT_VEHTYPE": ("car", 5.0, 1.8),
     "DEFAULT_PEDTYPE": ("pedestrian", 0.215, 0.478),
@@ -22,24 +22,7 @@ _BOXES: Final = {
 
 
 def read_sumo_fcd(path: Path | str) -> Recording:
-    """Read floating car data of SUMO.
-
-    Parameters
-    ----------
-    path : path
-        XML with ``<fcd-export>`` as its root.
-
-    Returns
-    -------
-    Recording
-        Reference points are the box centres. Boxes are those of the attributes ``length`` and ``width``, else of
-        SUMO's default types, which the file does not tell otherwise.
-
-    Raises
-    ------
-    InputError
-        The file cannot be read, or something in it lacks a number.
-    """
+    """Read floating car data of SUMO; entities without box get that of SUMO's default types."""
     path = Path(path)
     tracks: dict[str, EntitySamples] = {}
     for step in read_xml(path).iterfind("timestep"):
@@ -53,17 +36,17 @@ def read_sumo_fcd(path: Path | str) -> Recording:
             track = tracks.setdefault(name, EntitySamples(kind, length, width))
             heading = math.pi / 2 - math.radians(_number(path, element, "angle"))
             heading = math.remainder(heading, 2 * math.pi)
-            # A vehicle's position is the middle of its front, a person's the middle of the body.
+            # A vehicle's position is the center of its front, a person's the center of the body.
             behind = 0.0 if element.tag == "person" else 0.5 * track.length
-            place = box_center(_number(path, element, "x"), _number(path, element, "y"), heading, -behind)
-            track.samples[time] = (*place, heading, _number(path, element, "speed"), math.nan)
+            center = box_center(_number(path, element, "x"), _number(path, element, "y"), heading, -behind)
+            track.samples[time] = (*center, heading, _number(path, element, "speed"), math.nan)
     return recording_of(path, tracks)
 
 
 def _number(path: Path, element: etree._Element, name: str) -> float:
     try:
         number = float(element.get(name, ""))
-        # Whether the times can be used is known when all are there.
+        # Times are checked all at once.
         if name != "time" and not math.isfinite(number):
             raise ValueError
         return number
