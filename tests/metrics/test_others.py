@@ -109,7 +109,7 @@ def test_names_are_taken_once_and_a_star_is_everybody_else():
     assert name_others("A,B", "Ego", ("A,B", "A", "B", "Ego")) == ("A,B",)
     with pytest.raises(InputError, match="`other` A, B: is not an entity; give several one by one"):
         name_others("A, B", "Ego", ("A", "Ego", "B"))
-    with pytest.raises(InputError, match="there is nobody but Ego"):
+    with pytest.raises(InputError, match="there is no entity but Ego"):
         name_others("*", "Ego", ("Ego",))
 
 

@@ -1,4 +1,4 @@
-"""Compiled solution of the worst time to collision, many instants side by side."""
+"""Compiled solution of the worst time to collision, vectorized over blocks of instants."""
 
 # Compiled functions have no static types.
 # mypy: disable-error-code="no-untyped-def, untyped-decorator"
@@ -11,14 +11,17 @@ import numpy as np
 
 from cornercase._common.compiling import kernel
 
-# Loops over so many instants have no branches, so that the compiler fills vectors with them.
+# Instants per block; loops over a block have no branches, so that the compiler vectorizes them.
 _BLOCK = 64
 _ITERATIONS = 100
 
 
 @kernel(error_model="numpy")
 def course(x, y, heading, speed, ahead, a, b, radius, growth, out):
-    """Relative motion of the entities in rows `a` and `b`, boxes `ahead` of their reference points; then the roots."""
+    """Write the worst time to collision of the entities in rows `a` and `b` to `out` (T,).
+
+    Box centres are `ahead` of the reference points; `radius` and `growth` are those of the circle.
+    """
     position, velocity = np.empty((2, _BLOCK)), np.empty((2, _BLOCK))
     radii, growths = np.full(_BLOCK, radius), np.full(_BLOCK, growth)
     for first in range(0, len(out), _BLOCK):
@@ -36,18 +39,18 @@ def course(x, y, heading, speed, ahead, a, b, radius, growth, out):
 
 @kernel(error_model="numpy")
 def roots(position, velocity, radius, growth, out):
-    """The same of given relative positions and velocities (n, 2), radii and growths (n,)."""
-    places, ways = np.empty((2, _BLOCK)), np.empty((2, _BLOCK))
+    """Write the worst time to collision to `out` for relative positions and velocities (n, 2), radii, growths (n,)."""
+    positions, velocities = np.empty((2, _BLOCK)), np.empty((2, _BLOCK))
     radii, growths = np.empty(_BLOCK), np.empty(_BLOCK)
     for first in range(0, len(out), _BLOCK):
         count = min(_BLOCK, len(out) - first)
         for k in range(count):
             for axis in range(2):
-                places[axis, k] = position[first + k, axis]
-                ways[axis, k] = velocity[first + k, axis]
+                positions[axis, k] = position[first + k, axis]
+                velocities[axis, k] = velocity[first + k, axis]
             radii[k] = radius[first + k]
             growths[k] = growth[first + k]
-        _solve(places, ways, radii, growths, count, out[first : first + count])
+        _solve(positions, velocities, radii, growths, count, out[first : first + count])
 
 
 @kernel(error_model="numpy")
@@ -69,7 +72,7 @@ def _solve(position, velocity, radius, growth, count, out):
         square, t = size[k], top[k]
         peak = ((0.5 * gain[k] * t * t - bend[k]) * t + 2.0 * closing[k]) * t - apart[k]
         squares = apart[k] + radius[k] * radius[k]
-        # Circles that only graze do touch: the tolerance makes up for rounding errors in the maximum.
+        # Circles that only graze count as touching: the tolerance covers rounding errors in the maximum.
         rises = (bend[k] > 0.0) & (closing[k] > 0.0)
         grazes = rises & (peak >= -1e-14 * (squares + square * t * t))
         early[k] = 1.0 if grazes else 0.0
@@ -89,7 +92,7 @@ def _solve(position, velocity, radius, growth, count, out):
             left = early[k] > 0.0
             step = value / slope if (value < 0.0) == left else 0.0
             moved = t - step
-            # Newton's step stays below the maximum and above 0; one that is NaN is not taken.
+            # Keep Newton's step below the maximum and above 0; ignore a step that is NaN.
             bounded = (top[k] if moved > top[k] else moved) if left else (0.0 if moved < 0.0 else moved)
             bounded = bounded if bounded == bounded else t
             moves += 1 if (abs(bounded - t) > 4e-15 * t) & (apart[k] > 0.0) else 0
@@ -105,10 +108,10 @@ def _solve(position, velocity, radius, growth, count, out):
 
 @kernel(error_model="numpy")
 def _maximum(bend, gain, closing, top):
-    """Where gain t⁴/2 - bend t² + 2 closing t is largest up to its inflection.
+    """Write to `top` where gain t⁴/2 - bend t² + 2 closing t is largest up to its inflection.
 
-    Half the slope, gain t³ - bend t + closing, is convex and falls up to the inflection; Newton's method runs
-    into its first root from the left.
+    Half the slope, gain t³ - bend t + closing, is convex and falls up to the inflection; Newton's method runs into its
+    first root from the left.
     """
     for k in range(len(top)):
         top[k] = closing[k] / bend[k]
@@ -120,9 +123,9 @@ def _maximum(bend, gain, closing, top):
             value = (gain[k] * t * t - bend[k]) * t + closing[k]
             moved = t - value / slope
             rises = (bend[k] > 0.0) & (closing[k] > 0.0)
-            goes_on = rises & (slope < 0.0) & (moved - t > 1e-9 * t)
-            top[k] = moved if goes_on else t
-            moves += 1 if goes_on else 0
+            continues = rises & (slope < 0.0) & (moved - t > 1e-9 * t)
+            top[k] = moved if continues else t
+            moves += 1 if continues else 0
         if moves == 0:
             break
     for k in range(len(top)):
