@@ -67,7 +67,7 @@ def test_formulas_are_read_and_written_in_one_way(text, canonical, metrics, unit
         ("ttc == 1", "write <= or >= for =="),
         ("ttc > 1 && pet > 1", "write and for &&"),
         ("(ttc > 1", "at its end: give a closing bracket"),
-        ("ttc > 1)", "this bracket closes none"),
+        ("ttc > 1)", "this bracket has no opening bracket"),
         ("always[5:2](ttc > 1)", "ends at 2 s, before it begins at 5 s"),
         ("always[-1:2](ttc > 1)", "begin at 0 s or later"),
         ("always[0:1 m](ttc > 1)", "at 'm](ttc > 1)': intervals are in s"),
