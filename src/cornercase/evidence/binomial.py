@@ -15,9 +15,9 @@ _CONFIDENCE: Final = 0.9
 
 
 def bounds_of_share(hits: int, drawn: int) -> Estimate:
-    """Clopper-Pearson 90 % interval of a proportion, from `hits` of `drawn` random draws; 0 to 1 without draws.
+    """Clopper-Pearson 90 % interval of a proportion, from `hits` of `draws` random draws; 0 to 1 without draws.
 
-    Without a hit the upper end is about 3 / `drawn` (the rule of three).
+    Without a hit the upper end is about 3 / `draws` (the rule of three).
     """
     if not drawn:
         return Estimate(0.5, 0.0, 1.0)
@@ -27,10 +27,10 @@ def bounds_of_share(hits: int, drawn: int) -> Estimate:
 def highest_share(hits: int, drawn: int, doubt: float = 0.05) -> float:
     """Upper bound of a proportion that holds at all times, even if draws are stopped depending on the bound.
 
-    The true proportion ever exceeds the bound with a probability of at most `doubt`. The bound inverts the likelihood
-    ratio of the Beta(1/2, 1/2) mixture to one proportion, which exceeds 1/`doubt` with probability `doubt` at most, at
-    any time: H. Robbins, "Statistical methods related to the law of the iterated logarithm", Annals of Mathematical
-    Statistics 41 (1970).
+    The true proportion ever exceeds the bound with a probability of at most `error_probability`. The bound inverts the
+    likelihood ratio of the Beta(1/2, 1/2) mixture to one proportion, which exceeds 1/`error_probability` with
+    probability `error_probability` at most, at any time: H. Robbins, "Statistical methods related to the law of the
+    iterated logarithm", Annals of Mathematical Statistics 41 (1970).
     """
     if not drawn or hits == drawn:
         return 1.0

@@ -25,9 +25,10 @@ class Correction:
     standard deviation, or the normal deviate of another classifier's output. The prior of a and log b is standard
     normal, centred at the identity.
 
-    `t` (n,) holds out-of-sample predictions, `critical` (n,) the outcomes. `worth` is the weight of one prediction in
-    the likelihood, below 1 if errors of neighbours are correlated. With more than 160 predictions each gets less
-    weight: their total grows with the square root of their number, and the posterior narrows with the fourth root.
+    `t` (n,) holds out-of-sample predictions, `critical` (n,) the outcomes. `prediction_weight` is the weight of one
+    prediction in the likelihood, below 1 if errors of neighbours are correlated. With more than 160 predictions each
+    gets less weight: their total grows with the square root of their number, and the posterior narrows with the fourth
+    root.
 
     Source: J. Platt, "Probabilistic outputs for support vector machines" (1999), here with the normal distribution
     function and the full posterior on a grid.

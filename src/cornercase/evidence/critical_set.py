@@ -52,8 +52,8 @@ REGION: Final = 0.01
 class CriticalSet:
     """Estimate of the set of all critical scenarios of a space, from those that were run.
 
-    A Gaussian process of the scores (`boundary_process`) predicts each scenario of the initial design, and each audit,
-    from all others. The quality of these predictions calibrates the probability that a scenario is critical
+    A Gaussian process of the scores (`fit_boundary_process`) predicts each scenario of the initial design, and each
+    audit, from all others. The quality of these predictions calibrates the probability that a scenario is critical
     (`ProbitCalibration`). Critical sets are drawn with these probabilities, with the correlation of the process between
     points, and with the calibration drawn from its posterior.
 
@@ -226,7 +226,7 @@ class CriticalSet:
 
     @property
     def doubt(self) -> str | None:
-        """Reason why `critical_fraction` and `missed` have no interval; None if they have one.
+        """Reason why `critical_fraction` and `missed_fraction` have no interval; None if they have one.
 
         Scenarios chosen by scores say nothing about how often predictions are wrong elsewhere.
         """
@@ -237,7 +237,7 @@ class CriticalSet:
 
     @property
     def missed_doubt(self) -> str | None:
-        """Reason why `missed` has no interval; None if it has one."""
+        """Reason why `missed_fraction` has no interval; None if it has one."""
         hits = int(self._critical[self._filling].sum() + self._audited.sum())
         if self.doubt is not None or hits >= _FEWEST_HITS or self.exhausted:
             return self.doubt
@@ -277,7 +277,7 @@ class CriticalSet:
 
     @cached_property
     def hidden(self) -> float:
-        """Fraction of the critical set that an unexplored region may hold, in addition to `missed`.
+        """Fraction of the critical set that an unexplored region may hold, in addition to `missed_fraction`.
 
         It is the fraction of a ball without any scenario that was run, as large as the largest that escapes with a
         probability of 5 %. It depends on the location of scenarios, not on the predicted scores.
@@ -302,7 +302,7 @@ class CriticalSet:
 
     @property
     def audited_missed_at_most(self) -> float:
-        """Upper bound of `audited_missed` that holds at all times, even if runs are stopped depending on it."""
+        """Upper bound of `audited_missed_fraction` that holds at all times, whenever runs are stopped."""
         return highest_share(*self._audits_missed)
 
     def share_in(self, other: CriticalSet) -> Estimate:

@@ -23,10 +23,10 @@ _GROUPS: Final = 1024
 class DrawnSets:
     """Samples of a critical set: drawn jointly on some points, with marginal probabilities on all points.
 
-    `weights` (n,) are the fractions of the space that points represent, `t` (n,) the predictions, and `certain` (n,) is
-    inf where a critical scenario was run, -inf where another one was run, else 0. `some` holds the indices (m,) of the
-    points with joint draws and the fraction of the space that each represents, `normal` (m, `DRAWS`) standard normal
-    numbers for them, with the correlation of their scores.
+    `weights` (n,) are the fractions of the space that points represent, `z` (n,) the predictions, and `known_outcome`
+    (n,) is inf where a critical scenario was run, -inf where another one was run, else 0. `joint_points` holds the
+    indices (m,) of the points with joint draws and the fraction of the space that each represents,
+    `standardized_errors` (m, `N_DRAWS`) standard normal numbers for them, with the correlation of their scores.
     """
 
     def __init__(
@@ -55,7 +55,7 @@ class DrawnSets:
 
     @cached_property
     def _groups(self) -> tuple[IntArray, FloatArray]:
-        """Bin of each point by `t`, and the probability of being critical by bin and draw."""
+        """Bin of each point by `z`, and the probability of being critical by bin and draw."""
         order = np.argsort(self._t[self._certain == 0.0], kind="stable")
         bins = [part for part in np.array_split(np.flatnonzero(self._certain == 0.0)[order], _GROUPS) if len(part)]
         # The last two bins hold the scenarios that were run: those that are not critical, then the critical ones.
@@ -72,7 +72,7 @@ class DrawnSets:
         return np.where(self._certain[at, None] == 0.0, limit, self._certain[at, None])
 
     def shares(self, among: BoolArray | FloatArray) -> FloatArray:
-        """Fraction of the space that is critical and in `among`, in each draw, (draws,); numbers are summed."""
+        """Sum of `weights` (a mask or numbers) over the critical set, as a fraction of the space, (draws,)."""
         bin_of, probability = self._groups
         expected = np.bincount(bin_of, weights=self._weights * among, minlength=len(probability)) @ probability
         # The joint draws on some points give the spread, the probabilities on all points the mean.
@@ -87,8 +87,8 @@ class DrawnSets:
     def shared(self, other: DrawnSets, normal: FloatArray, order: IntArray) -> FloatArray:
         """Fraction of the space that is critical here and in a draw of `other`, (draws,).
 
-        `normal` (m, `DRAWS`) is as for this set, with the correlation of the other scores; draw `order[i]` of `other`
-        is paired with draw i.
+        `standardized_errors` (m, `N_DRAWS`) is as for this set, with the correlation of the other scores; draw
+        `order[i]` of `other` is paired with draw i.
         """
         limit = other._limit(self.at)[:, order]
         # As in `fractions`: some points give the spread, all points the mean.

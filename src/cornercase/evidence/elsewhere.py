@@ -11,8 +11,8 @@ from cornercase.evidence.gaussian_process import boundary_process
 class Elsewhere:
     """Predicts scores from another study: of another driver, another simulator or a coarser time step.
 
-    A `boundary_process` of the other study's scores predicts how far each scenario is from the threshold, with 0 at the
-    threshold. A process of the scores at hand uses this as one more coordinate (`boundary_process` with
+    A `fit_boundary_process` of the other study's scores predicts how far each scenario is from the threshold, with 0 at
+    the threshold. A process of the scores at hand uses this as one more coordinate (`fit_boundary_process` with
     ``has_prediction``). If the other study predicts the scores, the new process varies along this coordinate and little
     along the others, so few scenarios suffice to learn the relation; if it does not, the coordinate is dropped.
 
@@ -33,7 +33,7 @@ class Elsewhere:
         return np.column_stack([points, self.process.predict(points)[0]])
 
     def foretells(self, points: FloatArray, scores: FloatArray) -> bool:
-        """Whether the other study improves the prediction of the scores, as `boundary_process` decides."""
+        """Whether the other study improves the prediction of the scores, as `fit_boundary_process` decides."""
         process = boundary_process(self.beside(points), scores, self._threshold, foretold=True)
         return bool(np.isfinite(process.kernel.widths[-1]))
 

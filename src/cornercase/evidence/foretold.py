@@ -31,9 +31,9 @@ class ForetoldByWay:
     branch. The classifier learns which columns matter. Branches with fewer than 8 scenarios have no process of their
     own.
 
-    `ways` (n,) is the branch of each scenario. `kernels` maps each branch, and None for all scenarios, to the kernels
-    of `FeatureModels`; missing ones are learned. `left_out` (n, g) holds leave-one-out predictions, first from all
-    scenarios and then from each branch; for scenarios of other branches it holds the prediction of the branch.
+    `branches` (n,) is the branch of each scenario. `kernels` maps each branch, and None for all scenarios, to the
+    kernels of `FeatureModels`; missing ones are learned. `leave_one_out` (n, g) holds leave-one-out predictions, first
+    from all scenarios and then from each branch; for scenarios of other branches it holds the prediction of the branch.
     """
 
     def __init__(
@@ -48,12 +48,12 @@ class ForetoldByWay:
         overall = Foretold(points, features, kernels.get(None), known)
         self._parts, left_out = [overall], [overall.left_out]
         self.kernels: dict[int | None, Kernels] = {None: overall.kernels}
-        branches, counts = np.unique(ways, return_counts=True)
+        present, counts = np.unique(ways, return_counts=True)
         # With a single branch, its processes would equal those of all scenarios.
-        for branch in branches[counts >= _OF_ONE_WAY].tolist() if len(branches) > 1 else []:
+        for branch in present[counts >= _OF_ONE_WAY].tolist() if len(present) > 1 else []:
             members = np.flatnonzero(ways == branch)
-            subset = None if known is None else np.flatnonzero(np.isin(members, known))
-            part = Foretold(points[members], features[members], kernels.get(branch), subset)
+            known_members = None if known is None else np.flatnonzero(np.isin(members, known))
+            part = Foretold(points[members], features[members], kernels.get(branch), known_members)
             predicted = part.predict(points)
             predicted[members] = part.left_out
             self._parts.append(part)
@@ -62,7 +62,7 @@ class ForetoldByWay:
         self.left_out = np.hstack(left_out)
 
     def predict(self, points: FloatArray) -> FloatArray:
-        """Predict the features at points, (m, g), columns as in `left_out`."""
+        """Predict the features at points, (m, g), columns as in `leave_one_out`."""
         return np.hstack([part.predict(points) for part in self._parts])
 
 
@@ -73,9 +73,9 @@ class Foretold:
     own parameters alone. So each has its own length scales and noise.
 
     `points` (n, e) are encoded, `features` (n, f) finite. `kernels` are one per feature, None for a constant one; by
-    default they are learned. `known` are the indices of the scenarios that the processes use, by default all; matrices
-    of len(known)² numbers are created. `left_out` (n, g) holds the standardized leave-one-out predictions, without
-    constant features.
+    default they are learned. `subset` are the indices of the scenarios that the processes use, by default all; matrices
+    of len(subset)² numbers are created. `leave_one_out` (n, g) holds the standardized leave-one-out predictions,
+    without constant features.
 
     Source: C. E. Rasmussen, C. K. I. Williams, "Gaussian Processes for Machine Learning" (2006), equations 5.8, 5.9 and
     5.12.
@@ -90,8 +90,8 @@ class Foretold:
     ) -> None:
         spread = features.std(axis=0)
         scaled = (features - features.mean(axis=0)) / np.maximum(spread, _LEAST)
-        subset: IntArray | slice = slice(None) if known is None else known
-        self._points = points[subset]
+        used: IntArray | slice = slice(None) if known is None else known
+        self._points = points[used]
         self._each: list[tuple[Kernel, Floats]] = []
         left_out = []
         # One thread, so that sums do not depend on the number of threads.
@@ -102,7 +102,7 @@ class Foretold:
                     for j, is_varied in enumerate((spread > _LEAST).tolist())
                 ]
             self.kernels: Kernels = list(kernels)
-            for kernel, values in zip(self.kernels, scaled[subset].T, strict=True):
+            for kernel, values in zip(self.kernels, scaled[used].T, strict=True):
                 if kernel is not None:
                     noise = float(np.sqrt(kernel.noise**2 + _JITTER * kernel.signal**2))
                     process = ExactPosterior(replace(kernel, noise=noise), self._points, values)
@@ -111,10 +111,10 @@ class Foretold:
         leave_one_out = np.array(left_out).reshape(-1, len(self._points)).T
         # Scenarios that the processes do not use are predicted without them anyway.
         self.left_out = leave_one_out if known is None else self.predict(points)
-        self.left_out[subset] = leave_one_out
+        self.left_out[used] = leave_one_out
 
     def predict(self, points: FloatArray) -> FloatArray:
-        """Predict the features at points, (m, g), standardized as `left_out`."""
+        """Predict the features at points, (m, g), standardized as `leave_one_out`."""
         predicted = np.empty((len(points), len(self._each)))
         with one_thread():
             for k, (kernel, weights) in enumerate(self._each):

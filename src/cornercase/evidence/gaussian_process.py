@@ -132,8 +132,8 @@ class GaussianProcess:
     """Gaussian process with a Matérn kernel (5/2) and a length scale per dimension.
 
     `fit` learns the kernel and conditions on the values. The steps are also available separately:
-    `fit_hyperparameters`, `condition_on`, and `extended` for additional values. `max_noise` is the greatest standard
-    deviation of single values, `squash_scale` that of `squash_around_threshold`, if the values come from it.
+    `fit_hyperparameters`, `condition_on`, and `conditioned_on_more` for additional values. `max_noise` is the greatest
+    standard deviation of single values, `squash_scale` that of `squash_around_threshold`, if the values come from it.
     """
 
     def __init__(self, most_noise: float = 0.3, near: float = 1.0) -> None:
@@ -157,8 +157,8 @@ class GaussianProcess:
     ) -> GaussianProcess:
         """Learn the kernel, and the mean far from all values.
 
-        `start` has a kernel to start from, `rare` (n,) marks values that must not be lost if only a subset is used, and
-        `n_used` is the number of leading coordinates that the process may use, by default all.
+        `initial` has a kernel to start from, `rare` (n,) marks values that must not be lost if only a subset is used,
+        and `n_used` is the number of leading coordinates that the process may use, by default all.
         """
         self._mean = float(values.mean())
         # One thread, so that sums do not depend on the number of threads: proposals depend on the last digits.
@@ -198,7 +198,7 @@ class GaussianProcess:
         return other
 
     def told_by_nearest(self, points: FloatArray, values: FloatArray, some: IntArray) -> tuple[FloatArray, FloatArray]:
-        """Leave-one-out mean and deviation, (k,), of `some` values by the nearest others, without conditioning."""
+        """Leave-one-out mean and deviation, (k,), of the values at `indices` by the nearest others, without conditioning."""
         mean, deviation = NearestPosterior(self.kernel, points, values - self._mean).leave_one_out(some)
         return self._mean + mean, deviation
 
@@ -233,7 +233,7 @@ class GaussianProcess:
         return mean, deviation
 
     def predict_with_projections(self, points: FloatArray) -> tuple[FloatArray, FloatArray, Floats]:
-        """As `predict`, for up to 4,000 values, and additionally the rows (n, k) that `covariance` needs."""
+        """As `predict`, for up to 4,000 values, and additionally the rows (n, k) that `covariance_with_point` needs."""
         mean, deviation, parts = self._predict(points, keep=True)
         return mean, deviation, np.concatenate(parts)
 
@@ -261,7 +261,7 @@ class GaussianProcess:
         return mean, np.asarray(self.kernel.signal**2 - np.einsum("ij,ij->i", rows, rows)), rows
 
     def leave_one_out(self, some: IntArray | None = None) -> tuple[FloatArray, FloatArray]:
-        """Mean and standard deviation of each value, or of `some`, by the process of all others, (k,) each.
+        """Mean and standard deviation of each value, or of `indices`, by the process of all others, (k,) each.
 
         The deviation includes the noise of the single value. Source: Rasmussen and Williams 2006, equation 5.12.
         """
@@ -276,7 +276,7 @@ class GaussianProcess:
     def joint(self, points: FloatArray, noisy: bool = True) -> tuple[FloatArray, FloatArray]:
         """Lower Cholesky factor (m, m) of the covariance at points, and the standard deviations (m,).
 
-        `noisy`: with the noise of single values.
+        `with_noise`: with the noise of single values.
         """
         cross = self.kernel.covariance(points, self._known.points)
         covariance = self.kernel.covariance(points, points)
@@ -290,7 +290,7 @@ class GaussianProcess:
     def covariance(self, points: FloatArray, rows: Floats, i: int) -> FloatArray:
         """Covariance of the process at all points with that at point `i`, (n,).
 
-        `rows` are those of `predict_with_projections`.
+        `projections` are those of `predict_with_projections`.
         """
         prior = self.kernel.covariance(points, points[i : i + 1])[:, 0]
         return np.asarray(prior - rows @ rows[i], dtype=np.float64)

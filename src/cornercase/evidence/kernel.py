@@ -50,12 +50,12 @@ class Kernel:
 
 
 def evenly(count: int, most: int) -> IntArray:
-    """Indices of at most `most` of `count` values, evenly spaced."""
+    """Indices of at most `max_count` of `count` values, evenly spaced."""
     return np.unique(np.linspace(0, count - 1, most).astype(np.int64))
 
 
 def chosen(count: int, most: int, rare: BoolArray | None) -> IntArray:
-    """Indices of at most `most` of `count` values, up to half of them rare ones; evenly spaced within each class."""
+    """Indices of at most `max_count` of `count` values, up to half of them rare, evenly spaced in each class."""
     if rare is None or count <= most or not rare.any():
         return evenly(count, most)
     rare_indices, common = np.flatnonzero(rare), np.flatnonzero(~rare)
@@ -75,7 +75,7 @@ def learned_kernel(
 
     The prior keeps the length scales bounded with few points; its median grows with the root of the number of
     dimensions. `values` have a mean of 0. A subset of 40 per dimension is used, at least 160 and at most 400, up to
-    half of it `rare`.
+    half of it rare.
 
     Source: C. E. Rasmussen, C. K. I. Williams, "Gaussian Processes for Machine Learning" (2006), equations 4.17, 5.8
     and 5.9. The prior is scaled as in C. Hvarfner, E. O. Hellsten, L. Nardi, "Vanilla Bayesian optimization performs

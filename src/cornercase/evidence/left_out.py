@@ -18,11 +18,11 @@ _PARTS: Final = 5
 def left_out(
     process: GaussianProcess, points: FloatArray, scores: FloatArray, threshold: float, some: IntArray | None = None
 ) -> tuple[FloatArray, FloatArray]:
-    """Predict each score, or `some`, from all others: mean and deviation as of `GaussianProcess.leave_one_out`.
+    """Predict each score, or `indices`, from all others: mean and deviation as of `GaussianProcess.leave_one_out`.
 
     With few scores per dimension the length scales of the kernel overfit, and leave-one-out predictions are too good.
     Then each fifth of the scores is predicted with a kernel learned from the other four fifths. `process` is a
-    `boundary_process` of the scores.
+    `fit_boundary_process` of the scores.
     """
     count, dims = points.shape
     if count > min(_FEW * dims, MOST_EXACT):

@@ -24,8 +24,8 @@ _FREEDOM: Final = 3.0  # heavy tails keep the weights of single points small
 class Mixture:
     """A mixture of K multivariate t distributions.
 
-    `shares` (K,) sum to 1; `means` (K, d); `roots` (K, d, d) are lower triangular, each times its transpose is the
-    scale of a component; `freedoms` (K,) are the degrees of freedom, inf for a normal distribution.
+    `weights` (K,) sum to 1; `means` (K, d); `scale_roots` (K, d, d) are lower triangular, each times its transpose is
+    the scale of a component; `degrees_of_freedom` (K,) are the degrees of freedom, inf for a normal distribution.
     """
 
     shares: FloatArray
@@ -101,7 +101,7 @@ class Mixture:
         return mixture
 
     def log_density(self, points: FloatArray, normal: bool = False) -> FloatArray:
-        """Logarithm of the density at points (n, d), (n,); `normal` treats all components as normal."""
+        """Logarithm of the density at points (n, d), (n,); `as_normal` treats all components as normal."""
         return np.asarray(logsumexp(self._log_densities(points, normal), axis=1))
 
     def _log_densities(self, points: FloatArray, normal: bool = False) -> FloatArray:

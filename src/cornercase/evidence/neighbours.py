@@ -49,12 +49,12 @@ class NearestPosterior:
         return self._between(points / self._kernel.widths, np.full(len(points), -1))
 
     def leave_one_out(self, some: IntArray | None = None) -> tuple[FloatArray, FloatArray]:
-        """Mean and standard deviation of each value, or of `some`, by the process of the others.
+        """Mean and standard deviation of each value, or of `indices`, by the process of the others.
 
         The deviation includes the noise of the single value.
         """
-        indices = np.arange(len(self._points)) if some is None else some
-        mean, deviation = self._between(self._points[indices], indices)
+        selected = np.arange(len(self._points)) if some is None else some
+        mean, deviation = self._between(self._points[selected], selected)
         return mean, np.hypot(deviation, self._kernel.noise)
 
     def _between(self, places: FloatArray, themselves: IntArray) -> tuple[FloatArray, FloatArray]:

@@ -26,8 +26,8 @@ _GOLDEN: Final = (5.0**0.5 - 1.0) / 2.0  # its multiples modulo 1 are spread eve
 class Places:
     """Distinct concrete scenarios of a space, and the fraction of the space that each represents.
 
-    `points` (n, d) are in the unit cube, in the order of a Sobol' sequence; `encoded` (n, e) is for a kernel; `weights`
-    (n,) sum to 1. `complete`: whether they are all scenarios of the space that have a probability.
+    `points` (n, d) are in the unit cube, in the order of a Sobol' sequence; `encoded_points` (n, e) is for a kernel;
+    `weights` (n,) sum to 1. `is_complete`: whether they are all scenarios of the space that have a probability.
     """
 
     points: FloatArray

@@ -1,8 +1,8 @@
 """Posterior of a Gaussian process with a given kernel: exact, or with inducing points.
 
 Both have the same form: the mean at a point is the product of its covariances with `points` and `weights`; the variance
-that the values explain there is the squared norm of `inverse` times these covariances. Both can be extended by further
-values, which updates the factor instead of computing it anew.
+that the values explain there is the squared norm of `inverse_factor` times these covariances. Both can be extended by
+further values, which updates the factor instead of computing it anew.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ _SLACK = 1e-8  # added to the explained fraction of the variance, against roundi
 class ExactPosterior:
     """Posterior given values (n,) at points (n, e).
 
-    `inverse` (n, n) is the inverse of the lower Cholesky factor of the values' covariance.
+    `inverse_factor` (n, n) is the inverse of the lower Cholesky factor of the values' covariance.
 
     Source: C. E. Rasmussen, C. K. I. Williams, "Gaussian Processes for Machine Learning" (2006), equations 2.25, 2.26.
     """
@@ -68,8 +68,8 @@ class SparsePosterior:
     The remaining variance at the other points is treated as independent noise (FITC). `relevance` (n,), above 0, makes
     points likelier inducing points. With `base`, its inducing points and values are taken over.
 
-    `points` (k, e) are the inducing points, `weights` (k,) and `inverse` (k, k) as for `ExactPosterior`, `known` (n, e)
-    and `values` (n,) all points and values.
+    `points` (k, e) are the inducing points, `weights` (k,) and `inverse_factor` (k, k) as for `ExactPosterior`,
+    `all_points` (n, e) and `values` (n,) all points and values.
 
     Source: E. Snelson, Z. Ghahramani, "Sparse Gaussian processes using pseudo-inputs", NIPS (2005). Inducing points are
     chosen as in Y. Chen, E. N. Epperly, J. A. Tropp, R. J. Webber, "Randomly pivoted Cholesky", Communications on Pure
@@ -175,12 +175,12 @@ def _standing_for(kernel: Kernel, points: FloatArray, matters: FloatArray | None
     """Choose inducing points by randomly pivoted Cholesky, weighted by relevance."""
     candidates = evenly(len(points), _AMONG)
     rng = np.random.default_rng(0)
-    relevance = np.ones(len(candidates)) if matters is None else matters[candidates]
+    weights = np.ones(len(candidates)) if matters is None else matters[candidates]
     residual, rows = np.ones(len(candidates)), np.zeros((len(candidates), MOST_EXACT), order="F")
     pivots = np.zeros(0, dtype=np.int64)
     for done in range(0, MOST_EXACT, _AT_ONCE):
         residual[pivots] = 0.0
-        new = rng.choice(len(candidates), _AT_ONCE, replace=False, p=residual * relevance / (residual @ relevance))
+        new = rng.choice(len(candidates), _AT_ONCE, replace=False, p=residual * weights / (residual @ weights))
         cross = kernel.covariance(points[candidates], points[candidates[new]]) / kernel.signal**2
         cross -= times_transposed(rows[:, :done], rows[new, :done])
         added = cross @ _inverse(cross[new], _JITTER).T

@@ -99,7 +99,7 @@ def of_weights(weights: FloatArray, met: BoolArray, error: float = 0.0) -> Proba
     """Probability from independent scenarios of a proposal distribution, with an interval of its logarithm.
 
     `weights` (n,) are the density of the distribution over that of the proposal, `met` (n,) whether the event occurred;
-    `error` is the relative standard error that all weights have in common.
+    `common_error` is the relative standard error that all weights have in common.
 
     The interval is that of the logarithm, since the estimate is skewed: mostly slightly too low, rarely much too high.
     The quantiles are those of Student's t, with the effective number of occurrences less one as degrees of freedom.
@@ -123,7 +123,7 @@ def of_weights(weights: FloatArray, met: BoolArray, error: float = 0.0) -> Proba
 def of_all(shares: FloatArray, met: BoolArray, total: float | None = None) -> Probability:
     """Probability from all scenarios of a finite space, which has no error; from a part of them, bounds.
 
-    `shares` (n,) are the probabilities of the scenarios that were run, `total` is the sum over all scenarios, by
+    `probabilities` (n,) are the probabilities of the scenarios that were run, `total` is the sum over all scenarios, by
     default all were run. The bounds hold whatever the other scenarios are; the value is in the middle.
     """
     whole = float(shares.sum()) if total is None else total
@@ -156,7 +156,7 @@ Bounds = tuple[float, float, float, float]
 
 
 def _bounds(interval: Callable[[float], tuple[float, float]]) -> Bounds:
-    """Bounds of the 95 % and 90 % intervals; `interval` takes the probability that is left out on each side."""
+    """Bounds of the 95 % and 90 % intervals, from a function of the tail probability."""
     wide, narrow = (0.5 * (1.0 - level) for level in _LEVELS)
     return *interval(wide), *interval(narrow)
 

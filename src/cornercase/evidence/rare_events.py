@@ -43,8 +43,8 @@ class ImportanceSampling:
     unbiased estimate of their probability, whatever was learned before. Deterministic given its arguments and the
     recorded results.
 
-    `events` is the number of events, which share each round; `learn` is the greatest number of scenarios until the
-    proposal is frozen; `guess` is an initial proposal, as of `initial_proposal`.
+    `n_events` is the number of events, which share each round; `max_learning_scenarios` is the greatest number of
+    scenarios until the proposal is frozen; `initial_proposal` is an optional first guess.
     """
 
     def __init__(self, space: ParameterSpace, events: int, learn: int, seed: int, guess: Mixture | None = None) -> None:
@@ -66,7 +66,7 @@ class ImportanceSampling:
         return "law" if self._rounds == 0 else "estimate" if self._frozen else "learn"
 
     def ask(self, most: int) -> FloatArray:
-        """Draw a round of at most `most` scenarios, (n, d) in the unit cube, within the constraints.
+        """Draw a round of at most `max_count` scenarios, (n, d) in the unit cube, within the constraints.
 
         Raises
         ------
@@ -86,7 +86,7 @@ class ImportanceSampling:
     def tell(self, points: FloatArray, scores: FloatArray, met: BoolArray) -> None:
         """Record the results of a round, and learn from them unless the proposal is frozen.
 
-        `scores` (n,) are lower nearer to the events, NaN for a failed scenario; `met` (n, events): which events
+        `scores` (n,) are lower nearer to the events, NaN for a failed scenario; `occurred` (n, events): which events
         occurred.
         """
         if not self._frozen:

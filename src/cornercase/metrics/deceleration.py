@@ -193,7 +193,7 @@ class StoppingDistance(Metric):
 def required_acceleration(pair: Following) -> FloatArray:
     """Weakest acceleration that avoids contact (see `LongitudinalAcceleration`), shape (T,), in m/s², not above 0.
 
-    NaN where `pair` has no gap.
+    NaN where `leader` has no gap.
     """
     closing, acceleration = pair.closing, pair.leader_acceleration
     brakes = (pair.leader_speed > 0.0) & (acceleration < 0.0)

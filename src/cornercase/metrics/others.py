@@ -19,7 +19,7 @@ EVERYBODY: Final = "*"
 def name_others(other: object, ego: str, known: Sequence[str]) -> tuple[str, ...]:
     """Resolve `other` to the names of one or several entities, each once.
 
-    ``"*"`` stands for all of `known` but the ego. Other names need not be in `known`.
+    ``"*"`` stands for all of `entity_names` but the ego. Other names need not be in `entity_names`.
 
     Raises
     ------

@@ -29,8 +29,8 @@ class Rss(Metric):
         [v_r ρ + a ρ²/2 + (v_r + ρ a)² / (2 b_min) - v_f² / (2 b_max)]₊.
 
     If they come towards each other, both need their distance during ρ and until they stand, the ego with
-    ``correct_braking`` and the other with ``min_braking`` (`longitudinal_minimum`, `opposite_minimum`); across the
-    heading see `lateral_minimum`. Two standing entities need the distance of accelerating for ρ. Not defined if one of
+    ``correct_braking`` and the other with ``min_braking`` (`min_longitudinal_gap`, `min_oncoming_gap`); across the
+    heading see `min_lateral_gap`. Two standing entities need the distance of accelerating for ρ. Not defined if one of
     the two does not exist. Cap: 100 m, most critical value: -500 m, which is the score of a recording in which both
     touch.
 
@@ -146,7 +146,7 @@ def longitudinal_minimum(
     min_braking: float,
     max_braking: float,
 ) -> FloatArray:
-    """Least safe gap in m if both go the same way (definition 1). Speeds in m/s; a negative `front` counts as 0."""
+    """Least safe gap in m if both go the same way (definition 1). Speeds in m/s; a negative front speed counts as 0."""
     response_speed = rear + response_time * acceleration
     distance: FloatArray = (
         rear * response_time + 0.5 * acceleration * response_time**2 + response_speed**2 / (2.0 * min_braking)
@@ -164,7 +164,8 @@ def opposite_minimum(
 ) -> FloatArray:
     """Least safe gap in m if both come towards each other (definition 2).
 
-    `correct` and `wrong` are the speeds towards each other in m/s, of the vehicle on its own side and of the other.
+    `correct_side_speed` and `wrong_side_speed` are the speeds towards each other in m/s, of the vehicle on its own side
+    and of the other.
     """
     distance = np.zeros_like(correct)
     for speed, braking in ((correct, correct_braking), (wrong, min_braking)):
@@ -183,7 +184,7 @@ def lateral_minimum(
 ) -> FloatArray:
     """Least safe lateral gap in m (definition 6): both drift towards each other during the response, then brake.
 
-    `one` and `two` are the lateral speeds of both towards each other, in m/s. At least `margin`.
+    `ego_speed` and `other_speed` are the lateral speeds of both towards each other, in m/s. At least `margin`.
     """
     distance = np.zeros_like(one)
     for speed in (one, two):

@@ -123,7 +123,7 @@ def velocity_change(recording: Recording, ego: str, other: str) -> float | None:
 
 
 def find_contact(recording: Recording, ego: str, other: str) -> tuple[int, float] | None:
-    """First instant of a contact, and the change of velocity as of `velocity_change` in m/s; None without a contact."""
+    """First instant of a contact and velocity change as of `collision_velocity_change` in m/s; None without one."""
     touch = touching(recording, ego, other)
     recorded = recording.first_collision(ego, other)
     if recorded is not None:

@@ -114,7 +114,7 @@ class CandidateOptimizer(Optimizer):
         return self._drawn(self._round_seed, count, np.concatenate([self._points, filling]))
 
     def _drawn(self, seed: int, count: int, besides: FloatArray) -> FloatArray:
-        """Points of a sequence with its own seed, (m, d), without those of `besides` (k, d)."""
+        """Points of a sequence with its own seed, (m, d), without those of `exclude` (k, d)."""
         sequence = SobolOptimizer(self._space, seed)
         # Telling it the excluded points is faster than to filter all drawn points afterwards.
         sequence.tell(besides, np.zeros(len(besides)))

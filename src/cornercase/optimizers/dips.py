@@ -22,8 +22,8 @@ def below_dips(at: FloatArray, scores: FloatArray, threshold: float, most: int |
     the threshold as from their median. From there it goes downhill by the slope through these neighbours, half as far
     as to the nearest of them.
 
-    `at` (n, e) are encoded scenarios that were run, `scores` (n,) are minimized; NaN for a failed scenario counts as
-    the highest. At most `most` points, by default all.
+    `points` (n, e) are encoded scenarios that were run, `scores` (n,) are minimized; NaN for a failed scenario counts
+    as the highest. At most `max_count` points, by default all.
     """
     count = 2 * at.shape[1]
     if len(at) <= count:

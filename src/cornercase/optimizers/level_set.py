@@ -32,7 +32,7 @@ class LevelSetOptimizer(BegunOptimizer):
     """Proposes the scenarios about which a Gaussian process is most uncertain whether they are critical.
 
     A scenario is critical if its score is at most the threshold. Each point of a round has the largest ``1.96 s - |m -
-    threshold|`` of all candidates (the straddle heuristic), with the mean m of a `boundary_process` and its standard
+    threshold|`` of all candidates (the straddle heuristic), with the mean m of a boundary process and its standard
     deviation s; then s is updated as if that point were known, so that a round spreads over the boundary. The first 24
     points, and a fraction of all others, are a Sobol' sequence, to find critical regions that the process does not
     predict. This fraction grows to 2.5 times its value when the known boundary is found: when the process expects to be

@@ -65,7 +65,7 @@ class SequenceOptimizer(Optimizer):
         self._ahead = self._unseen.left(self._ahead)
 
     def _left(self, besides: FloatArray | None) -> FloatArray:
-        # `_ahead` has no observed points, so it is filtered only if there is something to exclude.
+        # `_ready_points` has no observed points, so it is filtered only if there is something to exclude.
         return self._ahead if besides is None or not len(besides) else self._unseen.left(self._ahead, besides)
 
     def _lengthen(self, missing: int) -> bool:

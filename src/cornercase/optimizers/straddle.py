@@ -25,8 +25,9 @@ def gains(mean: FloatArray, deviation: FloatArray) -> FloatArray:
 class Round:
     """Choose points of a process one after the other, each given those before it.
 
-    `places` (m, e) are encoded, `mean` and `variance` (m,) the predictions there; the variance is changed in place.
-    `rows` (m, k) are those of `GaussianProcess.predict_with_projections`; no columns for a process without values.
+    `points` (m, e) are encoded, `mean` and `variance` (m,) the predictions there; the variance is changed in place.
+    `projections` (m, k) are those of `GaussianProcess.predict_with_projections`; no columns for a process without
+    values.
     """
 
     def __init__(
@@ -39,7 +40,7 @@ class Round:
         self._learned: list[FloatArray] = []
 
     def learn(self, i: int) -> None:
-        """Condition the variances on point `i`."""
+        """Condition the variances on point `index`."""
         shared = self._process.covariance(self._places, self._rows, i)
         for earlier in self._learned:
             shared = shared - earlier * earlier[i]
@@ -50,7 +51,7 @@ class Round:
         np.maximum(self._variance - self._learned[-1] ** 2, 0.0, out=self._variance)
 
     def choose(self, n: int, among: int) -> tuple[IntArray, float]:
-        """Choose `n` of the first `among` points, each with the largest gain; return indices (n,), and least gain."""
+        """Choose `n` of the first `n_candidates` points, each of the largest gain: indices (n,), and least gain."""
         chosen: list[int] = []
         least = math.inf
         while len(chosen) < n:

@@ -37,8 +37,8 @@ TOUCH = 1e-9
 class Stay:
     """One visit to a conflict area.
 
-    `enters` and `leaves` are in s; if the entity is still inside when its recording ends, `leaves` is that time.
-    `left`: whether it left; `stands`: whether it stood in the area at the end instead.
+    `entry_time` and `exit_time` are in s; if the entity is still inside when its recording ends, `exit_time` is that
+    time. `has_left`: whether it left; `is_standing`: whether it stood in the area at the end instead.
     """
 
     enters: float

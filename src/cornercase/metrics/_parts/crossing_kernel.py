@@ -12,10 +12,10 @@ _ROUNDING = 1.0 + 1e-9  # relative tolerance, more than the rounding error of a 
 
 @kernel(error_model="numpy")
 def find_crossings(a, b, parallel, reach, out):
-    """Write the distances along two tracks to their crossings to `out` (2, capacity), ordered by `a`; return how many.
+    """Write the distances along two tracks to their crossings to `out` (2, capacity); return how many there are.
 
     Each piece, (n, 6), has its start, direction, length and distance along the track. Pieces with a sine of at most
-    `parallel` between their directions do not cross; one that ends up to `reach` short of the other meets it.
+    `min_sine` between their directions do not cross; one that ends up to `tolerance` short of the other meets it.
     """
     count = 0
     for i in range(len(a)):

@@ -53,7 +53,7 @@ class Following:
 def time_to_cover(way: FloatArray, speed: FloatArray, acceleration: FloatArray, stops: bool = True) -> FloatArray:
     """Smallest t >= 0 in s with speed t + acceleration t²/2 = way; inf for never, NaN if an input is.
 
-    If `stops`, braking ends in standing; otherwise the motion reverses.
+    If `stops_at_zero_speed`, braking ends in standing; otherwise the motion reverses.
     """
     discriminant = speed**2 + 2.0 * acceleration * way
     with np.errstate(divide="ignore", invalid="ignore"):

@@ -118,7 +118,7 @@ def least_gap(start, way, share, corners, axes):
 
 @kernel(error_model="numpy")
 def _widest_gap(a, axes_a, b, axes_b, enough):
-    """Widest gap along any axis (separating axes); with `enough` the first that is above 0, or NaN."""
+    """Widest gap along any axis (separating axes); with `stop_if_separated` the first that is above 0, or NaN."""
     widest = -np.inf
     for side in range(2):
         axes = axes_a if side == 0 else axes_b

@@ -135,7 +135,7 @@ class Meeting:
         return int(candidates[k]), float(gaps[k])
 
     def _gaps(self, some: IntArray) -> FloatArray:
-        """Gaps between the boxes at `some` instants; like `box_distance`, but ten times as fast for two boxes."""
+        """Gaps between the boxes at `instants`; like `box_distance`, but ten times as fast for two boxes."""
         recording, offset = self.recording, self.other_center[some] - self.ego_center[some]
         rows = (self.ego_row, self.other_row)
         headings = [recording.heading[row, some] for row in rows]

@@ -12,7 +12,7 @@ from cornercase._common.typing import FloatArray
 
 
 def checked(name: str, **numbers: float) -> None:
-    """Raise InputError if an option of the metric `name` is negative or not finite."""
+    """Raise InputError if an option of the metric `metric_name` is negative or not finite."""
     for option, number in numbers.items():
         if not 0.0 <= number < np.inf:
             raise InputError(f"{name} cannot take {number} for {option}; give a finite number of 0 or more.")

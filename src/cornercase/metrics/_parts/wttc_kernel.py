@@ -18,9 +18,9 @@ _ITERATIONS = 100
 
 @kernel(error_model="numpy")
 def course(x, y, heading, speed, ahead, a, b, radius, growth, out):
-    """Write the worst time to collision of the entities in rows `a` and `b` to `out` (T,).
+    """Write the worst time to collision of the entities in rows `ego_row` and `other_row` to `out` (T,).
 
-    Box centres are `ahead` of the reference points; `radius` and `growth` are those of the circle.
+    Box centres are `center_offset` ahead of the reference points; `radius` and `growth` are those of the circle.
     """
     position, velocity = np.empty((2, _BLOCK)), np.empty((2, _BLOCK))
     radii, growths = np.full(_BLOCK, radius), np.full(_BLOCK, growth)

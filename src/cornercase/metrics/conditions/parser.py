@@ -22,12 +22,12 @@ def parse(text: str) -> Part:
     """Parse a condition. InputError names the position of the fault and what to write there."""
     if len(text) > _LONGEST:
         raise InputError(f"The condition '{text[:60]}…' has {len(text)} characters; give {_LONGEST} at most.")
-    words = Words(text, "condition")
-    if words.ended:
-        words.expected(_EXAMPLE)
-    condition = _either(words, 0)
-    if not words.ended:
-        words.refuse("give and, or, or the end of the condition.")
+    lexer = Words(text, "condition")
+    if lexer.ended:
+        lexer.expected(_EXAMPLE)
+    condition = _either(lexer, 0)
+    if not lexer.ended:
+        lexer.refuse("give and, or, or the end of the condition.")
     return condition
 
 

@@ -16,8 +16,8 @@ def follow(root: Node, margins: Mapping[Predicate, FloatArray], time: FloatArray
 
     Quantitative semantics of Fainekos and Pappas 2009, Donzé and Maler 2010: minimum for conjunction and `always`,
     maximum for disjunction and `eventually`. `margins` are those of the comparisons, (T,), NaN where not defined.
-    `for_good`: whether comparisons outside of temporal operators, by themselves or in a conjunction, have to hold all
-    the time. InputError if the formula has a temporal operator and the extra ``stl`` is not installed.
+    `implicit_always`: whether comparisons outside of temporal operators, by themselves or in a conjunction, have to
+    hold all the time. InputError if the formula has a temporal operator and the extra ``stl`` is not installed.
     """
     follower = _Follower(margins, time)
     return follower.stated(root) if for_good else follower.values(root, False, np.inf)
@@ -40,7 +40,7 @@ class _Follower:
         return self.values(node, False, np.inf)
 
     def values(self, node: Node, negated: bool, left_out: float) -> FloatArray:
-        """Robustness of a part or of its negation; `left_out` is the value of instants that are not defined."""
+        """Robustness of a part or of its negation; `undefined_value` is the value of instants that are not defined."""
         if isinstance(node, Predicate):
             defined, margin = self.defined[node], self.margins[node]
             # A comparison that is never defined violates nothing, wherever it stands.

@@ -74,7 +74,7 @@ class Predicate:
         return (self.left, self.right) if isinstance(self.right, Signal) else (self.left,)
 
     def tell_right(self, signals: Signals, k: int) -> str:
-        """Describe the right side at instant `k`: ``"1.389 m/s (5 km/h)"``, or ``"other.speed, which is 3 m/s"``."""
+        """Describe the right side at an instant: ``"1.389 m/s (5 km/h)"``, or ``"other.speed, which is 3 m/s"``."""
         if isinstance(self.right, Signal):
             return f"{self.right.text}, which is {self.left.tell_value(float(self.right.values(signals)[k]))}"
         value, text = self.left.tell_value(self.right.value), self.right.text

@@ -40,7 +40,7 @@ def spelt(unit: str) -> str:
 
 
 def in_si(number: float, given: str, wanted: str) -> float:
-    """Convert a number from the unit `given` (``""``: already converted) to the unit `wanted` of a signal.
+    """Convert a number from the unit `from_unit` (``""``: already converted) to the unit `to_unit` of a signal.
 
     Raises
     ------

@@ -76,7 +76,7 @@ class Words:
         return True
 
     def refuse(self, sentence: str, word: Word | None = None) -> NoReturn:
-        """Raise InputError at a token, by default the next one; `sentence` says what is wrong and what to do."""
+        """Raise InputError at a token, by default the next one; `message` says what is wrong and what to do."""
         start = (word or self.next).begin
         position = "at its end" if start >= len(self._text) else f"at '{_excerpt(self._text, start)}'"
         raise InputError(f"The {self._what} '{_shown(self._text)}', {position}: {sentence}")
