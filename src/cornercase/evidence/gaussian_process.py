@@ -198,7 +198,7 @@ class GaussianProcess:
         return other
 
     def told_by_nearest(self, points: FloatArray, values: FloatArray, some: IntArray) -> tuple[FloatArray, FloatArray]:
-        """Leave-one-out mean and deviation, (k,), of the values at `indices` by the nearest others, without conditioning."""
+        """Leave-one-out mean and deviation, (k,), of the values at `indices` by the nearest other values."""
         mean, deviation = NearestPosterior(self.kernel, points, values - self._mean).leave_one_out(some)
         return self._mean + mean, deviation
 
