@@ -58,38 +58,16 @@ class CriticalSet:
     points, and with the calibration drawn from its posterior.
 
     A critical scenario counts as found if it was run, or if the mean of the process there is beyond the threshold.
-    Audits never affect what is found.
+    Audits never affect what is found. With `features` a `Committee` predicts instead of the process, which is one of
+    its members; found is then what it gives a probability of at least `PREDICTED_CRITICAL`. The process still provides
+    the correlation.
 
-    With `features` a `Committee` predicts instead of the process, which is one of its members; found is then what it
-    gives a probability of at least `PREDICTED_CRITICAL`. The process still provides the correlation between points.
+    `points` (n, d) were run and have `scores` (n,), lower is more critical, NaN for a failed scenario. `initial_design`
+    (n,) marks those chosen independently of scores, by default all. `audits` are random points and their scores, which
+    the optimizer has not observed. `features` are the columns and their values (n, f). `source_model` gives one more
+    coordinate of the process, which is dropped if it misleads; the calibration uses the scenarios at hand only.
+    ValueError if there are fewer than 10 scores, or all are the same.
 
-    Parameters
-    ----------
-    space : ParameterSpace
-    points : ndarray of float64, shape (n, d)
-        Scenarios that were run, in the unit cube.
-    scores : ndarray of float64, shape (n,)
-        Lower is more critical; NaN for a scenario that failed.
-    threshold : float
-        Score up to which a scenario is critical.
-    seed : int, default 0
-    initial_design : ndarray of bool, shape (n,), optional
-        Which of them were chosen independently of scores; by default all.
-    audits : tuple of (ndarray of float64, shape (m, d), ndarray of float64, shape (m,)), optional
-        Random points of the space and their scores, which the optimizer has not observed.
-    features : tuple of (sequence of Feature, ndarray of float64, shape (n, f)), optional
-        Features and their values in the recordings of `points`; NaN for a scenario that failed.
-    source_model : SourceStudyModel, optional
-        Predictions of another study: one more coordinate of the process, which is dropped if it misleads. The
-        calibration uses the scenarios at hand only.
-
-    Raises
-    ------
-    ValueError
-        There are fewer than 10 scores, or all are the same.
-
-    Notes
-    -----
     Leave-one-out prediction: C. E. Rasmussen, C. K. I. Williams, "Gaussian Processes for Machine Learning" (2006),
     equation 5.12.
     """

@@ -82,11 +82,7 @@ class Foretold:
     """
 
     def __init__(
-        self,
-        points: FloatArray,
-        features: FloatArray,
-        kernels: Kernels | None = None,
-        known: IntArray | None = None,
+        self, points: FloatArray, features: FloatArray, kernels: Kernels | None = None, known: IntArray | None = None
     ) -> None:
         spread = features.std(axis=0)
         scaled = (features - features.mean(axis=0)) / np.maximum(spread, _LEAST)

@@ -90,16 +90,12 @@ class FeatureGroup(ABC):
         """
 
 
+# docs/metrics.md describes each feature, and its value if something never happens.
 class NearestApproach(FeatureGroup):
-    """The first instant at which the boxes of both are nearest to each other.
+    """State at the first instant at which the boxes are nearest to each other, or 100 m away if they never coexist.
 
-    ``least-clearance``: gap between the boxes. ``nearest-time``: since the recording began. ``nearest-ahead``,
-    ``nearest-left``: position of the other's centre in the ego's frame. ``nearest-cos``, ``nearest-sin``: of the
-    other's heading in the ego's frame. ``nearest-ego-speed``, ``nearest-other-speed``. ``nearest-way``: distance that
-    the ego has driven until then.
-
-    If the two never exist at once: 100 m of clearance, the other 100 m ahead in the same direction, both speeds 0, at
-    the end of the recording and of the ego's path.
+    ``nearest-ahead``, ``nearest-left``, ``nearest-cos`` and ``nearest-sin`` are in the ego's frame; ``nearest-way`` is
+    the distance that the ego has driven until then.
     """
 
     name = "nearest-approach"
@@ -131,11 +127,9 @@ class NearestApproach(FeatureGroup):
 
 
 class Approach(FeatureGroup):
-    """The first instant at which the centres are within 40 m, else the one at which they are nearest.
+    """State at the first instant at which the centres are within 40 m, else the one at which they are nearest.
 
-    ``approach-time``: since the recording began. ``approach-ahead``: how far ahead of the ego the other is.
-    ``approach-other-speed``. The state before either reacts depends smoothly on the parameters, while its consequences
-    jump. If the two never exist at once: the end, 100 m and 0 m/s.
+    The state before either reacts depends smoothly on the parameters, while its consequences jump.
     """
 
     name = "approach"
@@ -153,11 +147,7 @@ class Approach(FeatureGroup):
 
 
 class Braking(FeatureGroup):
-    """The first instant at which the ego decelerates with at least nine tenths of its strongest deceleration.
-
-    ``braking-way``: distance that the ego has driven until then. ``braking-speed``: of the ego then. If it never brakes
-    by more than 0.1 m/s², those of the end; both are 0 if it never exists.
-    """
+    """State when the ego first brakes with nine tenths of its strongest deceleration; else the end."""
 
     name = "braking"
     features = (Feature("braking-way", "m"), Feature("braking-speed", "m/s"))
@@ -170,12 +160,7 @@ class Braking(FeatureGroup):
 
 
 class Other(FeatureGroup):
-    """What the other does, wherever the ego is.
-
-    ``other-highest-speed``: of the other, forwards or backwards. ``other-highest-speed-time``: the first instant with
-    it, since the recording began. ``other-braking-way``: distance that the other has driven until it brakes hardest, as
-    for the ego in `Braking`. All are 0 if it never exists.
-    """
+    """Highest speed of the other, and the distance that it has driven until it brakes hardest; 0 if it never exists."""
 
     name = "other"
     features = (
@@ -196,12 +181,9 @@ class Other(FeatureGroup):
 
 
 class Crossing(FeatureGroup):
-    """Where the paths of both come nearest to each other, whatever the times.
+    """Where the paths of both come nearest to each other, and how much later than the other the ego is there.
 
-    ``crossing-distance``: between the paths of the centres. ``crossing-gap``: how much later than the other the ego is
-    there; above 0 if the other is first, which is a branch of a scenario. Of equally near points the one counts that
-    both pass with the least time between them: 1 s counts as much as 0.1 m. If one of the two never exists: 100 m and 0
-    s.
+    Of equally near points the one counts that both pass with the least time between them: 1 s counts as much as 0.1 m.
     """
 
     name = "crossing"
@@ -212,13 +194,7 @@ class Crossing(FeatureGroup):
 
 
 class Slowest(FeatureGroup):
-    """The first instant at which the ego is slowest.
-
-    ``lowest-speed``: of the ego, forwards or backwards. ``lowest-speed-time``: since the recording began.
-    ``lowest-speed-way``: distance that the ego has driven until then. All are 0 if it never exists.
-    ``lowest-speed-ahead``, ``lowest-speed-left``: position of the other's centre then, in the ego's frame.
-    ``lowest-speed-other-speed``. If one of the two does not exist then: 100 m ahead, at a speed of 0.
-    """
+    """State at the first instant at which the ego is slowest, with the other in the ego's frame."""
 
     name = "slowest"
     features = (
@@ -241,15 +217,7 @@ class Slowest(FeatureGroup):
 
 
 class Turn(FeatureGroup):
-    """When the ego's heading changes fastest, and when it starts to change.
-
-    ``turn-time``: of the fastest change, since the recording began. ``turn-way``: distance that the ego has driven
-    until then. Both are 0 if it never turns by more than 0.001 rad/s.
-
-    ``turn-begin-left``: how far left the other's centre is in the ego's frame when the heading first differs by more
-    than 0.05 rad from the initial one, or at the end if it never does. ``turn-begin-other-speed``. Both are 0 if one of
-    the two does not exist.
-    """
+    """State when the ego turns fastest, and when its heading first differs by 0.05 rad from the initial one."""
 
     name = "turn"
     features = (
@@ -275,11 +243,7 @@ class Turn(FeatureGroup):
 
 
 class Whole(FeatureGroup):
-    """The recording as a whole.
-
-    ``duration``: from its first to its last instant. ``way``: distance that the ego drives. ``contact``: 1 if the boxes
-    of both touch or their collision is recorded, else 0; this is a branch of a scenario.
-    """
+    """Duration, distance that the ego drives, and whether both touch."""
 
     name = "whole"
     features = (Feature("duration", "s"), Feature("way", "m"), Feature("contact", "1", branch=True))

@@ -17,7 +17,7 @@ from cornercase._common.typing import FloatArray
 from cornercase.metrics.base import Metric
 from cornercase.metrics.others import name_others, others_there
 from cornercase.metrics.registry import METRICS
-from cornercase.metrics.severity import velocity_change
+from cornercase.metrics.severity import find_contact
 from cornercase.recordings import Recording, read_recording
 
 if TYPE_CHECKING:
@@ -137,7 +137,8 @@ def measure(
     others = name_others(other, ego, loaded.names)
     for entity in others:
         loaded.index(entity)
-    names = _plain_names() if metrics is None else texts("metrics", metrics)
+    optionless = [name for name in METRICS.names() if not METRICS.class_of(name).wants]
+    names = optionless if metrics is None else texts("metrics", metrics)
     created = [METRICS.create(name) for name in dict.fromkeys(names)]
     for metric in created:
         metric.require()
@@ -155,23 +156,11 @@ def measure(
     )
 
 
-def _plain_names() -> list[str]:
-    """Names of all metrics that need no option."""
-    return [name for name in METRICS.names() if not METRICS.class_of(name).wants]
-
-
 class Measured(NamedTuple):
-    """Course and score of a metric.
+    """Course and score of a metric; with several others, the most critical value at each instant, and score.
 
-    Attributes
-    ----------
-    course : ndarray of float64, shape (T,)
-        With several others, the most critical of the values at each instant; NaN where the metric is defined for none.
-    score : float
-        With several others, the most critical score.
-    against : str or None
-        Name of the entity the score comes from (the first one if tied). None if there is only one other entity, if the
-        score is the cap, or if all entities give the same result.
+    `against`: name of the entity the score comes from (the first one if tied). None if there is only one other entity,
+    if the score is the cap, or if all entities give the same result.
     """
 
     course: FloatArray
@@ -185,34 +174,27 @@ def measured(
     """Evaluate metrics on a recording. Return the results by name of the metric.
 
     Of several others, those that never exist in the recording are skipped. Contacts count as in
-    `Metric.score_with_contact`.
-
-    Raises
-    ------
-    InputError
-        There is no entity of that name.
-    PartError
-        A metric raised an exception, or returned no numbers.
+    `Metric.score_with_contact`. PartError if a metric raises an exception, or returns no numbers.
     """
     named = (other,) if isinstance(other, str) else tuple(other)
     others = others_there(recording, named)
-    changes: dict[str, float | None] = {}  # cache of `velocity_change` by entity, shared by all metrics
+    contacts: dict[str, tuple[int, float] | None] = {}  # cache by entity, shared by all metrics
     results = {}
     for metric in metrics:
-        per_entity = [_measured_against(metric, recording, ego, entity, changes) for entity in others]
+        per_entity = [_measured_against(metric, recording, ego, entity, contacts) for entity in others]
         results[metric.name] = per_entity[0] if len(named) == 1 else _worst(metric, others, per_entity)
     return results
 
 
 def _measured_against(
-    metric: Metric, recording: Recording, ego: str, other: str, changes: dict[str, float | None]
+    metric: Metric, recording: Recording, ego: str, other: str, contacts: dict[str, tuple[int, float] | None]
 ) -> Measured:
     course, score = _asked(metric, recording, ego, other)
     if metric.contact is not None:
-        if other not in changes:
-            changes[other] = velocity_change(recording, ego, other)
-        change = changes[other]
-        score = score if change is None else metric.score_of_contact(score, change)
+        if other not in contacts:
+            contacts[other] = find_contact(recording, ego, other)
+        contact = contacts[other]
+        score = score if contact is None else metric.score_of_contact(score, contact[1])
     return Measured(course, score)
 
 

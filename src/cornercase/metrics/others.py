@@ -17,14 +17,9 @@ EVERYBODY: Final = "*"
 
 
 def name_others(other: object, ego: str, known: Sequence[str]) -> tuple[str, ...]:
-    """Resolve `other` to the names of one or several entities, each once.
+    """Resolve `other` to the names of one or several entities, each once; InputError if that is impossible.
 
     ``"*"`` stands for all of `entity_names` but the ego. Other names need not be in `entity_names`.
-
-    Raises
-    ------
-    InputError
-        It is no name or sequence of names, it is empty or contains the ego, or it is several names joined by commas.
 
     Examples
     --------
@@ -57,13 +52,7 @@ def others_there(recording: Recording, others: Sequence[str]) -> tuple[str, ...]
 
 
 def nearest_other(recording: Recording, ego: str, other: str | Sequence[str]) -> str:
-    """Of several others, return the first the ego collides with, else the one with the smallest gap between the boxes.
-
-    Raises
-    ------
-    InputError
-        The recording has none of them, or no entity of the ego's name.
-    """
+    """Return the one of several others that the ego collides with first, else the one with the smallest gap."""
     others = others_there(recording, (other,) if isinstance(other, str) else other)
     if len(others) == 1:
         return others[0]

@@ -175,12 +175,7 @@ def opposite_minimum(
 
 
 def lateral_minimum(
-    one: FloatArray,
-    two: FloatArray,
-    response_time: float,
-    acceleration: float,
-    braking: float,
-    margin: float,
+    one: FloatArray, two: FloatArray, response_time: float, acceleration: float, braking: float, margin: float
 ) -> FloatArray:
     """Least safe lateral gap in m (definition 6): both drift towards each other during the response, then brake.
 

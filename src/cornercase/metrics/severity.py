@@ -113,17 +113,11 @@ class ConflictSeverity(Metric):
         return np.where(np.isnan(time), np.nan, remaining)
 
 
-def velocity_change(recording: Recording, ego: str, other: str) -> float | None:
-    """Change of velocity of the lighter entity in a collision in which both stick together, in m/s.
-
-    At the first instant of a contact; None without a contact, 0 if the velocities then are unknown.
-    """
-    contact = find_contact(recording, ego, other)
-    return None if contact is None else contact[1]
-
-
 def find_contact(recording: Recording, ego: str, other: str) -> tuple[int, float] | None:
-    """First instant of a contact and velocity change as of `collision_velocity_change` in m/s; None without one."""
+    """First instant of a contact, and the velocity change of the lighter entity in m/s if both stick together.
+
+    None without a contact; a change of 0 if the velocities then are unknown.
+    """
     touch = touching(recording, ego, other)
     recorded = recording.first_collision(ego, other)
     if recorded is not None:

@@ -53,17 +53,8 @@ class Ttc(Metric):
         ego_motion, other_motion = _Braking(recording, ego), _Braking(recording, other)
         first = np.full(len(recording.time), np.nan)
         # Both accelerations are constant between the times at which an entity stops.
-        stops = np.sort(
-            np.stack(
-                [
-                    np.zeros_like(ego_motion.stop),
-                    ego_motion.stop,
-                    other_motion.stop,
-                    np.full_like(ego_motion.stop, np.inf),
-                ]
-            ),
-            0,
-        )
+        zeros = np.zeros_like(first)
+        stops = np.sort(np.stack([zeros, ego_motion.stop, other_motion.stop, zeros + np.inf]), 0)
         for begin, end in pairwise(stops):
             start = np.where(np.isfinite(begin), begin, 0.0)
             contact = first_contact(
@@ -94,8 +85,8 @@ class _Braking:
         self.stop = np.where(slows, -self.speed / np.where(slows, self.rate, 1.0), np.inf)
 
     def way(self, time: FloatArray) -> FloatArray:
-        time_moving = np.minimum(time, self.stop)
-        return self._ahead(self.speed * time_moving + 0.5 * self.rate * time_moving**2)
+        moving = np.minimum(time, self.stop)
+        return self._ahead(self.speed * moving + 0.5 * self.rate * moving**2)
 
     def velocity(self, time: FloatArray) -> FloatArray:
         return self._ahead(np.where(time < self.stop, self.speed + self.rate * time, 0.0))

@@ -52,12 +52,7 @@ class BayesOptimizer(CandidateOptimizer):
     name = "bayes"
 
     def __init__(
-        self,
-        space: ParameterSpace,
-        seed: int,
-        candidates: int = 2000,
-        features: int = 500,
-        filling: float = 0.3,
+        self, space: ParameterSpace, seed: int, candidates: int = 2000, features: int = 500, filling: float = 0.3
     ) -> None:
         super().__init__(space, seed, initial=_INITIAL, filling=filling)
         self._count, self._features = candidates, features

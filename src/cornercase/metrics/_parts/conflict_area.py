@@ -76,12 +76,7 @@ class _Sweep:
     """
 
     def __init__(
-        self,
-        center: FloatArray,
-        heading: FloatArray,
-        time: FloatArray,
-        speed: FloatArray,
-        size: tuple[float, float],
+        self, center: FloatArray, heading: FloatArray, time: FloatArray, speed: FloatArray, size: tuple[float, float]
     ) -> None:
         self.center, self.heading, self.time, self.speed, self.size = center, heading, time, speed, size
         poses = box_corners(center[..., 0], center[..., 1], heading, *size)
@@ -127,11 +122,7 @@ class _Sweep:
     def backwards(self) -> _Sweep:
         """The same sweep in reverse order."""
         return _Sweep(
-            self.center[::-1, ::-1],
-            self.heading[::-1, ::-1],
-            self.time[::-1, ::-1],
-            self.speed[::-1, ::-1],
-            self.size,
+            self.center[::-1, ::-1], self.heading[::-1, ::-1], self.time[::-1, ::-1], self.speed[::-1, ::-1], self.size
         )
 
 

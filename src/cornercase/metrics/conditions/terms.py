@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
-from typing import Literal, NamedTuple, TypeAlias
+from typing import ClassVar, Literal, NamedTuple, TypeAlias
 
 import numpy as np
 
@@ -17,10 +17,7 @@ from cornercase.metrics.formulas.terms import Relation
 class Collision:
     """The ego collides with any entity."""
 
-    @property
-    def text(self) -> str:
-        """The condition in its normalized spelling."""
-        return "collision"
+    text: ClassVar[str] = "collision"
 
 
 @dataclass(frozen=True)
@@ -66,7 +63,10 @@ class Connected:
     @property
     def text(self) -> str:
         """The condition in its normalized spelling, with brackets around each connected part."""
-        inner = [f"({part.text})" if _joined(part) else part.text for part in self.operands]
+        inner = [
+            f"({part.text})" if isinstance(part, Connected) and part.operator != "not" else part.text
+            for part in self.operands
+        ]
         return f"not {inner[0]}" if self.operator == "not" else f" {self.operator} ".join(inner)
 
 
@@ -118,7 +118,3 @@ def span_of(part: Part, known: Mapping[Fact, Span]) -> Span:
     for span in spans[1:]:
         low, high = combine(low, span.low), combine(high, span.high)
     return Span(low, high)
-
-
-def _joined(part: Part) -> bool:
-    return isinstance(part, Connected) and part.operator != "not"

@@ -21,7 +21,8 @@ class Formula:
     """A formula of signal temporal logic in discrete time.
 
     A comparison outside of temporal operators, by itself or in a conjunction, has to hold all the time. The language is
-    described under "Formulas" in docs/metrics.md.
+    described under "Formulas" in docs/metrics.md. Methods of a formula with a temporal operator raise `InputError` if
+    the extra ``stl`` is not installed.
 
     Attributes
     ----------
@@ -107,13 +108,7 @@ class Formula:
         return is_temporal(self.root)
 
     def require(self) -> None:
-        """Raise if a package that the formula requires is not installed.
-
-        Raises
-        ------
-        InputError
-            It has a temporal operator, and the extra ``stl`` is not installed.
-        """
+        """Raise if a package that the formula requires is not installed."""
         if self.temporal:
             require_rtamt()
 
@@ -130,11 +125,6 @@ class Formula:
             Positive if the formula holds, negative if it is violated, in `unit`: every comparison can change by this
             amount at every instant before the verdict changes. inf if nothing can violate it, -inf if nothing can
             fulfil it.
-
-        Raises
-        ------
-        InputError
-            It has a temporal operator, and the extra ``stl`` is not installed.
         """
         return follow(
             self.root, {comparison: comparison.margin(signals) for comparison in self.comparisons}, signals.time
@@ -150,11 +140,6 @@ class Formula:
         Returns
         -------
         ndarray of bool, shape (T,)
-
-        Raises
-        ------
-        InputError
-            It has a temporal operator, and the extra ``stl`` is not installed.
         """
         return (
             follow(self.root, {comparison: comparison.holds(signals) for comparison in self.comparisons}, signals.time)
@@ -172,11 +157,6 @@ class Formula:
         -------
         ndarray of bool, shape (T,)
             True where a formula without temporal operators is not defined, since nothing is violated there.
-
-        Raises
-        ------
-        InputError
-            It has a temporal operator, and the extra ``stl`` is not installed.
         """
         held = {comparison: comparison.holds(signals) for comparison in self.comparisons}
         return follow(self.root, held, signals.time, for_good=False) > 0.0
@@ -192,11 +172,6 @@ class Formula:
         -------
         tuple of Predicate and int, or None
             The margin there is the robustness, or inside a ``not`` its negative. None if the robustness is infinite.
-
-        Raises
-        ------
-        InputError
-            It has a temporal operator, and the extra ``stl`` is not installed.
         """
         return find_decisive(
             self.root, {comparison: comparison.margin(signals) for comparison in self.comparisons}, signals.time

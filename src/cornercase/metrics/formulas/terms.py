@@ -120,7 +120,7 @@ class Operation:
         if len(self.operands) == 1:
             return f"{name}({self.operands[0].text})"
         inner = (
-            operand.text if isinstance(operand, Predicate) or _alone(operand) else f"({operand.text})"
+            operand.text if isinstance(operand, Predicate) or len(operand.operands) == 1 else f"({operand.text})"
             for operand in self.operands
         )
         return f" {name} ".join(inner)
@@ -141,7 +141,3 @@ def comparisons_in(node: Node) -> Iterator[Predicate]:
 def is_temporal(node: Node) -> bool:
     """Whether the formula contains a temporal operator."""
     return isinstance(node, Operation) and (node.operator in TEMPORAL or any(map(is_temporal, node.operands)))
-
-
-def _alone(node: Node) -> bool:
-    return isinstance(node, Operation) and len(node.operands) == 1

@@ -42,10 +42,7 @@ def spelt(unit: str) -> str:
 def in_si(number: float, given: str, wanted: str) -> float:
     """Convert a number from the unit `from_unit` (``""``: already converted) to the unit `to_unit` of a signal.
 
-    Raises
-    ------
-    InputError
-        There is no such unit, or it is one of another quantity; the message lists the units that fit.
+    InputError, with the units that fit, if there is no such unit or it is one of another quantity.
 
     Examples
     --------

@@ -77,9 +77,10 @@ class Words:
 
     def refuse(self, sentence: str, word: Word | None = None) -> NoReturn:
         """Raise InputError at a token, by default the next one; `message` says what is wrong and what to do."""
-        start = (word or self.next).begin
-        position = "at its end" if start >= len(self._text) else f"at '{_excerpt(self._text, start)}'"
-        raise InputError(f"The {self._what} '{_shown(self._text)}', {position}: {sentence}")
+        rest = self._text[(word or self.next).begin :]
+        line = rest.partition("\n")[0]
+        position = f"at '{_shorten(line, 20)}'" if rest else "at its end"
+        raise InputError(f"The {self._what} '{_shorten(self._text, 120)}', {position}: {sentence}")
 
     def expected(self, what: str) -> NoReturn:
         """Raise InputError at the next token, saying what to give instead."""
@@ -105,10 +106,5 @@ def operator_meant(name: str) -> str:
     return sentence if sentence.startswith("did") else ""
 
 
-def _excerpt(text: str, place: int) -> str:
-    rest = text[place:].split("\n")[0]
-    return rest if len(rest) <= 20 else rest[:20] + "…"
-
-
-def _shown(text: str) -> str:
-    return text if len(text) <= 120 else text[:120] + "…"
+def _shorten(text: str, length: int) -> str:
+    return text if len(text) <= length else text[:length] + "…"
