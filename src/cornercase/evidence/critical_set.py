@@ -298,10 +298,10 @@ class CriticalSet:
         """
         # The calibrations of both are drawn with the same random numbers; permuted, they are independent.
         order = np.random.default_rng([self._seed, 6]).permutation(DRAWS)
-        here, there = self._whole.all, other._whole.all[order]
+        fractions, other_fractions = self._whole.all, other._whole.all[order]
         with one_thread():
             both = self._whole.shared(other._whole, other._normal(self._some[0], 5), order)
-        return here, there, np.clip(both, 0.0, np.minimum(here, there))
+        return fractions, other_fractions, np.clip(both, 0.0, np.minimum(fractions, other_fractions))
 
     def middle(self) -> FloatArray:
         """Draw the mean of each parameter over the critical set, (draws, d), in the parameters' units.

@@ -54,8 +54,8 @@ class SetDifference:
         the draws bound `gained` and `lost` from above only; the lower bound is given by the change of the critical
         fraction.
         """
-        here, there, both = old.against(new)
-        change = _differences(here, there)
+        old_draws, new_draws, both_draws = old.against(new)
+        change = _differences(old_draws, new_draws)
         middles: list[tuple[Estimate, Estimate, Estimate] | None] = []
         for before, after in zip(old.middle().T, new.middle().T, strict=True):
             before, after = before[np.isfinite(before)], after[np.isfinite(after)]
@@ -67,8 +67,8 @@ class SetDifference:
             old.share,
             new.share,
             change,
-            _at_least(there - both, change.low),
-            _at_least(here - both, -change.high),
+            _at_least(new_draws - both_draws, change.low),
+            _at_least(old_draws - both_draws, -change.high),
             tuple(middles),
         )
 

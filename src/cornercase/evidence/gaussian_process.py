@@ -30,7 +30,7 @@ _FAR = 0.02  # relevance far from the threshold
 _Tried = tuple[float, "GaussianProcess", int]
 # Log factors by which another study's prediction has to increase the likelihood of the scores: in total, and per score.
 _FORETOLD, _EACH = float(np.log(100.0)), float(np.log(2.0))
-# Single precision is used if it differs at this fraction of so many points by at most this many standard deviations.
+# Single precision is used if, at this fraction of the compared points, the error is at most this in deviations.
 _MOST, _COMPARED, _ALIKE = 0.9, 64, 0.1
 
 
@@ -85,13 +85,13 @@ def boundary_process(
     away.
 
     `points` (n, e) are encoded, `scores` (n,) not all the same. `has_prediction`: whether the last coordinate is the
-    prediction of another study, as of `SourceStudyModel`.
+    prediction of a `SourceStudyModel`.
     """
     critical = scores <= threshold
     # Keep all scenarios of the rarer class in the subset, since length scales around them are learned from them.
     rare = critical if 2 * critical.sum() < len(critical) else ~critical
-    some = chosen(len(points), MOST_EXACT, rare)
-    side, dims = np.where(critical[some], 1.0, -1.0), points.shape[1]
+    subset = chosen(len(points), MOST_EXACT, rare)
+    side, dims = np.where(critical[subset], 1.0, -1.0), points.shape[1]
 
     densities: dict[tuple[float, int], float] = {}
 
@@ -100,10 +100,10 @@ def boundary_process(
         values = near_threshold(scores, threshold, near)
         process = GaussianProcess(most_noise, near).learn(points, values, start, rare, used)
         if len(points) > MOST_TOGETHER:
-            mean, deviation = process.told_by_nearest(points, values, some)
+            mean, deviation = process.told_by_nearest(points, values, subset)
         else:
-            mean, deviation = process.know(points[some], values[some]).leave_one_out()
-        residual = (values[some] - mean) / deviation
+            mean, deviation = process.know(points[subset], values[subset]).leave_one_out()
+        residual = (values[subset] - mean) / deviation
         densities[near, used] = float(-(0.5 * residual**2 + np.log(deviation)).sum())
         return float(log_ndtr(-side * mean / deviation).sum()), process, used
 
@@ -116,7 +116,7 @@ def boundary_process(
     if foretold:
         # The likelihood of the values shows this earlier than that of the sides.
         scale = next(iter(scales))
-        improves = densities[scale, dims] - densities[scale, dims - 1] > max(_FORETOLD, _EACH * len(some))
+        improves = densities[scale, dims] - densities[scale, dims - 1] > max(_FORETOLD, _EACH * len(subset))
         candidates = [candidate for candidate in candidates if (candidate[2] == dims) == improves]
     _, start, used = max(candidates, key=itemgetter(0))
     # If the noise is not at its bound, another bound gives the same result.
@@ -125,7 +125,7 @@ def boundary_process(
     if start.kernel.noise > 0.99 * _NOISE:
         candidates.append(tried(start.near, _MUCH, used, start))
     best = max(candidates, key=itemgetter(0))[1]
-    return best if len(some) == len(points) else best.know_scores(points, scores, threshold)
+    return best if len(subset) == len(points) else best.know_scores(points, scores, threshold)
 
 
 class GaussianProcess:
@@ -210,8 +210,8 @@ class GaussianProcess:
         self._factors: tuple[Floats, Floats] = known.weights, np.asfortranarray(known.inverse)
         single = known.weights.astype(np.float32), np.asfortranarray(known.inverse, dtype=np.float32)
         # With values close to each other and little noise, single precision is all rounding error.
-        some = evenly(len(known.points), _COMPARED)
-        middles = 0.5 * (known.points[some] + known.points[np.roll(some, 1)])
+        sample = evenly(len(known.points), _COMPARED)
+        middles = 0.5 * (known.points[sample] + known.points[np.roll(sample, 1)])
         mean, variance, _ = self._at(middles, *self._factors)
         single_mean, single_variance, _ = self._at(middles, *single)
         deviation, single_deviation = (

@@ -126,16 +126,16 @@ def of_all(shares: FloatArray, met: BoolArray, total: float | None = None) -> Pr
     `probabilities` (n,) are the probabilities of the scenarios that were run, `total` is the sum over all scenarios, by
     default all were run. The bounds hold whatever the other scenarios are; the value is in the middle.
     """
-    whole = float(shares.sum()) if total is None else total
-    weights = shares / whole
-    least = min(float(weights[met].sum()), 1.0)
-    most = least if total is None else max(1.0 - float(weights[~met].sum()), least)
-    effective = least**2 / float((weights[met] ** 2).sum()) if met.any() else 0.0
-    largest = float(weights[met].max()) / least if met.any() else 0.0
+    normalization = float(shares.sum()) if total is None else total
+    weights = shares / normalization
+    low = min(float(weights[met].sum()), 1.0)
+    high = low if total is None else max(1.0 - float(weights[~met].sum()), low)
+    effective = low**2 / float((weights[met] ** 2).sum()) if met.any() else 0.0
+    largest = float(weights[met].max()) / low if met.any() else 0.0
     method = f"{'all' if total is None else f'only {len(shares)}'} scenarios of the space were run"
     error = 0.0 if total is None else None
-    bounds = (least, most, least, most)
-    return Probability(0.5 * (least + most), *bounds, method, error, len(shares), int(met.sum()), effective, largest)
+    bounds = (low, high, low, high)
+    return Probability(0.5 * (low + high), *bounds, method, error, len(shares), int(met.sum()), effective, largest)
 
 
 def quotient(both: Probability, given: Probability) -> Probability | None:

@@ -76,8 +76,8 @@ def estimate_sensitivity(space: ParameterSpace, points: FloatArray, scores: Floa
     points, scores = enough(points, scores)
     values = (scores - scores.mean()) / scores.std()
     process = GaussianProcess(1.0).fit(encoded(space, points), values)
-    some = evenly(len(values), _LEFT_OUT)
-    errors = values[some] - process.leave_one_out(some)[0]
+    subset = evenly(len(values), _LEFT_OUT)
+    errors = values[subset] - process.leave_one_out(subset)[0]
 
     def predict(places: FloatArray) -> FloatArray:
         mean, _ = process.predict(encoded(space, space.snap(places.T)))

@@ -38,8 +38,8 @@ class GapTime(Metric):
         self.ahead = ahead
 
     def course(self, recording: Recording, ego: str, other: str) -> FloatArray:
-        mine, others = _arrivals(recording, ego, other, self.ahead)
-        return _apart(mine, others)
+        ego_times, other_times = _arrivals(recording, ego, other, self.ahead)
+        return _apart(ego_times, other_times)
 
 
 class SquaredGapTime(GapTime):
@@ -62,15 +62,15 @@ class SquaredGapTime(GapTime):
     source = "Squared predicted relative encroachment time, as in Westhofen et al. 2023"
 
     def course(self, recording: Recording, ego: str, other: str) -> FloatArray:
-        mine, others = _arrivals(recording, ego, other, self.ahead)
-        return _apart(mine**2, others**2)
+        ego_times, other_times = _arrivals(recording, ego, other, self.ahead)
+        return _apart(ego_times**2, other_times**2)
 
 
 def _arrivals(recording: Recording, ego: str, other: str, ahead: float) -> tuple[FloatArray, FloatArray]:
     distances = ways_to_crossing(recording, ego, other, ahead)
     speeds = (np.abs(recording.speed[recording.index(name)]) for name in (ego, other))
-    mine, others = (_time(way, speed) for way, speed in zip(distances, speeds, strict=True))
-    return mine, others
+    ego_times, other_times = (_time(distance, speed) for distance, speed in zip(distances, speeds, strict=True))
+    return ego_times, other_times
 
 
 def _time(way: FloatArray, speed: FloatArray) -> FloatArray:

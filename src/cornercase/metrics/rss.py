@@ -105,28 +105,43 @@ class Rss(Metric):
 
     def _along(self, recording: Recording, ego: str, other: str, axis: FloatArray) -> FloatArray:
         gap, ahead = _gap(recording, ego, other, axis)
-        mine, others = ((velocity(recording, name) * axis).sum(-1) for name in (ego, other))
+        ego_speed, other_speed = ((velocity(recording, name) * axis).sum(-1) for name in (ego, other))
         # Speeds in the direction from the ego to the other.
-        mine, others = np.where(ahead, mine, -mine), np.where(ahead, others, -others)
+        ego_speed, other_speed = np.where(ahead, ego_speed, -ego_speed), np.where(ahead, other_speed, -other_speed)
         rear = longitudinal_minimum(
-            np.maximum(mine, 0.0), others, self.response_time, self.acceleration, self.min_braking, self.max_braking
+            np.maximum(ego_speed, 0.0),
+            other_speed,
+            self.response_time,
+            self.acceleration,
+            self.min_braking,
+            self.max_braking,
         )
         front = longitudinal_minimum(
-            np.maximum(-others, 0.0), -mine, self.response_time, self.acceleration, self.min_braking, self.max_braking
+            np.maximum(-other_speed, 0.0),
+            -ego_speed,
+            self.response_time,
+            self.acceleration,
+            self.min_braking,
+            self.max_braking,
         )
         opposite = opposite_minimum(
-            mine, -others, self.response_time, self.acceleration, self.correct_braking, self.min_braking
+            ego_speed, -other_speed, self.response_time, self.acceleration, self.correct_braking, self.min_braking
         )
-        towards = (mine >= 0.0) & (others < 0.0)
-        surplus: FloatArray = gap - np.where(towards, opposite, np.where(mine >= 0.0, rear, front))
+        towards = (ego_speed >= 0.0) & (other_speed < 0.0)
+        surplus: FloatArray = gap - np.where(towards, opposite, np.where(ego_speed >= 0.0, rear, front))
         return surplus
 
     def _across(self, recording: Recording, ego: str, other: str, axis: FloatArray) -> FloatArray:
         gap, is_left = _gap(recording, ego, other, axis)
-        mine, others = ((velocity(recording, name) * axis).sum(-1) for name in (ego, other))
-        mine, others = np.where(is_left, mine, -mine), np.where(is_left, -others, others)
+        ego_speed, other_speed = ((velocity(recording, name) * axis).sum(-1) for name in (ego, other))
+        ego_speed, other_speed = np.where(is_left, ego_speed, -ego_speed), np.where(is_left, -other_speed, other_speed)
         minimum = lateral_minimum(
-            mine, others, self.response_time, self.lateral_acceleration, self.lateral_braking, self.lateral_margin
+            ego_speed,
+            other_speed,
+            self.response_time,
+            self.lateral_acceleration,
+            self.lateral_braking,
+            self.lateral_margin,
         )
         return gap - minimum
 

@@ -138,8 +138,8 @@ def _change(recording: Recording, ego: str, other: str, masses: Mapping[str, flo
 
 
 def _share(recording: Recording, ego: str, other: str, masses: Mapping[str, float]) -> float:
-    mine, others = (_mass(recording, name, masses) for name in (ego, other))
-    return others / (mine + others)
+    ego_mass, other_mass = (_mass(recording, name, masses) for name in (ego, other))
+    return other_mass / (ego_mass + other_mass)
 
 
 def _mass(recording: Recording, name: str, masses: Mapping[str, float]) -> float:

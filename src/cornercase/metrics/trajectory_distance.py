@@ -49,5 +49,5 @@ class TrajectoryDistance(Metric):
         self.ahead = ahead
 
     def course(self, recording: Recording, ego: str, other: str) -> FloatArray:
-        mine, others = ways_to_crossing(recording, ego, other, self.ahead)
-        return mine + others
+        ego_distance, other_distance = ways_to_crossing(recording, ego, other, self.ahead)
+        return ego_distance + other_distance

@@ -29,8 +29,8 @@ def touching(recording: Recording, one: str, other: str) -> BoolArray:
     near = np.flatnonzero(distance <= reach * (1.0 + _RELATIVE_TOLERANCE))
     touch = np.zeros(len(distance), dtype=np.bool_)
     if len(near):
-        mine, others = (_corners(recording, i, center, near) for i, center in zip(rows, centers, strict=True))
-        touch[near] = boxes_overlap(mine, others)
+        corners, other_corners = (_corners(recording, i, center, near) for i, center in zip(rows, centers, strict=True))
+        touch[near] = boxes_overlap(corners, other_corners)
     return touch
 
 

@@ -156,8 +156,8 @@ def _stay(sweep: _Sweep, area: _Sweep, steps: IntArray, met_by: Callable[[int], 
     exit_ = _first_touch(sweep, steps[::-1], area, met_by, backwards=True)
     if entry is None or exit_ is None:
         return None
-    left = exit_ < sweep.time[-1, 1] - TOUCH
-    return Stay(entry, exit_, left, not left and bool(sweep.speed[-1, 1] <= _STILL))
+    has_left = exit_ < sweep.time[-1, 1] - TOUCH
+    return Stay(entry, exit_, has_left, not has_left and bool(sweep.speed[-1, 1] <= _STILL))
 
 
 def _first_touch(

@@ -55,27 +55,27 @@ def roots(position, velocity, radius, growth, out):
 
 @kernel(error_model="numpy")
 def _solve(position, velocity, radius, growth, count, out):
-    apart, bend, closing = np.empty(count), np.empty(count), np.empty(count)
-    gain, size, early = np.empty(count), np.empty(count), np.empty(count)
-    top, time = np.empty(count), np.empty(count)
+    squared_gap, bend, closing = np.empty(count), np.empty(count), np.empty(count)
+    gain, size, is_early = np.empty(count), np.empty(count), np.empty(count)
+    peak_time, time = np.empty(count), np.empty(count)
     for k in range(count):
         px, py, vx, vy = position[0, k], position[1, k], velocity[0, k], velocity[1, k]
         distance = math.sqrt(px * px + py * py)
-        apart[k] = (distance - radius[k]) * (distance + radius[k])
+        squared_gap[k] = (distance - radius[k]) * (distance + radius[k])
         square = vx * vx + vy * vy
         closing[k] = -(px * vx + py * vy)
         bend[k] = square - radius[k] * growth[k]
         gain[k] = 0.5 * growth[k] * growth[k]
         size[k] = square
-    _maximum(bend, gain, closing, top)
+    _maximum(bend, gain, closing, peak_time)
     for k in range(count):
-        square, t = size[k], top[k]
-        peak = ((0.5 * gain[k] * t * t - bend[k]) * t + 2.0 * closing[k]) * t - apart[k]
-        squares = apart[k] + radius[k] * radius[k]
+        square, t = size[k], peak_time[k]
+        peak = ((0.5 * gain[k] * t * t - bend[k]) * t + 2.0 * closing[k]) * t - squared_gap[k]
+        squares = squared_gap[k] + radius[k] * radius[k]
         # Circles that only graze count as touching: the tolerance covers rounding errors in the maximum.
         rises = (bend[k] > 0.0) & (closing[k] > 0.0)
         grazes = rises & (peak >= -1e-14 * (squares + square * t * t))
-        early[k] = 1.0 if grazes else 0.0
+        is_early[k] = 1.0 if grazes else 0.0
         curvature = 2.0 * bend[k] - 6.0 * gain[k] * t * t
         drop = math.sqrt(2.0 * max(peak, 0.0) / (curvature if curvature > 0.0 else 1.0))
         from_left = t - drop if curvature > 0.0 else 0.0
@@ -87,23 +87,25 @@ def _solve(position, velocity, radius, growth, count, out):
         moves = 0
         for k in range(count):
             t = time[k]
-            value = ((0.5 * gain[k] * t * t - bend[k]) * t + 2.0 * closing[k]) * t - apart[k]
+            value = ((0.5 * gain[k] * t * t - bend[k]) * t + 2.0 * closing[k]) * t - squared_gap[k]
             slope = (2.0 * gain[k] * t * t - 2.0 * bend[k]) * t + 2.0 * closing[k]
-            left = early[k] > 0.0
-            step = value / slope if (value < 0.0) == left else 0.0
+            from_below = is_early[k] > 0.0
+            step = value / slope if (value < 0.0) == from_below else 0.0
             moved = t - step
             # Keep Newton's step below the maximum and above 0; ignore a step that is NaN.
-            bounded = (top[k] if moved > top[k] else moved) if left else (0.0 if moved < 0.0 else moved)
+            bounded = (
+                (peak_time[k] if moved > peak_time[k] else moved) if from_below else (0.0 if moved < 0.0 else moved)
+            )
             bounded = bounded if bounded == bounded else t
-            moves += 1 if (abs(bounded - t) > 4e-15 * t) & (apart[k] > 0.0) else 0
+            moves += 1 if (abs(bounded - t) > 4e-15 * t) & (squared_gap[k] > 0.0) else 0
             time[k] = bounded
         if moves == 0:
             break
     for k in range(count):
-        t = time[k] if (early[k] > 0.0) | (growth[k] > 0.0) else math.inf
-        t = 0.0 if apart[k] <= 0.0 else t
-        known = apart[k] + size[k] + closing[k] + radius[k] + growth[k]
-        out[k] = t if known == known else math.nan
+        t = time[k] if (is_early[k] > 0.0) | (growth[k] > 0.0) else math.inf
+        t = 0.0 if squared_gap[k] <= 0.0 else t
+        total = squared_gap[k] + size[k] + closing[k] + radius[k] + growth[k]
+        out[k] = t if total == total else math.nan
 
 
 @kernel(error_model="numpy")
