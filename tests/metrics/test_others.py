@@ -92,7 +92,7 @@ def test_a_measurement_names_whom_it_is_against_only_where_there_are_several():
         (["Ahead", "Beyond"], "no entity 'Beyond'"),
         ("Ego", "`other` Ego: is the ego itself"),
         (["Ahead", "Ego"], "`other` Ego: is the ego itself"),
-        ([], "`other`: there is none"),
+        ([], "`other` is empty"),
         (3, "`other` 3: give a list of texts"),
     ],
 )
