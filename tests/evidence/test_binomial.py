@@ -1,4 +1,4 @@
-"""Bounds of shares by random draws, held against how often they are so."""
+"""Bounds of proportions, compared with how often they hold."""
 
 from __future__ import annotations
 

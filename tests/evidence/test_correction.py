@@ -1,4 +1,4 @@
-"""How much a surrogate's record says, held against what such records are worth."""
+"""Calibration of a surrogate by the record of its predictions."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What is said of a critical set, held against sets that are known."""
+"""Estimates of critical sets, compared with known sets."""
 
 from __future__ import annotations
 
@@ -120,7 +120,7 @@ def test_of_few_scenarios_that_were_all_run_all_is_known(threshold, share):
     space = ParameterSpace([Parameter("a", 0, 3, 1.0), Parameter("b", 0, 2, 1.0)])
     points = space.lattice()
     scores = np.arange(12.0)
-    # A search chose them, and the least scores first: that does not matter once there are no others.
+    # The search chose the least scores first; that does not matter once all scenarios were run.
     known = CriticalSet(space, points, scores, threshold, filling=np.zeros(12, dtype=np.bool_))
     assert known.doubt is known.missed_doubt is None
     assert (known.share.low, known.share.value, known.share.high) == pytest.approx((share, share, share))
@@ -201,7 +201,7 @@ def test_before_anything_critical_was_met_the_share_is_bounded_by_what_was_run()
     # The rule of three.
     assert known.share.low == 0.0
     assert known.share.high == pytest.approx(3 / 40, rel=0.05)
-    # Of what is chosen by scores nothing follows.
+    # Scenarios chosen by scores give no interval.
     blindly = np.arange(40) < 20
     fewer = CriticalSet(CUBE, points, two_regions(points) + 3.0, THRESHOLD, filling=blindly)
     assert fewer.share.high == pytest.approx(3 / 20, rel=0.1)
@@ -212,7 +212,7 @@ def test_before_anything_critical_was_met_the_share_is_bounded_by_what_was_run()
 
 
 def test_while_all_that_was_met_is_critical_the_share_is_bounded_by_what_was_run():
-    # All is critical but for a corner that nothing points to, of 3 % of the cube.
+    # Everything is critical except a corner of 3 % of the cube that no score points to.
     points = SobolOptimizer(CUBE, 0).ask(40)
     known = CriticalSet(CUBE, points, points.sum(axis=1), 9.0)
     assert known.share.value == known.share.high == 1.0
@@ -225,9 +225,9 @@ def test_two_sets_are_drawn_independently():
     rng = np.random.default_rng(3)
     scores = rng.normal(size=(2, 64))
     one, other = (CriticalSet(CUBE, points, each, 0.0) for each in scores)
-    # Of noise the share of one in another is that of the other, whatever is drawn.
+    # For noise, the fraction of one set in another is the size of the other.
     assert one.share_in(other).value == pytest.approx(other.share.value, abs=0.03)
-    # Also of the same scores, drawn twice: nothing foretells where they are critical.
+    # Also for the same scores, drawn twice: nothing predicts where they are critical.
     assert one.share_in(one).value < 0.7
 
 
@@ -239,7 +239,7 @@ def test_a_scenario_of_a_finite_space_is_critical_or_not_in_one_draw():
     places = known._places.points[at]
     assert len(np.unique(places, axis=0)) == len(places) == len(drawn) == 30
     assert weights.sum() == pytest.approx(1.0)
-    # What was run is known: the shares differ by whole scenarios that were not.
+    # Scenarios that were run are known: the fractions differ by whole other scenarios.
     shares = known._parts.all * 30
     assert shares.min() >= known._critical.sum() - 0.5
     assert shares.max() <= known._critical.sum() + 15.5
@@ -249,7 +249,7 @@ def test_a_scenario_of_a_finite_space_is_critical_or_not_in_one_draw():
 def test_draws_without_a_critical_place_do_not_count_as_nothing_missed(seed):
     rng = np.random.default_rng(seed)
     points, scores = rng.random((60, 3)), rng.normal(size=60)
-    # One scenario is critical, by noise: hardly anything else is found, so nearly all that there is is missed.
+    # One scenario is critical, by noise: nearly the whole critical set is missed.
     known = CriticalSet(CUBE, points, scores, float(np.sort(scores)[:2].mean()))
     assert known.found(EVERYWHERE).mean() < 0.01
     assert known.missed.low > 0.5
@@ -327,7 +327,7 @@ def test_a_region_that_nothing_points_to_keeps_the_search_going():
 
 
 def jumping(points):
-    """Scores that jump where the other goes first, and what tells so; critical is a thin sheet beside the jump."""
+    """Scores that jump where the other goes first, and features that show it; a thin sheet at the jump is critical."""
     a, b, c = points.T
     gap = a + 0.3 * np.sin(4 * b) - 0.6
     first = gap > 0.0

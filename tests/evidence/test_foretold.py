@@ -1,4 +1,4 @@
-"""Features that are foretold from the parameters."""
+"""Features predicted from the parameters."""
 
 import numpy as np
 from scipy.stats import qmc
@@ -20,7 +20,7 @@ def test_smooth_features_are_foretold_without_rounding_errors():
 
 
 def jumping(points):
-    """A feature that jumps where the way changes, along a line across the square, and which way it is."""
+    """A feature that jumps between branches along a line across the square, and the branch."""
     x, y = points.T
     ways = (x + 0.5 * y > 0.7).astype(np.int64)
     return np.where(ways == 1, 4.0 + np.cos(2.0 * y), np.sin(3.0 * x))[:, None], ways

@@ -1,4 +1,4 @@
-"""Gaussian processes that take values in step by step, and those of many values."""
+"""Gaussian processes conditioned step by step, and with many values."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ def drawn(count: int, seed: int):
 
 
 def told(kernel: Kernel, known, places):
-    """Mean and variance at places."""
+    """Mean and variance at points."""
     cross = kernel.covariance(places, known.points)
     return cross @ known.weights, kernel.signal**2 - ((cross @ known.inverse.T) ** 2).sum(axis=1)
 
@@ -141,7 +141,7 @@ def test_widths_are_learned_from_rare_values_too():
     picked = chosen(3000, 160, rare)
     assert len(picked) == 160 == len(np.unique(picked))
     assert rare[picked].sum() == 4
-    # Many of a kind do not crowd the others out.
+    # Many values of one class do not displace the others.
     assert rare[chosen(3000, 160, ~rare)].sum() == 4
     np.testing.assert_array_equal(chosen(100, 160, rare[:100]), np.arange(100))
 

@@ -1,4 +1,4 @@
-"""What a process says of scores that it did not learn from, held against scenarios that were never run."""
+"""Out-of-sample predictions, compared with scenarios that were never run."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ def test_in_many_dimensions_it_is_as_far_off_as_where_nothing_was_run():
         fresh.append(off(elsewhere, mean, np.hypot(deviation, process.kernel.noise)))
         alone.append(off(values, *process.leave_one_out()))
         honest.append(off(values, *left_out(process, points, scores, threshold)))
-    # With the kernel that was learned from it, a score is told better than any other would be.
+    # With a kernel that was learned from it, a score is predicted too well.
     assert np.median(alone) < 0.9 * np.median(fresh)
     assert 0.9 < np.median(honest) / np.median(fresh) < 1.2
 

@@ -22,7 +22,7 @@ def waved(points):
 
 
 def told_by(points, values, place):
-    """What scikit-learn says of a place, by the 36 values that are nearest to it."""
+    """Prediction by scikit-learn from the 36 nearest values."""
     near = np.argsort(np.linalg.norm((points - place) / KERNEL.widths, axis=1))[:36]
     kernel = ConstantKernel(KERNEL.signal**2) * Matern(KERNEL.widths, nu=2.5)
     process = GaussianProcessRegressor(kernel, alpha=KERNEL.noise**2, optimizer=None).fit(points[near], values[near])
@@ -64,7 +64,7 @@ def test_of_many_scenarios_the_nearest_follow_a_boundary_that_few_points_smooth_
     def wrong(most_together):
         monkeypatch.setattr(gaussian_process, "MOST_TOGETHER", most_together)
         mean, deviation = boundary_process(points, scores, 0.0).predict(places)
-        # What it is not sure of is what it is wrong about.
+        # Errors are where the process is uncertain.
         assert (np.abs(mean / deviation)[(mean <= 0.0) != true] < 4.0).mean() > 0.9
         return ((mean <= 0.0) != true).mean()
 

@@ -1,4 +1,4 @@
-"""Products of matrices, held against those of NumPy."""
+"""Matrix products, compared with NumPy."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ def test_products_are_those_of_numpy_however_matrices_lie_in_memory(order):
     rng = np.random.default_rng(0)
     square, left, right = (np.asarray(rng.normal(size=size), order=order) for size in ((7, 7), (5, 7), (7, 3)))
     lower = np.tril(square)
-    # What stands above the diagonal is not looked at.
+    # The part above the diagonal is not read.
     np.testing.assert_allclose(lower_times(square, right), lower @ right, atol=1e-12)
     np.testing.assert_allclose(times_lower_transposed(left, square), left @ lower.T, atol=1e-12)
     np.testing.assert_allclose(times_transposed(left, square), left @ square.T, atol=1e-12)

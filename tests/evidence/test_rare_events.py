@@ -22,7 +22,7 @@ def space_of(dimension):
 
 
 def estimated(space, score, runs, seed, guess=None):
-    """Probability that the score is not above 0, from so many runs."""
+    """Probability that the score is at most 0, from this many runs."""
     sampling, spent = ImportanceSampling(space, 1, int(0.4 * runs), seed, guess), 0
     while sampling.stage != "estimate":
         points = sampling.ask(runs)
@@ -166,7 +166,7 @@ def test_a_mixture_finds_groups_and_has_the_density_it_draws_from():
     heavy = mixture.means[:, 0] > 0.0
     assert mixture.shares[heavy].sum() == pytest.approx(0.75, abs=0.05)
     drawn = mixture.draw(20_000, rng)
-    # By importance the area of a square is told from the density.
+    # Importance sampling distinguishes the area of a square from its density.
     inside = np.abs(drawn - 4.0).max(1) < 0.5
     area = (inside / np.exp(mixture.log_density(drawn))).mean()
     assert area == pytest.approx(1.0, rel=0.05)

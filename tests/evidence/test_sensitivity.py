@@ -1,4 +1,4 @@
-"""What matters, against closed forms."""
+"""Sensitivity indices, compared with closed forms."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What is known of smooth functions, beside scikit-learn's Gaussian process."""
+"""Predictions of smooth functions, compared with scikit-learn's Gaussian process."""
 
 from __future__ import annotations
 

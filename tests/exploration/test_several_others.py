@@ -126,7 +126,7 @@ def test_a_study_of_one_other_is_as_it_was(scenario, tmp_path):
     [
         (["Slow", "Slwo"], "has no entity 'Slwo' to be the other; did you mean 'Slow'"),
         (["Slow", "Ego"], "`other` Ego: is the ego itself"),
-        ([], "`other`: there is none"),
+        ([], "`other` is empty"),
     ],
 )
 def test_who_cannot_be_another_is_refused(scenario, tmp_path, other, words):

@@ -1,4 +1,4 @@
-"""Conditions that say which scenarios are critical: how they are read, and what they make of a run."""
+"""Conditions that define critical scenarios: parsing and evaluation."""
 
 from __future__ import annotations
 
@@ -91,7 +91,7 @@ def test_the_distance_from_a_collision_is_the_clearance_and_a_reference_decides_
     assert touch.undecided({}) == "cc-human"
     assert touch.score({"cc-human": False}) == 0.0
     assert touch.score({"cc-human": True}) == touch.score({"cc-human": None}) == made.cap
-    # Boxes that touch without a collision being told are none.
+    # Touching boxes without a recorded collision do not count.
     assert made.look(run(0.0), "Ego", "Other").score({}) > 0.0
 
 
@@ -145,7 +145,7 @@ def test_a_bound_at_the_cap_of_its_metric_is_critical_where_it_holds_alone(bound
         found = made.look(apart, "Ego", "Other")
         assert found.holds({}) is False
         assert 0.0 < found.score({}) <= made.cap
-    # What is far beyond the bound is told from what is near it.
+    # The score distinguishes runs far beyond the bound from runs near it.
     near, nearer = (CriticalIf.of(bound).look(run(gap), "Ego", "Other") for gap in (3.0, 2.0))
     if bound.startswith(("ttc", "clearance", "thw")):
         assert nearer.score({}) < near.score({}) < 0.0

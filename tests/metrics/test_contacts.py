@@ -1,4 +1,4 @@
-"""No collision counts as less critical than a near miss, and among collisions a search has something to follow."""
+"""No collision is less critical than a near miss, and collisions have different scores."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ TIME = np.arange(0.0, 8.0, 0.05)
 
 
 def recording(ways, speeds, headings, stops=False):
-    """Two cars: ways (2, T, 2) of their centres; it ends with the first contact where it stops there."""
+    """Two cars on paths (2, T, 2) of their centres; optionally it ends with the first contact."""
     ways, speeds = np.asarray(ways, dtype=np.float64), np.asarray(speeds, dtype=np.float64)
     found = Recording(
         time=TIME, names=("Ego", "Other"), kinds=("car", "car"), x=ways[..., 0], y=ways[..., 1],
@@ -36,7 +36,7 @@ def recording(ways, speeds, headings, stops=False):
 
 
 def crossing(delay, stops):
-    """Both at 8 and 6 m/s; the other reaches the crossing so many seconds after the ego."""
+    """Both at 8 and 6 m/s; the other reaches the crossing this many seconds after the ego."""
     still = np.zeros_like(TIME)
     ways = [np.stack([still, 8.0 * (TIME - 4.0)], -1), np.stack([6.0 * (TIME - 4.0 - delay), still], -1)]
     return recording(ways, [still + 8.0, still + 6.0], [np.pi / 2, 0.0], stops)
@@ -52,7 +52,7 @@ def following(deceleration, stops):
 
 
 def oncoming(offset, stops):
-    """At 10 m/s towards each other, so many metres beside each other."""
+    """At 10 m/s towards each other, with this lateral offset in m."""
     still = np.zeros_like(TIME)
     ways = [np.stack([10.0 * (TIME - 4.0), still], -1), np.stack([-10.0 * (TIME - 4.0), still + offset], -1)]
     return recording(ways, [still + 10.0, still + 10.0], [0.0, np.pi], stops)
@@ -100,7 +100,7 @@ def test_among_collisions_the_score_follows_how_hard_they_are(name):
     assert (np.diff(left) < -0.5).all()
     np.testing.assert_allclose(severe, -0.1 * 0.5 * left, rtol=1e-12)
     assert np.ptp(hard) == 0.0 == hard[0]
-    # What does not touch keeps its score, so thresholds of 0 and more divide as before.
+    # Recordings without contact keep their scores, so thresholds of 0 and more separate as before.
     for braking in (4.1, 4.8):
         passing = following(braking, stops=True)[0]
         assert oriented(f"{name}:severity=true", passing) == oriented(name, passing) >= 0.0

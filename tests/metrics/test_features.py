@@ -1,4 +1,4 @@
-"""What happened in a run, in numbers."""
+"""Features of recordings."""
 
 from __future__ import annotations
 
@@ -98,7 +98,7 @@ def test_the_approach_begins_within_40_m():
     assert found["approach-time"] == pytest.approx(TIME[k])
     assert found["approach-ahead"] == pytest.approx(-recording.x[0, k])
     assert found["approach-other-speed"] == 5.0
-    # Where they never come that near, it is where they are nearest.
+    # If they never come that near, the nearest instant counts.
     far = told(replace(recording, y=recording.y + np.array([[0.0], [100.0]])))
     apart = np.hypot(recording.x[1] - recording.x[0], recording.y[1] + 100.0 - recording.y[0])
     assert far["approach-time"] == pytest.approx(TIME[int(np.argmin(apart))])
@@ -111,7 +111,7 @@ def test_braking_begins_with_nine_tenths_of_the_strongest():
     assert found["braking-way"] == pytest.approx(8.0 * 2.7)
     assert found["braking-speed"] == 8.0
     assert found["other-braking-way"] == pytest.approx(5.0 * 4.1)
-    # Nobody brakes: all of the way.
+    # No braking: the whole distance.
     assert told(recording)["braking-way"] == pytest.approx(80.0)
     assert told(recording)["other-braking-way"] == pytest.approx(50.0)
 
@@ -182,7 +182,7 @@ def test_failed_scenarios_have_no_features():
 
 
 class Broken(FeatureGroup):
-    """Says two features, and gives one."""
+    """Lists two features, and returns one."""
 
     name, features = "broken", (Feature("one", "1"), Feature("two", "1"))
 
@@ -192,7 +192,7 @@ class Broken(FeatureGroup):
 
 def test_a_group_that_gives_something_else_is_refused(monkeypatch):
     monkeypatch.setattr(FEATURES, "_factories", {**FEATURES._factories, "broken": (Broken, {})})
-    with pytest.raises(InputError, match=r"'broken' gives \[1\.0\]"):
+    with pytest.raises(InputError, match=r"'broken' returned \[1\.0\]"):
         features_of([meeting()], "Ego", "B")
     with pytest.raises(InputError, match="no entity 'C'"):
         features_of([meeting()], "Ego", "C")

@@ -67,7 +67,7 @@ def test_formulas_are_read_and_written_in_one_way(text, canonical, metrics, unit
         ("ttc == 1", "write <= or >= for =="),
         ("ttc > 1 && pet > 1", "write and for &&"),
         ("(ttc > 1", "at its end: give a closing bracket"),
-        ("ttc > 1)", "this bracket closes none"),
+        ("ttc > 1)", "this bracket has no opening bracket"),
         ("always[5:2](ttc > 1)", "ends at 2 s, before it begins at 5 s"),
         ("always[-1:2](ttc > 1)", "begin at 0 s or later"),
         ("always[0:1 m](ttc > 1)", "at 'm](ttc > 1)': intervals are in s"),
@@ -119,7 +119,7 @@ def test_a_bound_has_to_hold_all_the_time():
         ("ttc < pet", [-6, -1, -1, 2]),
     ):
         np.testing.assert_array_equal(Formula.parse(text).robustness(given), robustness, err_msg=text)
-    # Of the instants by themselves.
+    # Each instant by itself.
     assert Formula.parse("ttc > 3").holds_at_each(given).tolist() == [True, False, True, False]
     assert Formula.parse("ttc > 3").holds(given).tolist() == [False] * 4
 
@@ -143,9 +143,9 @@ def test_where_a_signal_is_not_defined_nothing_is_violated():
     never = Formula.parse("pet > 1")
     assert not never.observed(given)
     assert never.holds(given).all()
-    # What is never defined excuses nothing else.
+    # An undefined comparison does not affect the others.
     assert Formula.parse("pet > 1 and ttc > 3").robustness(given)[0] == -1.0
-    # Two that never come are alike.
+    # Two infinite values are equal.
     both = signals(ttc=[np.inf] * 4, pttc=[np.inf] * 4)
     assert Formula.parse("ttc >= pttc").holds(both).all()
 
@@ -158,7 +158,7 @@ def test_signals_are_those_of_the_recording():
     assert Formula.parse("time >= 0").robustness(given).tolist() == [0.0, 0.1, 0.2]
     course = METRICS.create("ttc:accelerating=true").course(recording, "0", "1")
     assert Formula.parse("ttc:accelerating=true > 1").robustness(given)[0] == course.min() - 1
-    # Courses that are known are not measured again.
+    # Given courses are not computed again.
     known = signals_of(recording, "0", "1", {"ttc": np.array([5.0, 4.0, 3.0])})
     assert Formula.parse("ttc > 1").robustness(known)[0] == 2.0
     with pytest.raises(InputError, match="no entity 'nobody'"):
@@ -167,7 +167,7 @@ def test_signals_are_those_of_the_recording():
 
 @pytest.mark.parametrize("name", ["clearance", "distance", "ttc", "wttc", "pet", "tet", "msd", "ttc:severity=true"])
 def test_a_bound_on_a_metric_scores_what_the_metric_does(name):
-    """Also in a collision, of which the course of some says nothing, and where it is never defined."""
+    """Also in a collision, which some courses do not see, and if the metric is never defined."""
     metric = METRICS.create(name)
     sign, relation = (1.0, ">") if metric.lower_is_critical else (-1.0, "<")
     hit = recorded([actor(v=20), actor(x=34)], np.arange(0, 3, 0.1))

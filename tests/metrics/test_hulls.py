@@ -1,4 +1,4 @@
-"""Compiled hulls of moving boxes, against the same in plain NumPy."""
+"""Compiled intersection of swept hulls, compared with plain NumPy."""
 
 import numpy as np
 
@@ -41,7 +41,7 @@ def test_hulls_meet_where_no_axis_separates_them():
     meets = meeting(far)
     assert 0 < meets.sum() < meets.size
     np.testing.assert_array_equal(meets, gap <= 0.0)
-    # Circles that lie apart hold nothing that meets.
+    # Hulls in disjoint circles do not intersect.
     assert not meeting((0.0 * far[0], 0.0 * far[1])).any()
 
 

@@ -124,7 +124,7 @@ def test_a_recording_is_measured_from_python_as_on_the_command_line(tmp_path):
     assert list(table.columns) == ["ttc", "drac", "pet"]
     assert table.index.name == "time"
     np.testing.assert_array_equal(table["ttc"], METRICS.create("ttc").course(recording, "0", "1"))
-    # What a metric without a name for it is told behind a colon, nobody can guess.
+    # A metric with a required option cannot be measured by default.
     assert set(METRICS.names()) - set(measure(recording, "0", "1").scores) == {"critical-if", "stl"}
     with pytest.raises(InputError, match="'2'"):
         measure(recording, "0", "2", ["ttc"])

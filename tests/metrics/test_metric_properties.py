@@ -1,4 +1,4 @@
-"""What holds for every scene, whatever its entities do."""
+"""Properties that hold for every scene."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Metrics against several others, held against those against each of them alone."""
+"""Metrics against several others, compared with each of them alone."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from cornercase.recordings import MOTION, Collision
 from scenes import drive, quick, scenes
 from two_cars import met
 
-# Low and high ones, with and without a score of a contact, summed up over time, of the scene.
+# Low and high critical, with and without a contact score, integrated over time, of the scene.
 NAMES = ("distance", "clearance", "wttc", "ttc", "drac", "pet", "tet", "delta-v", "traffic-quality")
 
 
@@ -41,7 +41,7 @@ def test_of_several_the_most_critical_counts_and_is_named(scene):
 
 
 def crowd():
-    """Ego drives towards a car 40 m ahead; one beside it, and one that is never there."""
+    """Ego drives towards a car 40 m ahead; one is beside it, and one never exists."""
     drives = {"y": 0, "heading": 0.0, "turn": 0.0, "acceleration": 0.0, "length": 4.0, "width": 2.0, "center_x": 0.0}
     rows = [(0, 0, 4.0), (40, 0, 0.0), (5, 6, 4.0), (0, 20, 0.0)]
     found = drive([drives | {"x": x, "y": y, "speed": speed, "kind": "car"} for x, y, speed in rows])
@@ -61,7 +61,7 @@ def test_one_that_is_never_there_counts_as_nothing():
         assert (one.score, one.against) == (with_it[name].score, with_it[name].against)
     assert without["clearance"].against == "Beside"
     assert without["ttc"].against == "Ahead"
-    # A time to collision is never short here, with nobody.
+    # The time to collision is never short here, with any entity.
     assert without["tet"].against is None
     nobody = measured(metrics, scene, "Ego", ["Ghost", "Phantom"])
     assert nobody["ttc"].score == METRICS.create("ttc").cap
@@ -92,7 +92,7 @@ def test_a_measurement_names_whom_it_is_against_only_where_there_are_several():
         (["Ahead", "Beyond"], "no entity 'Beyond'"),
         ("Ego", "`other` Ego: is the ego itself"),
         (["Ahead", "Ego"], "`other` Ego: is the ego itself"),
-        ([], "`other`: there is none"),
+        ([], "`other` is empty"),
         (3, "`other` 3: give a list of texts"),
     ],
 )
@@ -109,7 +109,7 @@ def test_names_are_taken_once_and_a_star_is_everybody_else():
     assert name_others("A,B", "Ego", ("A,B", "A", "B", "Ego")) == ("A,B",)
     with pytest.raises(InputError, match="`other` A, B: is not an entity; give several one by one"):
         name_others("A, B", "Ego", ("A", "Ego", "B"))
-    with pytest.raises(InputError, match="there is nobody but Ego"):
+    with pytest.raises(InputError, match="there is no entity but Ego"):
         name_others("*", "Ego", ("Ego",))
 
 

@@ -1,4 +1,4 @@
-"""Temporal operators: against their definition, against RTAMT itself, and what is fed to it."""
+"""Temporal operators, compared with their definition and with RTAMT."""
 
 from __future__ import annotations
 
@@ -57,7 +57,7 @@ def defined(node, margins, time):
 
 
 def told_to_rtamt(text, given):
-    """What RTAMT says of the formula as a whole; it has no dots in names, and its steps are seconds."""
+    """Robustness of the whole formula by RTAMT; it has no dots in names, and its steps are seconds."""
     specification = rtamt.StlDiscreteTimeSpecification()
     specification.set_sampling_period(100, "ms", 0.1)
     data = {"time": given.time.tolist()}
@@ -109,7 +109,7 @@ def test_robustness_is_that_of_the_definition_and_of_rtamt(text, given):
     margins = {one: one.margin(given) for one in formula.comparisons}
     np.testing.assert_array_equal(found, defined(formula.root, margins, given.time))
     np.testing.assert_array_equal(found, told_to_rtamt(text, given))
-    # Where it is not at the bound, whether it holds is its sign.
+    # Except at the bound, the sign of the robustness says whether it holds.
     held = formula.holds(given)
     assert held[found > 0].all()
     assert not held[found < 0].any()
@@ -163,7 +163,7 @@ def test_of_uneven_instants_each_lasts_until_the_next():
     np.testing.assert_array_equal(robustness("always[0:0.5](ttc > 0)", uneven), [4, 1, 1, 3, 2, 2])
     # 1.3 s after 0.6 s the one of 0.7 s lasts.
     np.testing.assert_array_equal(robustness("always[1.3:1.3](ttc > 0)", uneven)[:3], [3, 3, 3])
-    # Without an interval their distance plays no part.
+    # Without an interval, the time between instants does not matter.
     np.testing.assert_array_equal(robustness("always(ttc > 0)", uneven), [1, 1, 1, 2, 2, 2])
     with pytest.raises(InputError, match="too uneven"):
         robustness("always[0:1](ttc > 0)", signals([0, 1e-9, 5], ttc=[1, 2, 3]))
@@ -175,7 +175,7 @@ def test_instants_at_which_a_signal_is_not_defined_are_left_out():
     gaps = signals(ttc=[nan, 5, nan, 2, nan], pet=[nan] * 5, ego__speed=[9, 9, 1, 9, 9])
     for text, found in (
         ("always(ttc > 1)", [1, 1, 1, 1, np.inf]),
-        # It does not come true by what is not known.
+        # Undefined instants do not fulfil it.
         ("eventually(ttc < 4)", [2, 2, 2, 2, -np.inf]),
         ("eventually(ttc < 1)", [-1, -1, -1, -1, -np.inf]),
         ("not eventually(ttc < 1)", [1, 1, 1, 1, np.inf]),
@@ -184,7 +184,7 @@ def test_instants_at_which_a_signal_is_not_defined_are_left_out():
         ("always(ttc < 4 -> ego.speed > 5)", [4, 4, 4, 4, np.inf]),
         ("ttc > 1 until ego.speed < 2", [1, 1, 1, -7, -7]),
         ("ego.speed > 5 until ttc < 4", [-1, -1, -4, 2, -np.inf]),
-        # What is never defined violates nothing.
+        # A comparison that is never defined violates nothing.
         ("eventually(pet < 1)", [np.inf] * 5),
         ("eventually(pet < 1 and ego.speed < 2)", [1, 1, 1, -7, -7]),
     ):

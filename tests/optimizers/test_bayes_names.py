@@ -1,4 +1,4 @@
-"""Names have no order for the process of `bayes`."""
+"""Choices have no order for the process of `bayes`."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ def test_names_are_equally_alike_whatever_their_order():
     alike = rows @ rows.T / (rows**2).sum(axis=1)
     # Random features know the covariance to a few hundredths.
     np.testing.assert_allclose(alike[[0, 0, 1], [1, 2, 2]], alike[0, 1], atol=0.08)
-    # Numbers stay where they were.
+    # Numeric coordinates are unchanged.
     numbers = ParameterSpace.from_ranges(["a=0:1", "b=0:1"])
     points = np.random.default_rng(0).random((5, 2))
     np.testing.assert_array_equal(BayesOptimizer(numbers, 0)._places(points), 2.0 * points - 1.0)

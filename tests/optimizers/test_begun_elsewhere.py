@@ -1,4 +1,4 @@
-"""Searches that begin from what another study knows."""
+"""Warm starts from another study."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ KNOWN = SobolOptimizer(CUBE, 100).ask(200)
 
 
 def moved(points):
-    """The two regions, a little elsewhere and a little larger: what another driver would make of them."""
+    """The two regions, slightly moved and larger, as with another driver."""
     return two_regions(points - (0.03, -0.02, 0.03)) - 0.1
 
 
@@ -50,7 +50,7 @@ def test_a_coordinate_that_says_nothing_is_left_out_of_the_process():
     noise = np.random.default_rng(0).normal(size=(60, 1))
     plain = boundary_process(points, two_regions(points), THRESHOLD)
     process = boundary_process(np.hstack([points, noise]), two_regions(points), THRESHOLD, foretold=True)
-    # Out of sight, or so wide that nothing is apart.
+    # Ignored, or with a length scale so large that nothing varies.
     assert process.kernel.widths[-1] > 5.0
     for there in (-1.0, 1.0):
         told = process.predict(np.column_stack([EVERYWHERE, np.full(len(EVERYWHERE), there)]))[0] <= 0.0

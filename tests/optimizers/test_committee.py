@@ -50,7 +50,7 @@ def test_it_follows_a_score_that_jumps_where_one_process_cannot(by):
     recall, precision = agreement(critical > 0.5, true)
     assert recall > 0.8
     assert precision > 0.85
-    # It knows which way it goes, but at the edge.
+    # The branch is certain, except at the edge.
     sure = np.abs(outcome(EVERYWHERE)[1][:, 1]) > 0.1
     assert (branch[sure] > 0.8).mean() > 0.95
     others = chosen(LevelSetOptimizer(CUBE, 2, THRESHOLD), lambda at: outcome(at)[:1])
@@ -71,7 +71,7 @@ def test_of_many_scenarios_its_processes_know_those_that_tell_most(monkeypatch):
         recall, precision = agreement(critical > 0.5, true)
         assert recall > 0.75
         assert precision > 0.75
-    # What it says of each by the others is said of all, known to the processes or not.
+    # Out-of-fold predictions exist for all scenarios, used by the processes or not.
     wrong = (some.out_of_fold() > 0.5) != (scores <= THRESHOLD)
     assert wrong.shape == (300,)
     assert wrong.mean() < 0.1
@@ -89,7 +89,7 @@ def test_of_many_scenarios_its_trees_know_those_that_tell_most(monkeypatch):
     wrong = (some.out_of_fold() > 0.5) != (scores <= THRESHOLD)
     assert wrong.shape == (400,)
     assert wrong.mean() < 0.1
-    # Those that come next are known to the same kernels.
+    # Further scenarios use the same kernels.
     some.know(points[:300], scores[:300], told[:300])
     assert some.out_of_fold().shape == (300,)
 
@@ -173,7 +173,7 @@ def test_what_is_told_out_of_fold_is_as_good_as_it_says():
     outside, inside = committee.out_of_fold(), committee.predict(points)[0]
     critical = scores <= 2.0
     assert ((outside > 0.5) == critical).mean() > 0.9
-    # What it has seen it says by heart, what was left out it does not.
+    # Scenarios it was trained on are reproduced, left-out ones are not.
     assert np.abs(inside - critical).mean() < 0.5 * np.abs(outside - critical).mean()
     new = SobolOptimizer(CUBE, 9).ask(2000)
     wrong = np.abs(committee.predict(new)[0] - (outcome(new)[0] <= 2.0)).mean()

@@ -1,4 +1,4 @@
-"""A process of random features that takes its own mean for what is not known yet."""
+"""A process of random features conditioned on its own mean at pending points."""
 
 from __future__ import annotations
 

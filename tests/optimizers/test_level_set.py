@@ -25,7 +25,7 @@ from searches import CUBE, EVERYWHERE, THRESHOLD, explored, two_regions
 
 
 def found(points, scores):
-    """Recall and precision of the critical set that a process of these scenarios tells."""
+    """Recall and precision of the critical set that a process of these scenarios predicts."""
     told, true = CriticalSet(CUBE, points, scores, THRESHOLD).found(EVERYWHERE), two_regions(EVERYWHERE) <= THRESHOLD
     return (told & true).sum() / true.sum(), (told & true).sum() / max(told.sum(), 1)
 
@@ -138,7 +138,7 @@ def found_of(function, points, scores=None):
 
 @pytest.mark.parametrize("seed", at_night(range(2), {1}))
 def test_the_space_is_filled_once_the_boundary_is_found(seed):
-    """So that a further region of 1 % is met, which nothing points to."""
+    """A further region of 1 %, which no score points to, is found."""
 
     def scores(points):
         return ball(points, (0.3, 0.35, 0.35), 0.267)
@@ -184,7 +184,7 @@ def test_below_a_dip_is_downhill_of_it():
     lowest = grid[np.argmin(scores)]
     assert np.linalg.norm(places[0] - lowest) == pytest.approx(0.1)
     assert np.linalg.norm(places[0] - (0.45, 0.63)) < scores.min()
-    # What is critical is no dip, nor is what is far from the threshold for its depth; failures are uphill.
+    # Critical scenarios are no minima, nor are those far from the threshold for their depth; failures are uphill.
     assert len(below_dips(grid, scores, 0.1)) == 0
     assert len(below_dips(grid, scores + 2.0, 0.0)) == 0
     failed = np.where(grid[:, 0] > 0.5, np.nan, scores)

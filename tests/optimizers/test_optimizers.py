@@ -181,7 +181,7 @@ def test_every_search_keeps_to_constraints_names_and_steps_and_asks_for_nothing_
 
 
 class Threshold(Optimizer):
-    """One of another package, which declares what it needs."""
+    """An optimizer of another package, which declares what it requires."""
 
     name, needs = "threshold", frozenset({"threshold", "budget"})
 
@@ -237,7 +237,7 @@ MODELS: dict[str, Any] = {
     "name", [pytest.param(name, marks=pytest.mark.slow if name == "committee" else ()) for name in MODELS]
 )
 def test_what_is_asked_for_hangs_on_what_was_told_not_on_what_was_asked_or_on_the_rounds(name):
-    """So a study that was killed goes on as if nothing had happened."""
+    """A killed study is resumed as if it had not been interrupted."""
     whole = explored(MODELS[name](), 90, batch=7)
     for told in (38, 64, 83):
         again = MODELS[name]()

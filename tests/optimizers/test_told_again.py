@@ -1,4 +1,4 @@
-"""Searches that are told the same again, failures, or all of a small space."""
+"""Optimizers that observe the same points again, failures, or all of a small space."""
 
 from __future__ import annotations
 

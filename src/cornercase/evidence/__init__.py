@@ -1,4 +1,4 @@
-"""What is known of what was not run: the Gaussian process, the critical set, the influence of parameters."""
+"""Estimates of critical sets, probabilities and sensitivities, by Gaussian processes and importance sampling."""
 
 import lazy_loader as lazy
 

@@ -1,4 +1,4 @@
-"""How much of a space is critical, and how much of that an exploration may have missed."""
+"""Estimate how much of a space is critical, and how much of that an exploration may have missed."""
 
 from __future__ import annotations
 
@@ -29,68 +29,45 @@ from cornercase.evidence.products import lower_times
 from cornercase.metrics import Feature
 from cornercase.scenario import ParameterSpace
 
-# Places for which critical sets are drawn together.
+# Points for which critical sets are drawn jointly.
 _JOINT: Final = 1500
-# Deviation of what is all but certain, so that some of those places are looked at too.
+# Added to the standard deviation of outcomes, so that some nearly certain points are sampled too.
 _LEAST: Final = 0.02
-# Scenarios chosen without looking at scores, and critical ones among them, from which intervals are given. Where there
-# were fewer critical ones, intervals of what is missed were too narrow on the first half of benchmarks/calibration.py.
+# Scenarios chosen independently of scores, and critical ones among them, from which intervals are given. With fewer
+# critical ones, intervals of what is missed were too narrow on the first half of benchmarks/calibration.py.
 _FEWEST, _FEWEST_HITS = 20, 3
-# What one prediction counts: neighbours are wrong together. Over the whole set what is wrongly taken for critical makes
-# up for what is not, so that the share is known better than its parts are. Chosen on the first half of
-# benchmarks/calibration.py.
+# Weight of one prediction in the likelihood; below 1 because errors of neighbouring predictions are correlated. In the
+# whole set false positives and false negatives cancel, so the critical fraction is known better than its parts. Chosen
+# on the first half of benchmarks/calibration.py.
 _OF_WHOLE, _OF_PARTS = 1.0, 0.5
-# Probability with which a region of the size that is called hidden, at a random place, holds nothing that was run.
+# Probability that a hidden region at a random place contains no scenario that was run.
 _HIDES: Final = 0.05
-# The least probability that a committee is taken to mean, and the most one is as far from 1.
+# Probabilities are clipped to this and to one minus this.
 _RAREST: Final = 1e-3
 
 REGION: Final = 0.01
-"""Share of the space from which a region counts, unless somebody says otherwise."""
+"""Default of the smallest fraction of the space that counts as a region."""
 
 
 class CriticalSet:
     """Estimate of the set of all critical scenarios of a space, from those that were run.
 
-    A Gaussian process of the scores (`boundary_process`) predicts each scenario that fills the space from all others,
-    and each audit. How good these predictions are corrects the probability that a scenario is critical, as `Correction`
-    says. Critical sets are drawn with these probabilities, with the correlation of the process between places, and with
-    the correction drawn from its posterior.
+    A Gaussian process of the scores (`fit_boundary_process`) predicts each scenario of the initial design, and each
+    audit, from all others. The quality of these predictions calibrates the probability that a scenario is critical
+    (`ProbitCalibration`). Critical sets are drawn with these probabilities, with the correlation of the process between
+    points, and with the calibration drawn from its posterior.
 
-    A critical scenario counts as found when it was run, or when the mean of the process there is beyond the
-    threshold. Audits never say what is found.
+    A critical scenario counts as found if it was run, or if the mean of the process there is beyond the threshold.
+    Audits never affect what is found. With `features` a `Committee` predicts instead of the process, which is one of
+    its members; found is then what it gives a probability of at least `PREDICTED_CRITICAL`. The process still provides
+    the correlation.
 
-    With features of the recordings a `Committee` predicts in place of the process, of which it has one as a member;
-    found is then what it says is critical with a probability of `FOUND` or more. The process still says how places go
-    together.
+    `points` (n, d) were run and have `scores` (n,), lower is more critical, NaN for a failed scenario. `initial_design`
+    (n,) marks those chosen independently of scores, by default all. `audits` are random points and their scores, which
+    the optimizer has not observed. `features` are the columns and their values (n, f). `source_model` gives one more
+    coordinate of the process, which is dropped if it misleads; the calibration uses the scenarios at hand only.
+    ValueError if there are fewer than 10 scores, or all are the same.
 
-    Parameters
-    ----------
-    space : ParameterSpace
-    points : ndarray of float64, shape (n, d)
-        Scenarios that were run, in the unit cube.
-    scores : ndarray of float64, shape (n,)
-        Oriented: lower is more critical. NaN for a scenario that failed.
-    threshold : float
-        Oriented score up to which a scenario is critical.
-    seed : int, default 0
-    filling : ndarray of bool, shape (n,), optional
-        Which of them fill the space, whatever the scores are; by default all.
-    audits : tuple of (ndarray of float64, shape (m, d), ndarray of float64, shape (m,)), optional
-        Points that were drawn from the space at random, and their oriented scores, which no search was told.
-    happened : tuple of (sequence of Feature, ndarray of float64, shape (n, f)), optional
-        Features, and what they are in the recordings of `points`; NaN for a scenario that failed.
-    elsewhere : Elsewhere, optional
-        What another study predicts. It is one more coordinate of the process, which leaves it out where it misleads;
-        the correction is learned from the scenarios at hand alone.
-
-    Raises
-    ------
-    ValueError
-        There are fewer than 10 scores, or all are the same.
-
-    Notes
-    -----
     Leave-one-out prediction: C. E. Rasmussen, C. K. I. Williams, "Gaussian Processes for Machine Learning" (2006),
     equation 5.12.
     """
@@ -108,30 +85,30 @@ class CriticalSet:
         happened: tuple[Sequence[Feature], FloatArray] | None = None,
         elsewhere: Elsewhere | None = None,
     ) -> None:
-        ended = np.isfinite(scores)
-        self._filling = np.ones(int(ended.sum()), dtype=np.bool_) if filling is None else filling[ended]
+        finished = np.isfinite(scores)
+        self._filling = np.ones(int(finished.sum()), dtype=np.bool_) if filling is None else filling[finished]
         points, scores = enough(points, scores)
         self._space, self._seed = space, seed
         self._critical = scores <= threshold
         self._places = Places.of(space, seed)
         self._ran, self._elsewhere = encoded(space, points), elsewhere
-        coordinates, foretold = with_foretold(elsewhere, self._ran), elsewhere is not None
+        coordinates, has_prediction = with_foretold(elsewhere, self._ran), elsewhere is not None
         self._committee: Committee | None = None
         if happened is not None and 0 < self._critical.sum() < len(scores):
             columns, values = happened
-            self._committee = Committee(threshold, columns, seed, foretold=foretold)
-            self._committee.fit(coordinates, scores, values[ended])
+            self._committee = Committee(threshold, columns, seed, foretold=has_prediction)
+            self._committee.fit(coordinates, scores, values[finished])
             self._process = self._committee.process
         else:
-            self._process = boundary_process(coordinates, scores, threshold, foretold=foretold)
+            self._process = boundary_process(coordinates, scores, threshold, foretold=has_prediction)
         mean, self._t = self._foretold(self._places.encoded)
         self._outcome = dict(zip(row_keys(space.snap(points)), np.where(self._critical, np.inf, -np.inf), strict=True))
         self._certain = self._seen(self._places.points)
         self._is_found = _found(mean, self._certain)
-        self._audits, audited = audits if audits is not None else (points[:0], scores[:0])
-        self._audits, audited = self._audits[np.isfinite(audited)], audited[np.isfinite(audited)]
-        self._audited = audited <= threshold
-        # Sums in one order, whatever the number of threads.
+        audit_points, audit_scores = audits if audits is not None else (points[:0], scores[:0])
+        self._audits = audit_points[np.isfinite(audit_scores)]
+        self._audited = audit_scores[np.isfinite(audit_scores)] <= threshold
+        # One thread, so that sums do not depend on the number of threads.
         with one_thread():
             t, critical = self._record(coordinates, scores, threshold)
             edge = 0.0 if self._committee is None else float(_deviate(np.array(FOUND)))
@@ -140,11 +117,15 @@ class CriticalSet:
 
     @property
     def by_committee(self) -> bool:
-        """Whether a `Committee` predicts in place of the process: where there are features, and something to tell."""
+        """Whether a `Committee` predicts instead of the process: if there are features and both classes."""
         return self._committee is not None
 
     def _foretold(self, at: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """What is below 0 at encoded places that are found, and how many deviations it is from there."""
+        """Return `(margin, z)` at encoded points.
+
+        `margin` is negative where the model predicts *critical*; `z` is the distance to the threshold in standard
+        deviations.
+        """
         at = with_foretold(self._elsewhere, at)
         if self._committee is not None:
             t = _deviate(self._committee.predict(at)[0])
@@ -153,7 +134,7 @@ class CriticalSet:
         return mean, mean / np.hypot(deviation, self._process.kernel.noise)
 
     def _record(self, points: FloatArray, scores: FloatArray, threshold: float) -> tuple[FloatArray, BoolArray]:
-        """What was said of scenarios that the search did not choose by what it knew, and which were critical."""
+        """Out-of-sample `z` of the scenarios chosen independently of scores, and whether these were critical."""
         if self._committee is not None:
             t = _deviate(self._committee.out_of_fold())[self._filling]
         else:
@@ -167,12 +148,12 @@ class CriticalSet:
 
     @cached_property
     def _some(self) -> tuple[IntArray, FloatArray]:
-        """Places for which critical sets are drawn together, and the share of the space that each stands for."""
-        likely = np.where(self._certain == 0.0, self._corrections[1].probability(self._t), 0.0)
-        return self._places.chosen(np.sqrt(likely * (1.0 - likely)) + _LEAST, _JOINT)
+        """Points for which critical sets are drawn jointly, and the fraction of the space that each represents."""
+        probability = np.where(self._certain == 0.0, self._corrections[1].probability(self._t), 0.0)
+        return self._places.chosen(np.sqrt(probability * (1.0 - probability)) + _LEAST, _JOINT)
 
     def _normal(self, at: IntArray, key: int) -> FloatArray:
-        """Draw by how many deviations scores differ from what is said on some places, shape (m, draws).
+        """Draw standardized errors of the predictions at some points, (m, draws), correlated as the process.
 
         Another key gives independent draws.
         """
@@ -184,12 +165,12 @@ class CriticalSet:
 
     @cached_property
     def _drawn(self) -> tuple[DrawnSets, DrawnSets]:
-        """Critical sets as predictions of the whole set have them, and as those of its parts have them."""
+        """Critical sets drawn with the calibration for the whole set, and with that for its parts."""
         with one_thread():
             normal = self._normal(self._some[0], 4)
         whole, parts = (
-            DrawnSets(one, self._seed, self._places.weights, self._t, self._certain, self._some, normal)
-            for one in self._corrections
+            DrawnSets(correction, self._seed, self._places.weights, self._t, self._certain, self._some, normal)
+            for correction in self._corrections
         )
         return whole, parts
 
@@ -202,48 +183,39 @@ class CriticalSet:
         return self._drawn[1]
 
     def found(self, points: FloatArray) -> BoolArray:
-        """Predict which scenarios are critical.
-
-        Parameters
-        ----------
-        points : ndarray of float64, shape (n, d)
-
-        Returns
-        -------
-        ndarray of bool, shape (n,)
-        """
+        """Whether scenarios (n, d) are critical, as run or as predicted, (n,)."""
         if not len(points):
             return np.zeros(0, dtype=np.bool_)
         return _found(self._foretold(encoded(self._space, points))[0], self._seen(points))
 
     def _seen(self, points: FloatArray) -> FloatArray:
-        """Infinite for scenarios that were run and critical, minus infinite for others that were run, else 0; (n,)."""
+        """Outcome of scenarios, (n,): inf if run and critical, -inf if run and not critical, 0 if not run."""
         return np.array([self._outcome.get(key, 0.0) for key in row_keys(self._space.snap(points))])
 
     @cached_property
     def exhausted(self) -> bool:
-        """Whether all scenarios of a finite space were run, so that `share` is exact and nothing is missed."""
+        """Whether all scenarios of a finite space were run, so that the fraction is exact and nothing is missed."""
         return self._places.complete and bool((self._certain != 0.0).all())
 
     @property
     def met_both(self) -> bool:
-        """Whether critical scenarios were run, and others."""
+        """Whether both critical and other scenarios were run."""
         return bool(self._critical.any() and not self._critical.all())
 
     @property
     def doubt(self) -> str | None:
-        """Why no interval can be given of `share` and `missed`; None where one can.
+        """Reason why `critical_fraction` and `missed_fraction` have no interval; None if they have one.
 
-        What a search chose by scores tells nothing of how often it is wrong elsewhere.
+        Scenarios chosen by scores say nothing about how often predictions are wrong elsewhere.
         """
-        drawn = int(self._filling.sum()) + len(self._audits)
-        if drawn >= _FEWEST or self.exhausted:
+        count = int(self._filling.sum()) + len(self._audits)
+        if count >= _FEWEST or self.exhausted:
             return None
-        return f"only {drawn} scenarios were chosen without looking at scores; {_FEWEST} are needed, audits are such"
+        return f"only {count} scenarios were chosen without looking at scores; {_FEWEST} are needed, audits are such"
 
     @property
     def missed_doubt(self) -> str | None:
-        """Why no interval can be given of `missed`; None where one can."""
+        """Reason why `missed_fraction` has no interval; None if it has one."""
         hits = int(self._critical[self._filling].sum() + self._audited.sum())
         if self.doubt is not None or hits >= _FEWEST_HITS or self.exhausted:
             return self.doubt
@@ -254,42 +226,46 @@ class CriticalSet:
 
     @cached_property
     def share(self) -> Estimate:
-        """Critical share of the space; while all that was met is alike, as bounded by what was run at random."""
+        """Critical fraction of the space; bounded by random scenarios only as long as all outcomes are the same."""
         if self.met_both:
             return Estimate.of_draws(self._whole.all)
         hits = int(self._critical[self._filling].sum() + self._audited.sum())
-        known = bounds_of_share(hits, int(self._filling.sum()) + len(self._audited))
-        # Whatever the scenarios are that were not run.
-        least, others = (float(self._places.weights[at].sum()) for at in (self._certain > 0.0, self._certain < 0.0))
-        low, high = max(known.low, min(least, 1.0)), min(known.high, max(1.0 - others, 0.0))
+        bounds = bounds_of_share(hits, int(self._filling.sum()) + len(self._audited))
+        # Bounds that hold whatever the scenarios are that were not run.
+        critical, others = (
+            float(self._places.weights[mask].sum()) for mask in (self._certain > 0.0, self._certain < 0.0)
+        )
+        low, high = max(bounds.low, min(critical, 1.0)), min(bounds.high, max(1.0 - others, 0.0))
         return Estimate(min(max(float(self._whole.all.mean()), low), high), low, high)
 
     @cached_property
     def missed(self) -> Estimate:
-        """Share of the critical set that is not found; all of it while nothing critical was run of what there is."""
+        """Fraction of the critical set that is not found; 1 while nothing critical was run, 0 if exhausted."""
         if not self._critical.any():
             return Estimate(*[float(not self.exhausted)] * 3)
         with one_thread():
-            unseen = np.clip(self._parts.shares(~self._is_found), 0.0, self._parts.all)
-        there = self._parts.all > 0.0
-        # A draw of which nothing is critical says nothing, as something is.
-        found = Estimate.of_draws(unseen[there] / self._parts.all[there]) if there.any() else Estimate(1.0, 0.0, 1.0)
-        # Where no prediction missed a critical scenario yet, nothing excludes that none is missed.
-        return replace(found, low=0.0) if self._missed_none else found
+            not_found = np.clip(self._parts.shares(~self._is_found), 0.0, self._parts.all)
+        # Empty draws are ignored, since something is critical.
+        nonempty = self._parts.all > 0.0
+        estimate = Estimate(1.0, 0.0, 1.0)
+        if nonempty.any():
+            estimate = Estimate.of_draws(not_found[nonempty] / self._parts.all[nonempty])
+        # As long as no prediction missed a critical scenario, it is possible that none is missed.
+        return replace(estimate, low=0.0) if self._missed_none else estimate
 
     @cached_property
     def hidden(self) -> float:
-        """Share of the critical set that may be a region of which nothing is known, beside what `missed` says.
+        """Fraction of the critical set that an unexplored region may hold, in addition to `missed_fraction`.
 
-        It is the part that a ball would have which nothing was run in, as large as the largest that escapes with a
-        probability of 5 %. It depends on where scenarios were run, not on what the process says of the scores.
+        It is the fraction of a ball without any scenario that was run, as large as the largest that escapes with a
+        probability of 5 %. It depends on the location of scenarios, not on the predicted scores.
         """
         ball = float(np.quantile(self._empty, 1.0 - _HIDES))
         return ball / max(ball + self.share.value, 1e-12)
 
     @cached_property
     def audited_share(self) -> Estimate:
-        """Critical share of the space by the audits alone."""
+        """Critical fraction of the space by the audits alone."""
         return bounds_of_share(int(self._audited.sum()), len(self._audited))
 
     @cached_property
@@ -299,114 +275,76 @@ class CriticalSet:
 
     @property
     def audited_missed(self) -> Estimate:
-        """Share of the critical set that is not found by the audits alone: of those that are critical."""
+        """Fraction of the critical audits that are not found: what is missed, by the audits alone."""
         return bounds_of_share(*self._audits_missed)
 
     @property
     def audited_missed_at_most(self) -> float:
-        """Bound of `audited_missed` from above that holds however often one looks before one stops."""
+        """Upper bound of `audited_missed_fraction` that holds at all times, whenever runs are stopped."""
         return highest_share(*self._audits_missed)
 
     def share_in(self, other: CriticalSet) -> Estimate:
-        """Share of the critical set that lies in another set of the same space.
-
-        Parameters
-        ----------
-        other : CriticalSet
-            From another score of scenarios of the same space, with the same seed; drawn independently.
-
-        Returns
-        -------
-        Estimate
-        """
+        """Fraction of this critical set that lies in `other`, which is of another score, with the same seed."""
         with one_thread():
             both = self._parts.shared(other._parts, other._normal(self._some[0], 5), np.arange(DRAWS))
-        there = self._parts.all > 0.0
-        return Estimate.of_draws(np.clip(both[there] / self._parts.all[there], 0.0, 1.0) if there.any() else np.ones(1))
+        nonempty = self._parts.all > 0.0
+        fractions = np.clip(both[nonempty] / self._parts.all[nonempty], 0.0, 1.0) if nonempty.any() else np.ones(1)
+        return Estimate.of_draws(fractions)
 
     def against(self, other: CriticalSet) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Draw the shares of the space that are critical here, there, and in both.
+        """Draw the fractions of the space that are critical here, in `other`, and in both, shape (draws,) each.
 
-        Parameters
-        ----------
-        other : CriticalSet
-            From other scenarios of the same space, with the same seed; drawn independently.
-
-        Returns
-        -------
-        here, there, both : ndarray of float64, shape (draws,)
-            Each draw of the one goes with one of the other.
+        `other` is from other scenarios of the same space, with the same seed. The draws of both are independent.
         """
-        # The corrections of both are drawn with the same numbers: in another order they are independent.
+        # The calibrations of both are drawn with the same random numbers; permuted, they are independent.
         order = np.random.default_rng([self._seed, 6]).permutation(DRAWS)
-        here, there = self._whole.all, other._whole.all[order]
+        fractions, other_fractions = self._whole.all, other._whole.all[order]
         with one_thread():
             both = self._whole.shared(other._whole, other._normal(self._some[0], 5), order)
-        return here, there, np.clip(both, 0.0, np.minimum(here, there))
+        return fractions, other_fractions, np.clip(both, 0.0, np.minimum(fractions, other_fractions))
 
     def middle(self) -> FloatArray:
-        """Draw the middle of the critical set: the mean of each parameter over all that is critical.
+        """Draw the mean of each parameter over the critical set, (draws, d), in the parameters' units.
 
-        Returns
-        -------
-        ndarray of float64, shape (draws, d)
-            In the parameters' units; NaN of a parameter with choices, and where nothing is critical.
+        NaN for a parameter with choices, and where a draw is empty.
         """
         values = self._space.values(self._places.points)
-        found = np.full((DRAWS, self._space.dimension), np.nan)
+        means = np.full((DRAWS, self._space.dimension), np.nan)
         with one_thread():
             whole = self._parts.shares(np.ones(len(self._t)))
-            for k, one in enumerate(self._space.parameters):
-                if not one.choices:
-                    at = np.array([one.read_number(value) for value in values])
+            for k, parameter in enumerate(self._space.parameters):
+                if not parameter.choices:
+                    x = np.array([parameter.read_number(value) for value in values])
                     with np.errstate(divide="ignore", invalid="ignore"):
-                        middle = np.clip(self._parts.shares(at - at.min()) / whole + at.min(), at.min(), at.max())
-                    found[:, k] = np.where(self._parts.all > 0.0, middle, np.nan)
-        return found
+                        mean = np.clip(self._parts.shares(x - x.min()) / whole + x.min(), x.min(), x.max())
+                    means[:, k] = np.where(self._parts.all > 0.0, mean, np.nan)
+        return means
 
     def overlooked(self, size: float = REGION) -> float:
-        """Probability, by the process, that no scenario was run in some critical region.
+        """Probability, by the process, that some critical region contains no scenario that was run.
 
-        Before anything critical was met it is that of a region at a random place, as `unvisited` says.
-
-        Parameters
-        ----------
-        size : float, default 0.01
-            Share of the space from which a region counts.
-
-        Returns
-        -------
-        float
+        `size` is the smallest fraction of the space that counts as a region. As long as nothing critical was run, it is
+        that of a region at a random place (`unexplored_fraction`).
         """
         if not self._critical.any():
             return self.unvisited(size)
         drawn = self._parts.drawn
         edges, regions = self._edges
         weights = np.concatenate([self._some[1], np.zeros(regions)])
-        overlooked = 0
-        for one in np.concatenate([drawn, np.ones((regions, DRAWS), dtype=np.bool_)]).T:
-            kept = edges[:, one[edges[0]] & one[edges[1]]]
-            label = _regions(kept, len(one))
-            sizes = np.bincount(label, weights=weights * one, minlength=label.max() + 1)
-            hit = np.zeros(len(sizes), dtype=np.bool_)
-            hit[label[len(drawn) :]] = True
-            overlooked += bool(((sizes >= size) & ~hit).any())
-        return overlooked / DRAWS
+        count = 0
+        for is_critical in np.concatenate([drawn, np.ones((regions, DRAWS), dtype=np.bool_)]).T:
+            label = _regions(edges[:, is_critical[edges[0]] & is_critical[edges[1]]], len(is_critical))
+            sizes = np.bincount(label, weights=weights * is_critical, minlength=label.max() + 1)
+            has_run = np.zeros(len(sizes), dtype=np.bool_)
+            has_run[label[len(drawn) :]] = True
+            count += bool(((sizes >= size) & ~has_run).any())
+        return count / DRAWS
 
     def unvisited(self, size: float = REGION) -> float:
-        """Share of the space around which a ball of a given size holds none of the scenarios that were run.
+        """Fraction of the space around which a ball of volume `size` contains none of the scenarios that were run.
 
-        It needs no assumption about the scores: a critical ball of this size around a random place is met with a
-        probability of one minus this share.
-
-        Parameters
-        ----------
-        size : float, default 0.01
-            Share of the space that the ball takes; what would lie outside the space does not count.
-
-        Returns
-        -------
-        float
+        It needs no assumption about the scores: a critical ball of this size at a random place contains such a scenario
+        with a probability of one minus this fraction. Parts of the ball outside the space do not count.
         """
         return float((self._empty > size).mean())
 
@@ -417,45 +355,45 @@ class CriticalSet:
 
     @cached_property
     def _edges(self) -> tuple[IntArray, int]:
-        """Pairs of neighbours, shape (2, E), among the places and the regions that were met, and how many of these.
+        """Pairs of neighbours, (2, E), among sampled points and critical regions, and the number of these.
 
-        Critical scenarios that were run are neighbours of each other in each draw: what they connect is one node, of
-        which there are few where there are many scenarios.
+        Critical scenarios that were run are connected in every draw, so each of their connected regions is a single
+        node.
         """
-        places = self._places.encoded[self._some[0]]
-        nodes = np.concatenate([places, self._ran])
-        edges = _neighbours(nodes)
-        there = np.concatenate([np.ones(len(places), dtype=np.bool_), self._critical])
-        edges = edges[:, there[edges[0]] & there[edges[1]]]
-        ran = edges >= len(places)
-        region = _regions(edges[:, ran.all(axis=0)] - len(places), len(self._ran))
-        node = np.concatenate([np.arange(len(places)), len(places) + region])
-        edges = np.unique(np.sort(node[edges[:, ~ran.all(axis=0)]], axis=0), axis=1)
-        # Those that no place is near to say nothing.
-        met, at = np.unique(edges[edges >= len(places)], return_inverse=True)
-        edges[edges >= len(places)] = len(places) + at
-        return edges, len(met)
+        sample = self._places.encoded[self._some[0]]
+        count = len(sample)
+        edges = _neighbours(np.concatenate([sample, self._ran]))
+        is_node = np.concatenate([np.ones(count, dtype=np.bool_), self._critical])
+        edges = edges[:, is_node[edges[0]] & is_node[edges[1]]]
+        was_run = edges >= count
+        region = _regions(edges[:, was_run.all(axis=0)] - count, len(self._ran))
+        node = np.concatenate([np.arange(count), count + region])
+        edges = np.unique(np.sort(node[edges[:, ~was_run.all(axis=0)]], axis=0), axis=1)
+        # Drop regions without a neighbour among the sampled points, and renumber the others.
+        regions, index = np.unique(edges[edges >= count], return_inverse=True)
+        edges[edges >= count] = count + index
+        return edges, len(regions)
 
 
 def _neighbours(nodes: FloatArray) -> IntArray:
-    """Pairs of places, shape (n, e), that lie next to each other, shape (2, E)."""
+    """Pairs of neighbouring points, (2, E), of points (n, e)."""
     if nodes.shape[1] == 1:
-        # Both nearest places may lie on the same side, and a region would seem to end there.
+        # The two nearest points may lie on the same side, so connect each point with the next one instead.
         order = np.argsort(nodes[:, 0], kind="stable")
         return np.stack([order[:-1], order[1:]])
-    found = cKDTree(nodes).query(nodes, k=min(2 * nodes.shape[1] + 1, len(nodes)))[1]
-    near = np.asarray(found, dtype=np.int64)[:, 1:]
+    nearest = cKDTree(nodes).query(nodes, k=min(2 * nodes.shape[1] + 1, len(nodes)))[1]
+    near = np.asarray(nearest, dtype=np.int64)[:, 1:]
     return np.stack([np.repeat(np.arange(len(nodes)), near.shape[1]), near.ravel()])
 
 
 def _regions(edges: IntArray, count: int) -> IntArray:
-    """Number the connected parts of so many nodes; of each node that of its part, shape (count,)."""
+    """Label of the connected component of each of `count` nodes, (count,)."""
     graph = coo_array((np.ones(edges.shape[1]), (edges[0], edges[1])), shape=(count, count))
     return np.asarray(connected_components(graph, directed=False)[1], dtype=np.int64)
 
 
 def _deviate(probability: FloatArray) -> FloatArray:
-    """Normal deviate above which a scenario of that probability is not critical, negative where it likely is."""
+    """Normal deviate of a probability of being critical, negative where critical is likely."""
     return np.asarray(-ndtri(np.clip(probability, _RAREST, 1.0 - _RAREST)))
 
 

@@ -1,4 +1,4 @@
-"""How two critical sets of one space differ."""
+"""Differences between two critical sets of one space."""
 
 from __future__ import annotations
 
@@ -13,19 +13,19 @@ from cornercase.evidence.estimate import Estimate
 
 @dataclass(frozen=True)
 class SetDifference:
-    """How the critical set of a space became another one.
+    """Difference between two critical sets of one space.
 
     Attributes
     ----------
     old, new : Estimate
-        Critical shares of the space.
+        Critical fractions of the space.
     change : Estimate
         The new one less the old one.
     gained, lost : Estimate
-        Shares of the space that are critical in the new one only, and in the old one only.
+        Fractions of the space that are critical in the new set only, and in the old set only.
     middles : tuple of (Estimate, Estimate, Estimate) or None, length d
-        Of each parameter its mean over the old set, over the new one, and how far that moved, in the parameter's unit;
-        None of one with choices.
+        For each parameter its mean over the old set, over the new set, and the difference, in the parameter's unit;
+        None for one with choices.
     """
 
     old: Estimate
@@ -37,12 +37,12 @@ class SetDifference:
 
     @classmethod
     def between(cls, old: CriticalSet, new: CriticalSet) -> SetDifference:
-        """Compare two critical sets, of each of which scenarios of its own are known.
+        """Compare two critical sets that were estimated from different scenarios.
 
         Parameters
         ----------
         old, new : CriticalSet
-            Of the same space and with the same seed; neither may have a `CriticalSet.missed_doubt`.
+            Of the same space and with the same seed; neither may have a `CriticalSet.missed_interval_unavailable`.
 
         Returns
         -------
@@ -50,34 +50,36 @@ class SetDifference:
 
         Notes
         -----
-        Both sets are drawn independently of each other. So where neither is known well, they differ in each draw,
-        also where they are the same: how much lies in one of them only is bounded from above by the draws, and from
-        below by nothing but the change of the share, without which they may be the same.
+        Both sets are drawn independently. If neither is known well, the draws differ even where the sets are equal, so
+        the draws bound `gained` and `lost` from above only; the lower bound is given by the change of the critical
+        fraction.
         """
-        here, there, both = old.against(new)
-        change = _differences(here, there)
-        middles, moved = [], [one.middle() for one in (old, new)]
-        for before, after in zip(moved[0].T, moved[1].T, strict=True):
+        old_draws, new_draws, both_draws = old.against(new)
+        change = _differences(old_draws, new_draws)
+        middles: list[tuple[Estimate, Estimate, Estimate] | None] = []
+        for before, after in zip(old.middle().T, new.middle().T, strict=True):
             before, after = before[np.isfinite(before)], after[np.isfinite(after)]
-            known = len(before) and len(after)
-            each = (Estimate.of_draws(before), Estimate.of_draws(after), _differences(before, after)) if known else None
-            middles.append(each)
+            if len(before) and len(after):
+                middles.append((Estimate.of_draws(before), Estimate.of_draws(after), _differences(before, after)))
+            else:
+                middles.append(None)
         return cls(
             old.share,
             new.share,
             change,
-            _at_least(there - both, change.low),
-            _at_least(here - both, -change.high),
+            _at_least(new_draws - both_draws, change.low),
+            _at_least(old_draws - both_draws, -change.high),
             tuple(middles),
         )
 
 
 def _differences(before: FloatArray, after: FloatArray) -> Estimate:
-    """Each draw of one less each of the other."""
+    """Estimate of `after - before` from all pairs of independent draws."""
     return Estimate.of_draws((after[:, None] - before).ravel())
 
 
 def _at_least(draws: FloatArray, low: float) -> Estimate:
-    found = Estimate.of_draws(draws)
+    """Estimate from draws that bound it from above, with the lower bound `low`."""
+    estimate = Estimate.of_draws(draws)
     low = max(low, 0.0)
-    return Estimate(max(found.value, low), low, max(found.high, low))
+    return Estimate(max(estimate.value, low), low, max(estimate.high, low))

@@ -1,4 +1,4 @@
-"""Critical sets as one posterior of the correction has them, drawn on the places of a space."""
+"""Samples of critical sets from the posterior, on the sampled points of a space."""
 
 from __future__ import annotations
 
@@ -16,27 +16,17 @@ from cornercase.evidence.correction import Correction
 DRAWS: Final = 400
 """Number of critical sets that are drawn."""
 
-# Groups of places of nearly the same probability.
+# Bins of points with nearly the same probability.
 _GROUPS: Final = 1024
 
 
 class DrawnSets:
-    """Draws of a critical set: on few places together, and how probable it is on all.
+    """Samples of a critical set: drawn jointly on some points, with marginal probabilities on all points.
 
-    Parameters
-    ----------
-    correction : Correction
-    seed : int
-    weights : ndarray of float64, shape (n,)
-        Share of the space that each place stands for.
-    t : ndarray of float64, shape (n,)
-        What is said of each place.
-    certain : ndarray of float64, shape (n,)
-        Infinite where a critical scenario was run, minus infinite where another was run, else 0.
-    some : tuple of (ndarray of int64, shape (m,), ndarray of float64, shape (m,))
-        Places on which sets are drawn together, and the share of the space that each of them stands for.
-    normal : ndarray of float64, shape (m, `DRAWS`)
-        Standard normal numbers for these places, with the correlation of their scores.
+    `weights` (n,) are the fractions of the space that points represent, `z` (n,) the predictions, and `known_outcome`
+    (n,) is inf where a critical scenario was run, -inf where another one was run, else 0. `joint_points` holds the
+    indices (m,) of the points with joint draws and the fraction of the space that each represents,
+    `standardized_errors` (m, `N_DRAWS`) standard normal numbers for them, with the correlation of their scores.
     """
 
     def __init__(
@@ -55,75 +45,55 @@ class DrawnSets:
 
     @cached_property
     def drawn(self) -> BoolArray:
-        """Where each draw is critical, of the places on which sets are drawn together, shape (m, draws)."""
+        """Whether each of the joint points is critical in each draw, (m, draws)."""
         return np.asarray(self._normal <= self._limit(self.at))
 
     @cached_property
     def _surplus(self) -> FloatArray:
-        """What a place counts more in a draw than its probability, shape (m, draws)."""
+        """Outcome less marginal probability of each joint point in each draw, (m, draws)."""
         return np.asarray(self.drawn - ndtr(self._limit(self.at)))
 
     @cached_property
     def _groups(self) -> tuple[IntArray, FloatArray]:
-        """Places of nearly the same probability: group of each place, and that probability by group and draw."""
+        """Bin of each point by `z`, and the probability of being critical by bin and draw."""
         order = np.argsort(self._t[self._certain == 0.0], kind="stable")
-        groups = [one for one in np.array_split(np.flatnonzero(self._certain == 0.0)[order], _GROUPS) if len(one)]
-        # The last two are for what was run: first what is not critical.
-        group = np.where(self._certain > 0.0, len(groups) + 1, len(groups))
-        for k, one in enumerate(groups):
-            group[one] = k
-        middle = np.array([self._t[one].mean() for one in groups])
-        likely = ndtr(-(self._a + self._b * middle[:, None]))
-        return group, np.concatenate([likely, np.zeros((1, DRAWS)), np.ones((1, DRAWS))])
+        bins = [part for part in np.array_split(np.flatnonzero(self._certain == 0.0)[order], _GROUPS) if len(part)]
+        # The last two bins hold the scenarios that were run: those that are not critical, then the critical ones.
+        bin_of = np.where(self._certain > 0.0, len(bins) + 1, len(bins))
+        for k, members in enumerate(bins):
+            bin_of[members] = k
+        middle = np.array([self._t[members].mean() for members in bins])
+        probability = ndtr(-(self._a + self._b * middle[:, None]))
+        return bin_of, np.concatenate([probability, np.zeros((1, DRAWS)), np.ones((1, DRAWS))])
 
     def _limit(self, at: IntArray) -> FloatArray:
-        """Normal deviate up to which a place is critical in each draw; infinite where it was run."""
+        """Normal deviate up to which a point is critical in each draw; infinite if it was run."""
         limit = -(self._a + self._b * self._t[at, None])
         return np.where(self._certain[at, None] == 0.0, limit, self._certain[at, None])
 
     def shares(self, among: BoolArray | FloatArray) -> FloatArray:
-        """Give the share of the space that is critical and among some places, in each draw.
-
-        Parameters
-        ----------
-        among : ndarray of bool or float64, shape (n,)
-            Numbers are summed over what is critical.
-
-        Returns
-        -------
-        ndarray of float64, shape (draws,)
-        """
-        group, likely = self._groups
-        expected = np.bincount(group, weights=self._weights * among, minlength=len(likely)) @ likely
-        # The joint draws on few places give the spread, the probabilities on all places the mean.
+        """Sum of `weights` (a mask or numbers) over the critical set, as a fraction of the space, (draws,)."""
+        bin_of, probability = self._groups
+        expected = np.bincount(bin_of, weights=self._weights * among, minlength=len(probability)) @ probability
+        # The joint draws on some points give the spread, the probabilities on all points the mean.
         return np.asarray(expected + (self._each * among[self.at]) @ self._surplus)
 
     @cached_property
     def all(self) -> FloatArray:
-        """Critical share of the space in each draw, shape (draws,)."""
+        """Critical fraction of the space in each draw, (draws,)."""
         with one_thread():
             return np.clip(self.shares(np.ones(len(self._t), dtype=np.bool_)), 0.0, 1.0)
 
     def shared(self, other: DrawnSets, normal: FloatArray, order: IntArray) -> FloatArray:
-        """Give the share of the space that is critical here and in other draws.
+        """Fraction of the space that is critical here and in a draw of `other`, (draws,).
 
-        Parameters
-        ----------
-        other : DrawnSets
-            On the same places.
-        normal : ndarray of float64, shape (m, `DRAWS`)
-            As this one's, with the correlation of the scores of the other.
-        order : ndarray of int64, shape (draws,)
-            Which draw of the other goes with each draw here.
-
-        Returns
-        -------
-        ndarray of float64, shape (draws,)
+        `standardized_errors` (m, `N_DRAWS`) is as for this set, with the correlation of the other scores; draw
+        `order[i]` of `other` is paired with draw i.
         """
         limit = other._limit(self.at)[:, order]
-        # As for the share of the space: few places give the spread, all places the mean.
-        (mine, likely), (others, likely_too) = self._groups, other._groups
-        places = coo_array((self._weights, (mine, others)), shape=(len(likely), len(likely_too)))
-        both = (likely * np.asarray(places.tocsr() @ likely_too[:, order])).sum(axis=0)
+        # As in `fractions`: some points give the spread, all points the mean.
+        (bins, probability), (other_bins, other_probability) = self._groups, other._groups
+        weights = coo_array((self._weights, (bins, other_bins)), shape=(len(probability), len(other_probability)))
+        both = (probability * np.asarray(weights.tocsr() @ other_probability[:, order])).sum(axis=0)
         both += self._each @ ((self.drawn & (normal <= limit)) - (self.drawn - self._surplus) * ndtr(limit))
         return np.asarray(both)

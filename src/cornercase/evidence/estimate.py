@@ -1,4 +1,4 @@
-"""A quantity, and how well it is known."""
+"""An estimated quantity with its interval."""
 
 from __future__ import annotations
 
@@ -19,8 +19,8 @@ class Estimate:
     Attributes
     ----------
     value, low, high : float
-        Mean, 5 % and 95 % quantile; the interval reaches to the mean where that lies beyond, as it does for a
-        quantity that is nearly always 0.
+        Mean, 5 % and 95 % quantile. The interval is extended to the mean if that lies outside, as for a quantity that
+        is nearly always 0.
     """
 
     value: float
@@ -29,7 +29,7 @@ class Estimate:
 
     @classmethod
     def of_draws(cls, draws: FloatArray) -> Estimate:
-        """Make it of draws of the quantity.
+        """Mean and interval of draws of the quantity.
 
         Parameters
         ----------

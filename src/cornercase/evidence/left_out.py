@@ -1,4 +1,4 @@
-"""What a process says of a score that neither its values nor its kernel know."""
+"""Out-of-sample predictions of scores that neither the values nor the kernel of a process have seen."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from cornercase._common.typing import FloatArray, IntArray
 from cornercase.evidence.gaussian_process import GaussianProcess, near_threshold
 from cornercase.evidence.posterior import MOST_EXACT
 
-# Values for each dimension up to which the kernel follows single ones, and the parts of which each is left out.
+# Values per dimension up to which the kernel overfits, and number of folds.
 _FEW: Final = 40
 _PARTS: Final = 5
 
@@ -18,39 +18,24 @@ _PARTS: Final = 5
 def left_out(
     process: GaussianProcess, points: FloatArray, scores: FloatArray, threshold: float, some: IntArray | None = None
 ) -> tuple[FloatArray, FloatArray]:
-    """Predict each score from all others, without having learned from it.
+    """Predict each score, or `indices`, from all others: mean and deviation as of `GaussianProcess.leave_one_out`.
 
-    A kernel has a width for each dimension. Where there are few scores for each, the widths fit every one of them, and
-    a score that is left out is predicted better than any that was never run. So a fifth of the scores at a time is
-    predicted with a kernel that is learned from the other four.
-
-    Parameters
-    ----------
-    process : GaussianProcess
-        A `boundary_process` of the scores.
-    points : ndarray of float64, shape (n, e)
-    scores : ndarray of float64, shape (n,)
-    threshold : float
-    some : ndarray of int64, shape (k,), optional
-        Which scores; by default all.
-
-    Returns
-    -------
-    mean, deviation : ndarray of float64, shape (k,)
-        As of `GaussianProcess.leave_one_out`.
+    With few scores per dimension the length scales of the kernel overfit, and leave-one-out predictions are too good.
+    Then each fifth of the scores is predicted with a kernel learned from the other four fifths. `process` is a
+    `fit_boundary_process` of the scores.
     """
     count, dims = points.shape
     if count > min(_FEW * dims, MOST_EXACT):
         return process.leave_one_out(some)
     values, critical = near_threshold(scores, threshold, process.near), scores <= threshold
     rare = critical if 2 * critical.sum() < count else ~critical
-    # A coordinate that the process ignores has an infinite width.
+    # A coordinate that the process ignores has an infinite length scale.
     used = int(np.isfinite(process.kernel.widths).sum())
     mean, deviation = np.empty(count), np.empty(count)
     for part in range(_PARTS):
-        out = np.arange(count) % _PARTS == part
-        other = GaussianProcess(process.most_noise, process.near)
-        other.learn(points[~out], values[~out], process, rare[~out], used).know(points, values)
-        mean[out], deviation[out] = other.leave_one_out(np.flatnonzero(out))
-    these = slice(None) if some is None else some
-    return mean[these], deviation[these]
+        test = np.arange(count) % _PARTS == part
+        fold = GaussianProcess(process.most_noise, process.near)
+        fold.learn(points[~test], values[~test], process, rare[~test], used).know(points, values)
+        mean[test], deviation[test] = fold.leave_one_out(np.flatnonzero(test))
+    index = slice(None) if some is None else some
+    return mean[index], deviation[index]

@@ -1,4 +1,4 @@
-"""What very many values say of a Gaussian process at a place: those nearest to it."""
+"""Nearest-neighbour approximation of a Gaussian process with very many values."""
 
 from __future__ import annotations
 
@@ -15,31 +15,21 @@ from cornercase._common.typing import FloatArray, IntArray
 from cornercase.evidence.kernel import Kernel, correlations
 
 MOST_TOGETHER: Final = 4000
-"""Number of values up to which some points stand for all; of more each place is told by the values nearest to it."""
+"""Number of values up to which inducing points are used; with more, each point uses the values nearest to it."""
 
-# Values that a place is told by, for each dimension and within bounds, and places at a time.
+# Number of nearest values: per dimension, least and most.
 _NEAREST, _FEWEST, _MOST = 12, 32, 64
 _CHUNK: Final = 64
-# Added to the variance of the values as a share of that of the process, since values lie close to each other.
-_JITTER: Final = 1e-8
+_JITTER: Final = 1e-8  # added to the variance of values close to each other, as a fraction of that of the process
 _LEAST: Final = 1e-12
 
 
 class NearestPosterior:
-    """Process given the values that are nearest to each place by the widths of the kernel: 12 a dimension, 32 to 64.
+    """Process conditioned, at each point, on the values nearest to it by the length scales: 12 per dimension, 32 to 64.
 
-    It takes as long for a place whatever the number of values, and follows what 512 points that stand for all smooth
-    away. But it says nothing of how places go together.
+    The cost per point does not depend on the number of values, and it keeps detail that 512 inducing points smooth
+    away. But it gives no joint distribution. Needs more than 64 values.
 
-    Parameters
-    ----------
-    kernel : Kernel
-    points : ndarray of float64, shape (n, e)
-    values : ndarray of float64, shape (n,)
-        More than 64.
-
-    Notes
-    -----
     Source: A. V. Vecchia, "Estimation and model identification for continuous spatial processes", Journal of the Royal
     Statistical Society B 50 (1988); A. Datta, S. Banerjee, A. O. Finley, A. E. Gelfand, "Hierarchical nearest-neighbor
     Gaussian process models for large geostatistical datasets", Journal of the American Statistical Association 111
@@ -55,64 +45,46 @@ class NearestPosterior:
         return cKDTree(self._points)
 
     def predict(self, points: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Mean and standard deviation of the process at points.
-
-        Parameters
-        ----------
-        points : ndarray of float64, shape (m, e)
-
-        Returns
-        -------
-        mean, deviation : ndarray of float64, shape (m,)
-        """
-        places = points / self._kernel.widths
-        return self._between(places, np.full(len(places), -1))
+        """Mean and standard deviation at points (m, e), (m,) each."""
+        return self._between(points / self._kernel.widths, np.full(len(points), -1))
 
     def leave_one_out(self, some: IntArray | None = None) -> tuple[FloatArray, FloatArray]:
-        """Mean and standard deviation of values by the process of others.
+        """Mean and standard deviation of each value, or of `indices`, by the process of the others.
 
-        Parameters
-        ----------
-        some : ndarray of int64, shape (k,), optional
-            Which values; by default all.
-
-        Returns
-        -------
-        mean, deviation : ndarray of float64, shape (k,)
-            The deviation includes the noise of the single value.
+        The deviation includes the noise of the single value.
         """
-        at = np.arange(len(self._points)) if some is None else some
-        mean, deviation = self._between(self._points[at], at)
+        selected = np.arange(len(self._points)) if some is None else some
+        mean, deviation = self._between(self._points[selected], selected)
         return mean, np.hypot(deviation, self._kernel.noise)
 
     def _between(self, places: FloatArray, themselves: IntArray) -> tuple[FloatArray, FloatArray]:
-        """Mean and deviation at scaled places, shape (m, e), each without the value of a number, -1 for none."""
+        """Mean and standard deviation at scaled points (m, e), leaving out value `excluded[i]` (-1: none)."""
         mean, variance = np.empty(len(places)), np.empty(len(places))
 
         def part(first: int) -> None:
-            these = slice(first, first + _CHUNK)
-            mean[these], variance[these] = self._at(places[these], self._near(places[these], themselves[these]))
+            chunk = slice(first, first + _CHUNK)
+            mean[chunk], variance[chunk] = self._at(places[chunk], self._near(places[chunk], themselves[chunk]))
 
-        # Made before the threads begin, which would each make one.
+        # Built before the threads start, since each would build its own.
         _ = self._tree
         with one_thread(), ThreadPoolExecutor(available_cpus()) as pool:
             list(pool.map(part, range(0, len(places), _CHUNK)))
         return mean, np.sqrt(np.maximum(variance, _LEAST * self._kernel.signal**2))
 
     def _near(self, places: FloatArray, themselves: IntArray) -> IntArray:
-        """Values that are nearest to places, those themselves not among them, shape (m, k)."""
+        """Indices of the values nearest to each point, without the excluded one, (m, k)."""
         near = np.asarray(self._tree.query(places, k=self._count + 1)[1], dtype=np.int64)
-        other = near != themselves[:, None]
-        # Where all are others, the last one is too many.
-        other[other.all(axis=1), -1] = False
-        return np.asarray(near[other].reshape(len(places), self._count))
+        keep = near != themselves[:, None]
+        # If none is excluded, drop the farthest.
+        keep[keep.all(axis=1), -1] = False
+        return np.asarray(near[keep].reshape(len(places), self._count))
 
     def _at(self, places: FloatArray, near: IntArray) -> tuple[FloatArray, FloatArray]:
         signal2 = self._kernel.signal**2
-        around = self._points[near] - places[:, None]
-        squares = np.einsum("mke,mke->mk", around, around)
-        between = squares[:, :, None] + squares[:, None] - 2.0 * (around @ around.transpose(0, 2, 1))
-        covariance = signal2 * correlations(np.sqrt(np.maximum(between, 0.0)))
+        offsets = self._points[near] - places[:, None]
+        squares = np.einsum("mke,mke->mk", offsets, offsets)
+        pair_squares = squares[:, :, None] + squares[:, None] - 2.0 * (offsets @ offsets.transpose(0, 2, 1))
+        covariance = signal2 * correlations(np.sqrt(np.maximum(pair_squares, 0.0)))
         covariance[:, np.arange(self._count), np.arange(self._count)] = (
             signal2 * (1.0 + _JITTER) + self._kernel.noise**2
         )

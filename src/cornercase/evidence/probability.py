@@ -28,15 +28,15 @@ class Probability:
     low_90, high_90 : float
         Bounds of the 90 % interval.
     method : str
-        How it was found, in words.
+        Description of the method.
     error : float or None
-        Relative standard error; None where the event was not met, or where of a finite space not all was run yet.
+        Relative standard error; None if the event did not occur, or if only a part of a finite space was run.
     scenarios, met : int
-        Scenarios that it was found from, and those of them in which the event happened.
+        Number of scenarios, and of those in which the event occurred.
     effective : float
-        Effective number of the scenarios in which the event happened: so many of equal weight say as much.
+        Effective sample size of the scenarios in which the event occurred.
     largest : float
-        Largest share of the estimate that one scenario has.
+        Largest fraction of the estimate that a single scenario contributes.
     """
 
     value: float
@@ -56,13 +56,13 @@ class Probability:
 
     @property
     def plain_scenarios(self) -> float | None:
-        """Number of scenarios from which plain Monte Carlo would have the same relative standard error."""
+        """Number of scenarios with which plain Monte Carlo would have the same relative standard error."""
         if not self.error or not 0.0 < self.value <= 1.0:
             return None
         return (1.0 - self.value) / (self.value * self.error**2)
 
     def to_json(self) -> dict[str, Any]:
-        """Return plain values.
+        """Convert to plain values.
 
         Returns
         -------
@@ -83,51 +83,32 @@ class Probability:
 
 
 def of_counts(met: int, scenarios: int) -> Probability:
-    """Probability from scenarios that were drawn by the law itself, with the interval of Clopper and Pearson.
+    """Probability from scenarios drawn from the distribution itself, with the Clopper-Pearson interval.
 
-    Parameters
-    ----------
-    met, scenarios : int
-        In how many of how many the event happened.
-
-    Returns
-    -------
-    Probability
+    The event occurred in `met` of `scenarios` scenarios.
     """
     value = met / scenarios if scenarios else 0.0
     bounds = _bounds(lambda tail: clopper_pearson(met, scenarios, tail))
-    # What was always met may still fail once in as many and one more.
+    # An event that always occurred may still fail once in `scenarios + 1`.
     error = math.sqrt(max(1.0 - value, 1.0 / (scenarios + 1)) / met) if met else None
     largest = 1.0 / met if met else 0.0
     return Probability(value, *bounds, "plain Monte Carlo, Clopper-Pearson", error, scenarios, met, float(met), largest)
 
 
 def of_weights(weights: FloatArray, met: BoolArray, error: float = 0.0) -> Probability:
-    """Probability from independent scenarios of a proposal, with an interval of its logarithm.
+    """Probability from independent scenarios of a proposal distribution, with an interval of its logarithm.
 
-    Parameters
-    ----------
-    weights : ndarray of float64, shape (n,)
-        Density of the law over that of the proposal.
-    met : ndarray of bool, shape (n,)
-    error : float, default 0.0
-        Relative standard error that all weights have together.
+    `weights` (n,) are the density of the distribution over that of the proposal, `met` (n,) whether the event occurred;
+    `common_error` is the relative standard error that all weights have in common.
 
-    Returns
-    -------
-    Probability
-
-    Notes
-    -----
-    The standard error of the mean is taken to the logarithm, since the estimate is skewed: most often it is too low,
-    and now and then much too high. The quantiles are those of Student's t with as many degrees of freedom as the event
-    was met effectively, less one.
+    The interval is that of the logarithm, since the estimate is skewed: mostly slightly too low, rarely much too high.
+    The quantiles are those of Student's t, with the effective number of occurrences less one as degrees of freedom.
     """
     parts = np.where(met, weights, 0.0)
     total, count = float(parts.sum()), len(parts)
     if total <= 0.0:
         return of_counts(0, 0)
-    # Weights are 1 in the mean only: what nearly always happens may come out as more than certain.
+    # Weights are 1 only on average, so the estimate of a nearly certain event may exceed 1.
     value = min(total / count, 1.0)
     spread = float(parts.std(ddof=1)) if count > 1 else value
     relative = float(np.hypot(spread / np.sqrt(count) / value, error))
@@ -140,45 +121,27 @@ def of_weights(weights: FloatArray, met: BoolArray, error: float = 0.0) -> Proba
 
 
 def of_all(shares: FloatArray, met: BoolArray, total: float | None = None) -> Probability:
-    """Probability from all scenarios of a finite space, which has no error; from some of them, bounds of it.
+    """Probability from all scenarios of a finite space, which has no error; from a part of them, bounds.
 
-    Parameters
-    ----------
-    shares : ndarray of float64, shape (n,)
-        Probability of each scenario that was run; those of all need not sum to 1.
-    met : ndarray of bool, shape (n,)
-    total : float, optional
-        What the probabilities of all scenarios sum to; by default all were run.
-
-    Returns
-    -------
-    Probability
-        Its bounds hold whatever the scenarios are that were not run; the value is in the middle.
+    `probabilities` (n,) are the probabilities of the scenarios that were run, `total` is the sum over all scenarios, by
+    default all were run. The bounds hold whatever the other scenarios are; the value is in the middle.
     """
-    whole = float(shares.sum()) if total is None else total
-    weights = shares / whole
-    least = min(float(weights[met].sum()), 1.0)
-    most = least if total is None else max(1.0 - float(weights[~met].sum()), least)
-    effective = least**2 / float((weights[met] ** 2).sum()) if met.any() else 0.0
-    largest = float(weights[met].max()) / least if met.any() else 0.0
+    normalization = float(shares.sum()) if total is None else total
+    weights = shares / normalization
+    low = min(float(weights[met].sum()), 1.0)
+    high = low if total is None else max(1.0 - float(weights[~met].sum()), low)
+    effective = low**2 / float((weights[met] ** 2).sum()) if met.any() else 0.0
+    largest = float(weights[met].max()) / low if met.any() else 0.0
     method = f"{'all' if total is None else f'only {len(shares)}'} scenarios of the space were run"
     error = 0.0 if total is None else None
-    bounds = (least, most, least, most)
-    return Probability(0.5 * (least + most), *bounds, method, error, len(shares), int(met.sum()), effective, largest)
+    bounds = (low, high, low, high)
+    return Probability(0.5 * (low + high), *bounds, method, error, len(shares), int(met.sum()), effective, largest)
 
 
 def quotient(both: Probability, given: Probability) -> Probability | None:
-    """Probability of an event given another, from that of both together and that of the other.
+    """Conditional probability from those of both events and of the condition, found from different scenarios.
 
-    Parameters
-    ----------
-    both, given : Probability
-        Found from different scenarios.
-
-    Returns
-    -------
-    Probability or None
-        With an interval of its logarithm; None where one of them was not met.
+    With an interval of its logarithm; None if one of them did not occur.
     """
     if both.error is None or given.error is None:
         return None
@@ -193,7 +156,7 @@ Bounds = tuple[float, float, float, float]
 
 
 def _bounds(interval: Callable[[float], tuple[float, float]]) -> Bounds:
-    """Bounds of the intervals of both levels, each a function of the probability that it leaves out on each side."""
+    """Bounds of the 95 % and 90 % intervals, from a function of the tail probability."""
     wide, narrow = (0.5 * (1.0 - level) for level in _LEVELS)
     return *interval(wide), *interval(narrow)
 
@@ -202,7 +165,7 @@ def _of_logarithm(value: float, error: float, effective: float) -> Bounds:
     """Bounds of the intervals from the standard error of the logarithm."""
 
     def interval(tail: float) -> tuple[float, float]:
-        # Beyond, nothing is left of a probability.
+        # Limited, so that the exponential does not overflow.
         reach = min(float(stdtrit(max(effective - 1.0, 1.0), 1.0 - tail)) * error, 700.0)
         return value * math.exp(-reach), min(value * math.exp(reach), 1.0)
 

@@ -1,4 +1,4 @@
-"""Importance sampling of rare events: where to draw is learned first, and then frozen."""
+"""Importance sampling of rare events, with a proposal that is learned first and then frozen."""
 
 from __future__ import annotations
 
@@ -13,45 +13,38 @@ from cornercase.evidence.gaussian_process import boundary_process, encoded, enou
 from cornercase.evidence.mixture import Mixture
 from cornercase.scenario import ParameterSpace
 
-# Places of the unit interval between which the real line is finite.
+# Limits of the unit interval whose normal quantiles are finite.
 _LEAST, _MOST = 1e-16, 1.0 - 1.2e-16
-# The first scenarios are drawn by the law of the space; so many more rounds follow at least before the learning ends.
+# Fraction of the learning scenarios in the first round, number of later rounds, and least size of a round.
 _PLAIN_SHARE, _ROUNDS, _FEWEST = 0.2, 12, 20
-# Independent scenarios per coefficient of a mean that the next proposal is fitted to, and how many times as many
-# events there have to be for the learning to end before its last scenario.
+# Effective number of scenarios per coefficient of a component's mean that a proposal is fitted to, and the multiple of
+# it, in events, from which the learning ends early.
 _PER_COEFFICIENT, _ENOUGH = 10, 10
-# Deviations of the wide parts, which look for regions that nobody knows of, and their share of a round and at last.
+# Standard deviations of the wide components, which search unknown regions; their fraction of a round, and at the end.
 _WIDE, _WIDE_SHARE, _WIDE_AT_LAST = (1.5, 2.5), 0.25, 0.15
-# Shares of the frozen proposal that follow the law of the space and the proposals of earlier rounds.
+# Fractions of the frozen proposal for the parameters' distribution and for the proposals of earlier rounds.
 _LAW_AT_LAST, _EARLIER_AT_LAST = 0.05, 0.2
 _CANDIDATES: Final = 20_000
 _INSIDE: Final = 20_000
 _MOST_TRIES: Final = 10_000
-_HARDLY_ANY: Final = "Hardly any scenario fulfils the constraints of the parameters; vary them within these."
+_HARDLY_ANY: Final = (
+    "Hardly any scenario fulfils the constraints of the parameters; choose ranges that lie within the constraints."
+)
 
 
 class ImportanceSampling:
-    """Draws scenarios among which a rare event is frequent, and says how much each of them counts.
+    """Draws scenarios among which a rare event is frequent, and weights them.
 
-    The unit cube is taken to a space in which the law of the parameters is standard normal. The first scenarios follow
-    that law. Then, round by round, a mixture of t distributions is fitted to the scenarios that come nearest to the
-    event, as many as it can be learned from, each with the weight that it has under the law; the next round is drawn
-    from it and from wide normal distributions. When there are enough events the proposal is frozen, with shares of all
-    earlier ones, of the wide ones and of the law itself. What is drawn then is independent, so that the mean of the
-    weights of the events is an estimate of their probability without bias, whatever was learned before.
+    The unit cube is mapped to a space in which the parameters are standard normal. The first scenarios follow that
+    distribution. Then, round by round, a mixture of t distributions is fitted to the scenarios nearest to the event, as
+    many as it can be learned from, with their weights; the next round is drawn from it and from wide normal
+    distributions. With enough events the proposal is frozen, with parts of all earlier ones, of the wide ones and of
+    the parameters' distribution. Later scenarios are independent, so the mean of the weights of the events is an
+    unbiased estimate of their probability, whatever was learned before. Deterministic given its arguments and the
+    recorded results.
 
-    It is a function of its arguments and of what it was told.
-
-    Parameters
-    ----------
-    space : ParameterSpace
-    events : int
-        Number of events; a round is shared among them.
-    learn : int
-        Number of scenarios, at most, until the proposal is frozen.
-    seed : int
-    guess : Mixture, optional
-        Where events are taken to be before anything was run, as of `guessed_proposal`.
+    `n_events` is the number of events, which share each round; `max_learning_scenarios` is the greatest number of
+    scenarios until the proposal is frozen; `initial_proposal` is an optional first guess.
     """
 
     def __init__(self, space: ParameterSpace, events: int, learn: int, seed: int, guess: Mixture | None = None) -> None:
@@ -69,48 +62,32 @@ class ImportanceSampling:
 
     @property
     def stage(self) -> str:
-        """What the next round is for: ``"law"``, ``"learn"`` or ``"estimate"``."""
+        """Purpose of the next round: ``"law"``, ``"learn"`` or ``"estimate"``."""
         return "law" if self._rounds == 0 else "estimate" if self._frozen else "learn"
 
     def ask(self, most: int) -> FloatArray:
-        """Draw a round.
-
-        Parameters
-        ----------
-        most : int
-            Number of scenarios at most.
-
-        Returns
-        -------
-        ndarray of float64, shape (n, d)
-            In the unit cube, within the constraints.
+        """Draw a round of at most `max_count` scenarios, (n, d) in the unit cube, within the constraints.
 
         Raises
         ------
         InputError
             Hardly any scenario fulfils the constraints.
         """
-        wanted = most if self._frozen else min(most, self._size if self._rounds else self._plain)
+        count = most if self._frozen else min(most, self._size if self._rounds else self._plain)
         rng = np.random.default_rng((self._seed, 0, self._rounds))
-        found = np.zeros((0, self._space.dimension))
+        admitted = np.zeros((0, self._space.dimension))
         for _ in range(_MOST_TRIES):
-            points = ndtr(self._proposal.draw(wanted - len(found), rng))
-            found = np.concatenate([found, points[self._space.admits(points)]])
-            if len(found) == wanted:
-                return found
+            points = ndtr(self._proposal.draw(count - len(admitted), rng))
+            admitted = np.concatenate([admitted, points[self._space.admits(points)]])
+            if len(admitted) == count:
+                return admitted
         raise InputError(_HARDLY_ANY)
 
     def tell(self, points: FloatArray, scores: FloatArray, met: BoolArray) -> None:
-        """Take what came out of a round.
+        """Record the results of a round, and learn from them unless the proposal is frozen.
 
-        Parameters
-        ----------
-        points : ndarray of float64, shape (n, d)
-            As they were asked for.
-        scores : ndarray of float64, shape (n,)
-            The lower, the nearer to the events; NaN for a scenario that failed.
-        met : ndarray of bool, shape (n, events)
-            Which events happened.
+        `scores` (n,) are lower nearer to the events, NaN for a failed scenario; `occurred` (n, events): which events
+        occurred.
         """
         if not self._frozen:
             self._drawn.append((len(points), self._proposal))
@@ -121,16 +98,9 @@ class ImportanceSampling:
         self._rounds += 1
 
     def weights(self, points: FloatArray) -> FloatArray:
-        """How much scenarios count that were asked for since the proposal is frozen.
+        """Weights (n,) of scenarios that were drawn with the frozen proposal; 1 on average.
 
-        Parameters
-        ----------
-        points : ndarray of float64, shape (n, d)
-
-        Returns
-        -------
-        ndarray of float64, shape (n,)
-            Density of the law over that of the proposal, both within the constraints; 1 in the mean.
+        Density of the parameters' distribution over that of the proposal, both within the constraints.
         """
         normal = _to_normal(points)
         factor, _ = self._of_constraints()
@@ -138,105 +108,94 @@ class ImportanceSampling:
 
     @property
     def weights_error(self) -> float:
-        """Relative standard error that all weights have together, as the share within constraints is estimated."""
+        """Relative standard error that all weights have in common, from the fraction within the constraints."""
         return self._of_constraints()[1]
 
     def _of_constraints(self) -> tuple[float, float]:
-        """Share of the proposal over share of the law within the constraints, and its relative standard error."""
+        """Fraction of the proposal within the constraints over that of the distribution; relative standard error."""
         if not self._space.declarations:
             return 1.0, 0.0
         if self._factor is None:
             rng = np.random.default_rng((self._seed, 1))
-            inside = [
-                float(self._space.admits(ndtr(one.draw(_INSIDE, rng))).mean()) for one in (self._proposal, self._law)
+            fractions = [
+                float(self._space.admits(ndtr(mixture.draw(_INSIDE, rng))).mean())
+                for mixture in (self._proposal, self._law)
             ]
-            if not all(inside):
+            if not all(fractions):
                 raise InputError(_HARDLY_ANY)
-            error = np.sqrt(sum((1.0 - share) / share for share in inside) / _INSIDE)
-            self._factor = inside[0] / inside[1], float(error)
+            error = np.sqrt(sum((1.0 - fraction) / fraction for fraction in fractions) / _INSIDE)
+            self._factor = fractions[0] / fractions[1], float(error)
         return self._factor
 
     def _learn_proposal(self) -> None:
         """Fit the next proposal to the scenarios nearest to each event."""
         count = len(self._points)
-        drawn = [np.log(n / count) + one.log_density(self._points) for n, one in self._drawn]
-        logarithms = self._law.log_density(self._points) - np.logaddexp.reduce(drawn, axis=0)
-        weights = np.exp(logarithms - logarithms.max())
+        proposals = [np.log(n / count) + mixture.log_density(self._points) for n, mixture in self._drawn]
+        log_weights = self._law.log_density(self._points) - np.logaddexp.reduce(proposals, axis=0)
+        weights = np.exp(log_weights - log_weights.max())
         rng = np.random.default_rng((self._seed, 2, self._rounds))
         fitted, ready = [], True
         for event in range(self._events):
-            chosen, enough_events = self._nearest(event, weights)
-            fitted.append((1.0 / self._events, Mixture.fitted(self._points[chosen], weights[chosen], rng)))
+            nearest, enough_events = self._nearest(event, weights)
+            fitted.append((1.0 / self._events, Mixture.fitted(self._points[nearest], weights[nearest], rng)))
             ready &= enough_events
         new = Mixture.together(fitted)
         self._ready = self._ready + 1 if ready else 0
-        # Two rounds in a row, so that the last fit has seen what a proposal at the event brings.
+        # Two rounds in a row, so that the last fit includes scenarios of a proposal at the event.
         if self._ready >= 2 or count + self._size > self._learn:
-            earlier = [(_EARLIER_AT_LAST / len(self._earlier), one) for one in self._earlier]
-            wide = [(_WIDE_AT_LAST / len(_WIDE), one) for one in self._wide]
+            earlier = [(_EARLIER_AT_LAST / len(self._earlier), mixture) for mixture in self._earlier]
+            wide = [(_WIDE_AT_LAST / len(_WIDE), mixture) for mixture in self._wide]
             rest = 1.0 - _LAW_AT_LAST - sum(share for share, _ in (*earlier, *wide))
             self._proposal = Mixture.together([(rest, new), (_LAW_AT_LAST, self._law), *wide, *earlier])
             self._frozen = True
             return
         parts = [new, *self._earlier[:1]] if self._rounds == 0 else [new]
-        wide = [(_WIDE_SHARE / len(_WIDE), one) for one in self._wide]
-        self._proposal = Mixture.together([*(((1.0 - _WIDE_SHARE) / len(parts), one) for one in parts), *wide])
+        wide = [(_WIDE_SHARE / len(_WIDE), mixture) for mixture in self._wide]
+        self._proposal = Mixture.together([*(((1.0 - _WIDE_SHARE) / len(parts), part) for part in parts), *wide])
         self._earlier.append(new)
 
     def _nearest(self, event: int, weights: FloatArray) -> tuple[BoolArray, bool]:
-        """Which scenarios are as near to an event as can be learned from, and whether there are enough events."""
+        """Mask of the scenarios nearest to an event that the fit uses, and whether there are enough events."""
         met = self._met[:, event]
-        # Scores that are as bad as any say nothing of where the event is; failures rank behind all.
-        known = np.isfinite(self._scores)
-        says = known & (self._scores < self._scores[known].max(initial=-np.inf))
-        order = np.lexsort((np.where(known, self._scores, np.inf), ~(says | met), ~met))
+        # The worst score gives no direction towards the event; failures rank last.
+        finite = np.isfinite(self._scores)
+        informative = (finite & (self._scores < self._scores[finite].max(initial=-np.inf))) | met
+        order = np.lexsort((np.where(finite, self._scores, np.inf), ~informative, ~met))
         ordered = weights[order]
         effective = np.cumsum(ordered) ** 2 / np.maximum(np.cumsum(ordered**2), 1e-300)
         needed = _PER_COEFFICIENT * (self._space.dimension + 2)
         hits = int(met.sum())
         count = max(int(np.searchsorted(np.maximum.accumulate(effective), needed)) + 1, hits)
-        some = int((says | met).sum())
-        chosen = np.zeros(len(weights), dtype=np.bool_)
-        chosen[order[: min(count, some) if some else len(order)]] = True
-        return chosen, hits >= count and bool(effective[hits - 1] >= _ENOUGH * needed)
+        n_informative = int(informative.sum())
+        selected = np.zeros(len(weights), dtype=np.bool_)
+        selected[order[: min(count, n_informative) if n_informative else len(order)]] = True
+        return selected, hits >= count and bool(effective[hits - 1] >= _ENOUGH * needed)
 
 
 def guessed_proposal(
     space: ParameterSpace, points: FloatArray, scores: FloatArray, threshold: float, seed: int
 ) -> Mixture | None:
-    """Guess from a Gaussian process where critical scenarios are under the law of the space.
+    """Proposal for critical scenarios from a Gaussian process of scenarios that were run.
 
-    Parameters
-    ----------
-    space : ParameterSpace
-    points : ndarray of float64, shape (n, d)
-        Scenarios that were run, in the unit cube.
-    scores : ndarray of float64, shape (n,)
-        Oriented; NaN for a scenario that failed.
-    threshold : float
-        Oriented score up to which a scenario is critical.
-    seed : int
-
-    Returns
-    -------
-    Mixture or None
-        In the space in which the law is standard normal; None where too little is known.
+    In the space in which the parameters are standard normal; None if too little is known. `scores` and `threshold` are
+    minimized, NaN for a failed scenario.
     """
     try:
-        known = enough(points, scores)
+        points, scores = enough(points, scores)
     except ValueError:
         return None
     rng = np.random.default_rng((seed, 3))
     law = Mixture.around_zero(space.dimension)
     wide = [(1.0, Mixture.around_zero(space.dimension, deviation)) for deviation in _WIDE]
-    drawn = Mixture.together([(1.0, law), *wide])
-    places = drawn.draw(_CANDIDATES, rng)
-    process = boundary_process(encoded(space, known[0]), known[1], threshold)
-    mean, deviation = process.predict(encoded(space, ndtr(places)))
-    weights = np.exp(law.log_density(places) - drawn.log_density(places)) * ndtr(-mean / np.maximum(deviation, 1e-9))
-    return Mixture.fitted(places, weights, rng) if weights.sum() > 0.0 else None
+    proposal = Mixture.together([(1.0, law), *wide])
+    candidates = proposal.draw(_CANDIDATES, rng)
+    process = boundary_process(encoded(space, points), scores, threshold)
+    mean, deviation = process.predict(encoded(space, ndtr(candidates)))
+    weights = np.exp(law.log_density(candidates) - proposal.log_density(candidates))
+    weights *= ndtr(-mean / np.maximum(deviation, 1e-9))
+    return Mixture.fitted(candidates, weights, rng) if weights.sum() > 0.0 else None
 
 
 def _to_normal(points: FloatArray) -> FloatArray:
-    """Points of the unit cube in the space in which the law of the parameters is standard normal."""
+    """Map points of the unit cube to the space in which the parameters are standard normal."""
     return np.asarray(ndtri(np.clip(points, _LEAST, _MOST)))

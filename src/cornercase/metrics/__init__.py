@@ -1,4 +1,4 @@
-"""How critical a recording is: criticality metrics by name, and the interface of one's own."""
+"""Criticality metrics by name, and the base class for your own."""
 
 import lazy_loader as lazy
 

@@ -1,4 +1,4 @@
-"""What a criticality metric is."""
+"""Base class of criticality metrics."""
 
 from __future__ import annotations
 
@@ -13,14 +13,14 @@ from cornercase.recordings import Recording
 
 Score = TypeVar("Score", float, FloatArray)
 
-# What a change of velocity of 1 m/s counts among collisions, in the metric's unit.
-_SCALE = 0.1
+# Weight of a change of velocity of 1 m/s in collision scores, in the metric's unit.
+_SEVERITY_WEIGHT = 0.1
 
 
 class Metric(ABC):
-    """How critical a recording is, for the ego and one other entity.
+    """How critical a recording is for the ego and one other entity.
 
-    A subclass names itself, says its unit, its cap and which values are critical, and defines `course`.
+    A subclass sets the attributes and defines `course`.
 
     Attributes
     ----------
@@ -29,31 +29,29 @@ class Metric(ABC):
     unit : str
         Of the course and the score; ``"1"`` for none.
     lower_is_critical : bool
-        False where a large value is critical.
+        False if a large value is critical.
     cap : float
-        The least critical value that a course keeps apart from others. Where the metric is not defined, or is less
-        critical than the cap, the course counts as the cap when scenarios are compared.
-    most_critical : float or None, default None
-        The most critical value that a course keeps apart from others, for metrics that can be infinitely critical;
-        what is more critical counts as this value. None where the metric is bounded by itself.
-    critical : float or None, default None
-        Threshold: score from which a scenario counts as critical unless the user gives another. None where the
-        literature knows none.
-    contact : float or None, default None
-        Score that a recording has at least, towards critical, in which both touch: for metrics whose course says
-        nothing of a contact, so that no collision counts as less critical than a near miss.
+        Least critical value. Values beyond it are clipped, and undefined ones are replaced by it.
+    bound : float or None, default None
+        Most critical value, for metrics that can be infinitely critical. Values beyond it are clipped. None if the
+        metric is bounded by itself.
+    default_threshold : float or None, default None
+        Score from which a scenario counts as critical unless the user gives another one. None if the literature has
+        none.
+    contact_score : float or None, default None
+        A recording in which both touch scores this or something more critical. For metrics whose course does not see
+        contacts, so that no collision counts as less critical than a near miss.
     severity : bool, default False
-        Whether the score of a recording in which both touch goes on below `contact` with how hard they collide; see
-        `score_of_contact`.
-    wants : str, default ""
-        What has to stand behind the colon of its name, in a word, for a metric that means nothing by its name alone; it
-        is left out where all metrics are measured.
+        Whether collisions score beyond `contact_score` by how hard they are; see `score_with_contact`.
+    required_option : str, default ""
+        Placeholder of what the user has to write behind the colon, for a metric that means nothing without it, such as
+        ``"FORMULA"``. Such metrics are left out if all metrics are measured.
     source : str
-        Where the definition stands.
+        Where the definition is published.
 
     See Also
     --------
-    cornercase.metrics.METRICS : Metrics by name, also those of other packages.
+    cornercase.metrics.METRICS : Metrics by name, including those of other packages.
 
     Examples
     --------
@@ -83,7 +81,7 @@ class Metric(ABC):
 
     @abstractmethod
     def course(self, recording: Recording, ego: str, other: str) -> FloatArray:
-        """Measure each instant.
+        """Compute the metric at each instant.
 
         Parameters
         ----------
@@ -103,18 +101,18 @@ class Metric(ABC):
         """
 
     def require(self) -> None:  # noqa: B027 - optional
-        """Refuse to measure where a package that is needed is not installed; asked before anything is run.
+        """Raise if a package that the metric requires is not installed. Called before anything is run.
 
-        Studies of the metric can be read without it, so it is not asked for when the metric is made.
+        Studies of the metric can be read without that package, so the constructor does not check it.
 
         Raises
         ------
         InputError
-            It is missing; the message says how to install it. By default nothing is needed.
+            The package is missing; the message says how to install it. By default nothing is required.
         """
 
     def capped(self, course: FloatArray) -> FloatArray:
-        """Bring a course between the cap and the most critical value, so that it is finite everywhere.
+        """Clip a course between `cap` and `bound`, so that it is finite everywhere.
 
         Parameters
         ----------
@@ -123,14 +121,14 @@ class Metric(ABC):
         Returns
         -------
         ndarray of float64, shape (T,)
-            The cap where the metric is not defined.
+            `cap` where the metric is not defined.
         """
         filled = np.where(np.isnan(course), self.cap, course)
         low, high = (self.most_critical, self.cap) if self.lower_is_critical else (self.cap, self.most_critical)
         return np.asarray(np.clip(filled, low, high))
 
     def score(self, course: FloatArray) -> float:
-        """Most critical value of the capped course.
+        """Most critical value of the clipped course.
 
         Parameters
         ----------
@@ -145,19 +143,18 @@ class Metric(ABC):
         return float(values.min() if self.lower_is_critical else values.max())
 
     def score_of_contact(self, score: float, change: float) -> float:
-        """Score of a recording in which both touch.
+        """Score of a recording in which both entities touch: at least as critical as `contact_score`.
 
-        At least as critical as `contact`. With `severity` a tenth of the change of velocity in m/s, of the one whose
-        velocity changes more, goes beyond that, so that a search has something to follow among collisions: a touch
-        without speed keeps the score of a contact, and one that takes 10 m/s is more critical by 1. Thresholds that
-        no contact reaches by itself keep their meaning, as all that is beyond them is a collision.
+        With `severity`, a tenth of the change of velocity in m/s is added beyond that, so that the scores of collisions
+        differ: a touch without speed scores `contact_score`, a collision of 10 m/s is more critical by 1. Thresholds
+        keep their meaning, since only collisions score beyond `contact_score`.
 
         Parameters
         ----------
         score : float
-            Of the course.
-        change : float
-            m/s.
+            Score of the course.
+        velocity_change : float
+            Of the entity whose velocity changes more, in m/s.
 
         Returns
         -------
@@ -165,13 +162,13 @@ class Metric(ABC):
         """
         if self.contact is None:
             return score
-        worse = min if self.lower_is_critical else max
+        more_critical = min if self.lower_is_critical else max
         sign = -1.0 if self.lower_is_critical else 1.0
-        at_least = worse(score, self.contact)
-        return at_least + sign * _SCALE * change if self.severity else at_least
+        base = more_critical(score, self.contact)
+        return base + sign * _SEVERITY_WEIGHT * change if self.severity else base
 
     def oriented(self, scores: Score) -> Score:
-        """Turn scores so that lower ones are more critical, whatever the metric.
+        """Negate scores if higher is critical, so that lower is always more critical. Its own inverse.
 
         Parameters
         ----------
@@ -180,17 +177,16 @@ class Metric(ABC):
         Returns
         -------
         float or ndarray of float64 of the same shape
-            The same where lower is critical, else the negative. Oriented twice they are what they were.
         """
         return scores if self.lower_is_critical else -scores
 
     def find_threshold(self, given: float | None = None) -> float:
-        """Score from which a scenario counts as critical.
+        """Return the score from which a scenario counts as critical.
 
         Parameters
         ----------
-        given : float, optional
-            What the user asks for; by default the metric's own threshold.
+        threshold : float, optional
+            As given by the user; by default the metric's own.
 
         Returns
         -------
@@ -199,7 +195,7 @@ class Metric(ABC):
         Raises
         ------
         InputError
-            The metric has none of its own, or the one that is given is not finite.
+            The metric has no default threshold, or the given one is not finite.
         """
         value = self.critical if given is None else given
         if value is None:

@@ -1,4 +1,4 @@
-"""Distance between centres, and between boxes."""
+"""Distance between centres, and between bounding boxes."""
 
 from __future__ import annotations
 
@@ -14,22 +14,18 @@ from cornercase.recordings import Recording
 class Distance(Metric):
     """Distance between the centres of two bounding boxes.
 
-    ``|p_other - p_ego|`` in the plane, in m. It depends on positions only, so standing entities are nothing
-    special; 0 when the centres coincide. Boxes that touch still have a positive distance: their gap is
-    `Clearance`. A recording in which they touch scores 0, so that none counts as less critical than one in which
-    narrow boxes pass each other.
+    ``|p_other - p_ego|`` in the plane, in m; 0 if the centres coincide. It depends on positions only, also for standing
+    entities. Boxes that touch still have a positive distance (their gap is `Clearance`), so a recording in which they
+    touch scores 0: none counts as less critical than one in which narrow boxes pass each other. Not defined if one of
+    the two does not exist. Cap: 100 m.
 
-    Not defined where one of the two does not exist. Cap: 100 m.
+    Source: Euclidean distance, as an objective in Schütt, Otten and Sax, "Clustering-based criticality analysis for
+    testing of automated driving systems" (2023), scenario 2.
 
     Parameters
     ----------
     severity : bool, default False
-        Let the score go on below 0 among collisions, by how hard they are (`Metric.score_of_contact`).
-
-    Notes
-    -----
-    Source: Euclidean distance, as an objective in Schütt, Otten and Sax, "Clustering-based
-    criticality analysis for testing of automated driving systems" (2023), scenario 2.
+        Score collisions below 0, by how hard they are (`Metric.score_with_contact`).
     """
 
     name = "distance"
@@ -43,25 +39,22 @@ class Distance(Metric):
         self.severity = severity
 
     def course(self, recording: Recording, ego: str, other: str) -> FloatArray:
-        gap = recording.center(other) - recording.center(ego)
-        return np.hypot(gap[:, 0], gap[:, 1])
+        offset = recording.center(other) - recording.center(ego)
+        return np.hypot(offset[:, 0], offset[:, 1])
 
 
 class Clearance(Metric):
     """Gap between the two bounding boxes.
 
-    The smallest distance of two of their points in the plane, in m; 0 where they touch or overlap. It depends
-    on positions and headings only, so standing entities are nothing special. Not defined where one of the two
-    does not exist. Cap: 100 m.
+    The smallest distance between two of their points in the plane, in m; 0 if they touch or overlap. It depends on
+    positions and headings only, also for standing entities. Not defined if one of the two does not exist. Cap: 100 m.
+
+    Source: Euclidean distance of the boxes as convex polygons.
 
     Parameters
     ----------
     severity : bool, default False
-        Let the score go on below 0 among collisions, by how hard they are (`Metric.score_of_contact`).
-
-    Notes
-    -----
-    Source: Euclidean distance of the boxes as convex polygons.
+        Score collisions below 0, by how hard they are (`Metric.score_with_contact`).
     """
 
     name = "clearance"

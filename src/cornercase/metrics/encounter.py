@@ -1,4 +1,4 @@
-"""Closest encounter: how near both come if they go straight on, and when."""
+"""Closest encounter: the smallest gap if both entities go straight on, and when it occurs."""
 
 from __future__ import annotations
 
@@ -11,26 +11,24 @@ from cornercase.metrics.base import Metric
 from cornercase.recordings import Recording
 
 _TIE = 1e-9
-"""Gaps in m that are the same but for rounding."""
+"""Gaps in m that differ by less are equal."""
 
 
 class Dce(Metric):
     """Distance of closest encounter: the smallest gap between the boxes if both go straight on.
 
-    Each box keeps its heading and its speed along it; the value is the smallest gap in m at this instant or
-    later. 0 when the boxes will touch or do so now, the present gap where the two move apart or both stand.
-    Not defined where one of the two does not exist. Cap: 100 m.
+    Each box keeps its heading and its speed along it; the value is the smallest gap in m at this instant or later. 0 if
+    the boxes will touch or do so now, the present gap if they move apart or both stand. Not defined if one of the two
+    does not exist. Cap: 100 m.
+
+    Source: J. Eggert, "Predictive risk estimation for intelligent ADAS functions", IEEE ITSC (2014).
 
     Parameters
     ----------
     centers : bool, default False
         Measure between the centres of the boxes instead.
     severity : bool, default False
-        Let the score go on below 0 among collisions, by how hard they are (`Metric.score_of_contact`).
-
-    Notes
-    -----
-    Source: J. Eggert, "Predictive risk estimation for intelligent ADAS functions", IEEE ITSC (2014).
+        Score collisions below 0, by how hard they are (`Metric.score_with_contact`).
     """
 
     name = "dce"
@@ -51,18 +49,16 @@ class Dce(Metric):
 class Ttce(Metric):
     """Time to closest encounter: when the gap between the boxes is smallest if both go straight on.
 
-    The first t >= 0 in s at which the gap of `Dce` is reached: the time to collision where the boxes will
-    touch, 0 where the two move apart or both stand. Not defined where one of the two does not exist. It says
-    when, not how near: read it beside `Dce`. Cap: 10 s.
+    The first t >= 0 in s at which the gap of `Dce` is reached: the time to collision if the boxes will touch, 0 if the
+    two move apart or both stand. Not defined if one of the two does not exist. It says when the closest encounter is,
+    not how close; use it together with `Dce`. Cap: 10 s.
+
+    Source: J. Eggert, "Predictive risk estimation for intelligent ADAS functions", IEEE ITSC (2014).
 
     Parameters
     ----------
     centers : bool, default False
         Measure between the centres of the boxes instead.
-
-    Notes
-    -----
-    Source: J. Eggert, "Predictive risk estimation for intelligent ADAS functions", IEEE ITSC (2014).
     """
 
     name = "ttce"
@@ -79,47 +75,34 @@ class Ttce(Metric):
 
 
 def closest_encounter(recording: Recording, ego: str, other: str, centers: bool) -> tuple[FloatArray, FloatArray]:
-    """Smallest gap from now on, and when it is first reached.
+    """Smallest gap from now on in m, and when it is first reached in s, shape (T,) each.
 
-    Parameters
-    ----------
-    recording : Recording
-    ego, other : str
-    centers : bool
-        Between the centres, not the boxes.
-
-    Returns
-    -------
-    ndarray of float64, shape (T,)
-        m; NaN where one does not exist.
-    ndarray of float64, shape (T,)
-        s.
+    NaN if an entity does not exist. `centers` measures between the centres instead of the boxes.
     """
-    way = relative_velocity(recording, ego, other)
+    velocity = relative_velocity(recording, ego, other)
     if centers:
-        return _nearest((recording.center(other) - recording.center(ego))[:, None], way)
+        return _nearest((recording.center(other) - recording.center(ego))[:, None], velocity)
     a, b = boxes(recording, ego), boxes(recording, other)
-    # Of two convex shapes, one of which moves straight on, the nearest points are corners at the time when
-    # they are nearest, or the shapes are nearest now.
-    apart = (b[:, None] - a[:, :, None]).reshape(len(a), 16, 2)
-    gap, time = _nearest(apart, way)
-    now = box_distance(a, b)
-    time = np.where(now <= gap + _TIE, 0.0, time)
-    gap = np.minimum(now, gap)
-    contact = first_contact(a, b, way)
-    meets = np.isfinite(contact)
-    return np.where(meets, 0.0, gap), np.where(meets, contact, time)
+    # If one of two convex shapes moves straight on, they are nearest now, or their nearest points then are corners.
+    corner_offsets = (b[:, None] - a[:, :, None]).reshape(len(a), 16, 2)
+    gap, time = _nearest(corner_offsets, velocity)
+    present_gap = box_distance(a, b)
+    time = np.where(present_gap <= gap + _TIE, 0.0, time)
+    gap = np.minimum(present_gap, gap)
+    contact = first_contact(a, b, velocity)
+    collides = np.isfinite(contact)
+    return np.where(collides, 0.0, gap), np.where(collides, contact, time)
 
 
 def _nearest(points: FloatArray, way: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Smallest distance to the origin of points (T, n, 2) that move by `way` (T, 2), and when first."""
-    square = (way**2).sum(-1)
-    moves = square > 0.0
-    times = -(points * way[:, None]).sum(-1) / np.where(moves, square, 1.0)[:, None]
+    """Smallest distance to the origin of points (T, n, 2) with velocity (T, 2), and the first time it is reached."""
+    squared_speed = (way**2).sum(-1)
+    moves = squared_speed > 0.0
+    times = -(points * way[:, None]).sum(-1) / np.where(moves, squared_speed, 1.0)[:, None]
     times = np.maximum(np.where(moves[:, None], times, 0.0), 0.0)
-    places = points + times[..., None] * way[:, None]
-    distances = np.hypot(places[..., 0], places[..., 1])
+    closest_points = points + times[..., None] * way[:, None]
+    distances = np.hypot(closest_points[..., 0], closest_points[..., 1])
     gap = distances.min(-1)
-    # Sides that pass each other in parallel are as near at several corners; the first of them counts.
+    # For parallel sides several corners are equally near; the first time counts.
     first = np.where(distances <= gap[:, None] + _TIE, times, np.inf).min(-1)
     return gap, np.where(np.isnan(gap), np.nan, first)

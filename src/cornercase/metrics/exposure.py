@@ -1,4 +1,4 @@
-"""For how long, and by how much, a recording was below a time to collision."""
+"""Time exposed (TET) and time integrated (TIT) time to collision."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ Rule = Literal["linear", "samples"]
 
 
 class _Exposure(Metric):
-    """Sums up, over the instants, how far the time to collision is below a threshold."""
+    """Integral over time of how far the time to collision is below a threshold."""
 
     lower_is_critical = False
     cap = 0.0
@@ -42,33 +42,31 @@ class _Exposure(Metric):
 
     @abstractmethod
     def _at(self, below: FloatArray) -> FloatArray:
-        """What an instant counts for, by how far it is below the threshold, (T,); -inf for never."""
+        """Integrand at each instant, by how far it is below the threshold, (T,); -inf if the metric is not defined."""
 
     @abstractmethod
     def _mean(self, low: FloatArray, high: FloatArray, crosses: BoolArray) -> FloatArray:
-        """What the straight line between two instants counts for, (T - 1,)."""
+        """Mean of the integrand on the straight line between two instants, (T - 1,)."""
 
 
 class Tet(_Exposure):
     """Time exposed time to collision: for how long the time to collision has been at most τ.
 
-    ``∫ 1[TTC <= τ] dt`` in s, from the beginning up to each instant, so the course never falls and ends in the
-    value of the recording; the time to collision is that of `Ttc`. Defined wherever there are instants: while
-    one of the two does not exist nothing is added, and two that stand apart add nothing. Cap: 0 s,
-    most critical value: 60 s, which is the score of a recording in which both touch, whenever it ends.
+    ``∫ 1[TTC <= τ] dt`` in s, from the start up to each instant, so the course never falls and its last value is that
+    of the recording; the time to collision is that of `Ttc`. Defined at all instants: nothing is added while one of the
+    two does not exist or the two move apart. Cap: 0 s, most critical value: 60 s, which is the score of a recording in
+    which both touch, whenever it ends.
+
+    Source: M. M. Minderhoud, P. H. L. Bovy, "Extended time-to-collision measures for road traffic safety assessment",
+    Accident Analysis and Prevention 33 (2001).
 
     Parameters
     ----------
     threshold : float, default 1.5
         τ in s.
     rule : {"linear", "samples"}, default "linear"
-        How to sum up between the instants: the time to collision changes evenly, or each instant counts for the
-        step that follows it (the last for as long as the one before).
-
-    Notes
-    -----
-    Source: M. M. Minderhoud, P. H. L. Bovy, "Extended time-to-collision measures for road traffic safety
-    assessment", Accident Analysis and Prevention 33 (2001).
+        Integration between the instants: the time to collision is interpolated linearly, or each instant counts for the
+        step that follows it (the last one for as long as the one before).
     """
 
     name = "tet"
@@ -79,29 +77,27 @@ class Tet(_Exposure):
         return (below >= 0.0).astype(np.float64)
 
     def _mean(self, low: FloatArray, high: FloatArray, crosses: BoolArray) -> FloatArray:
-        # Towards a time to collision of inf the straight line leaves the threshold at once.
+        # Interpolating towards a time to collision of inf leaves the threshold at once.
         return np.where(crosses, high / _between(low, high, crosses), (low >= 0.0).astype(np.float64))
 
 
 class Tit(_Exposure):
     """Time integrated time to collision: for how long, and by how much, it has been below τ.
 
-    ``∫ (τ - TTC)₊ dt`` in s², from the beginning up to each instant, so the course never falls and ends in the
-    value of the recording; the time to collision is that of `Ttc`. Defined wherever there are instants: while
-    one of the two does not exist nothing is added, and two that stand apart add nothing. Cap: 0 s²,
-    most critical value: 60 s², which is the score of a recording in which both touch, whenever it ends.
+    ``∫ (τ - TTC)₊ dt`` in s², from the start up to each instant, so the course never falls and its last value is that
+    of the recording; the time to collision is that of `Ttc`. Defined at all instants: nothing is added while one of the
+    two does not exist or the two move apart. Cap: 0 s², most critical value: 60 s², which is the score of a recording
+    in which both touch, whenever it ends.
+
+    Source: M. M. Minderhoud, P. H. L. Bovy, "Extended time-to-collision measures for road traffic safety assessment",
+    Accident Analysis and Prevention 33 (2001).
 
     Parameters
     ----------
     threshold : float, default 1.5
         τ in s.
     rule : {"linear", "samples"}, default "linear"
-        How to sum up between the instants, as in `Tet`.
-
-    Notes
-    -----
-    Source: M. M. Minderhoud, P. H. L. Bovy, "Extended time-to-collision measures for road traffic safety
-    assessment", Accident Analysis and Prevention 33 (2001).
+        Integration between the instants, as in `Tet`.
     """
 
     name = "tit"
@@ -117,5 +113,5 @@ class Tit(_Exposure):
 
 
 def _between(low: FloatArray, high: FloatArray, crosses: BoolArray) -> FloatArray:
-    """Difference where the line from `low` to `high` crosses the threshold, 1 elsewhere."""
+    """`high - low` where the line between them crosses the threshold, else 1 (a divisor that is never 0)."""
     return np.where(crosses, np.where(crosses, high, 1.0) - np.where(crosses, low, 0.0), 1.0)

@@ -1,4 +1,4 @@
-"""Features of a recording: what happened in a run, in numbers that say more of it than its score."""
+"""Features of a recording: numbers that describe what happened in a run in more detail than its score."""
 
 from __future__ import annotations
 
@@ -17,23 +17,16 @@ from cornercase.metrics._parts.meeting import FAR, Meeting
 from cornercase.metrics.others import nearest_other
 from cornercase.recordings import Recording
 
-_TURNS: Final = 1e-3
-"""Turn rate in rad/s up to which a heading is straight."""
-
-_BEGUN: Final = 0.05
-"""Change of heading in rad from which a turn has begun."""
-
-_WITHIN: Final = 40.0
-"""Distance of the centres in m at which the other is taken to approach."""
-
-_BRAKES: Final = 0.1
-"""Deceleration in m/s² up to which nobody brakes, and the share of the strongest one that is still taken for it."""
-_STRONG: Final = 0.9
+_STRAIGHT: Final = 1e-3  # turn rate in rad/s up to which the ego drives straight
+_TURN_STARTED: Final = 0.05  # change of heading in rad from which a turn has started
+_APPROACH: Final = 40.0  # distance of the centres in m from which the other approaches
+_MIN_BRAKING: Final = 0.1  # deceleration in m/s² up to which an entity does not brake
+_STRONG: Final = 0.9  # fraction of the strongest deceleration that counts as it
 
 
 @dataclass(frozen=True)
 class Feature:
-    """One number that says what happened in a run.
+    """One number that describes what happened in a run.
 
     Attributes
     ----------
@@ -41,8 +34,8 @@ class Feature:
     unit : str
         ``"1"`` for none.
     branch : bool, default False
-        Whether it tells one way in which a scenario can go from another by being above 0 or not, such as who goes
-        first. Scores jump from one way to the other, so a search asks where that is uncertain.
+        Whether its sign distinguishes two ways in which a scenario can develop, such as who goes first. Scores jump
+        between such branches, so searches sample where the branch is uncertain.
     """
 
     name: str
@@ -51,9 +44,9 @@ class Feature:
 
 
 class FeatureGroup(ABC):
-    """Features that are computed together, of the ego and one other entity.
+    """Features of the ego and one other entity that are computed together.
 
-    A subclass names itself, lists its features and defines `values`.
+    A subclass sets its name, lists its features and defines `values`.
 
     Attributes
     ----------
@@ -62,7 +55,7 @@ class FeatureGroup(ABC):
 
     See Also
     --------
-    cornercase.metrics.FEATURES : Groups of features by name, also those of other packages.
+    cornercase.metrics.FEATURES : Groups of features by name, including those of other packages.
 
     Examples
     --------
@@ -87,26 +80,22 @@ class FeatureGroup(ABC):
 
         Parameters
         ----------
-        meeting : Meeting
-            The recording and both entities, with what several features need of them.
+        encounter : Encounter
+            The recording and both entities, with quantities that several features need.
 
         Returns
         -------
         ndarray of float64, shape (f,)
-            Finite: where something never happens a feature has a value that says so.
+            Finite: if something never happens, a feature has a value that stands for that.
         """
 
 
+# docs/metrics.md describes each feature, and its value if something never happens.
 class NearestApproach(FeatureGroup):
-    """The first instant at which the boxes of both are nearest to each other.
+    """State at the first instant at which the boxes are nearest to each other, or 100 m away if they never coexist.
 
-    ``least-clearance``: the gap between the boxes. ``nearest-time``: since the recording began. ``nearest-ahead``,
-    ``nearest-left``: place of the other's centre, seen from the ego's. ``nearest-cos``, ``nearest-sin``: of the
-    other's heading, seen from the ego's. ``nearest-ego-speed``, ``nearest-other-speed``. ``nearest-way``: how far
-    the ego has driven until then.
-
-    Where the two are never there at once: 100 m of clearance, the other 100 m ahead in the same direction, both at a
-    speed of 0, at the end of the recording and of the ego's way.
+    ``nearest-ahead``, ``nearest-left``, ``nearest-cos`` and ``nearest-sin`` are in the ego's frame; ``nearest-way`` is
+    the distance that the ego has driven until then.
     """
 
     name = "nearest-approach"
@@ -126,24 +115,21 @@ class NearestApproach(FeatureGroup):
         k, clearance = meeting.nearest
         if k is None:
             return np.array([FAR, meeting.duration, FAR, 0.0, 1.0, 0.0, 0.0, 0.0, meeting.way_until(None)])
-        one, ego, other = meeting.recording, meeting.ego_row, meeting.other_row
-        heading = one.heading[ego, k]
+        recording, ego, other = meeting.recording, meeting.ego_row, meeting.other_row
         ahead, left, speed = meeting.other_from(k)
-        turned = one.heading[other, k] - heading
+        angle = recording.heading[other, k] - recording.heading[ego, k]
         return np.array(
             [
-                clearance, meeting.since_begin(k), ahead, left, np.cos(turned), np.sin(turned),
-                one.speed[ego, k], speed, meeting.way_until(k),
+                clearance, meeting.since_begin(k), ahead, left, np.cos(angle), np.sin(angle),
+                recording.speed[ego, k], speed, meeting.way_until(k),
             ]
         )  # fmt: skip
 
 
 class Approach(FeatureGroup):
-    """The first instant at which the centres of both are within 40 m, or where they never are, at their nearest.
+    """State at the first instant at which the centres are within 40 m, else the one at which they are nearest.
 
-    ``approach-time``: since the recording began. ``approach-ahead``: how far ahead the other is, seen from the ego.
-    ``approach-other-speed``. What is so before either reacts follows the parameters smoothly, where what comes of it
-    jumps. Where the two are never there at once: the end, 100 m and 0 m/s.
+    The state before either reacts depends smoothly on the parameters, while its consequences jump.
     """
 
     name = "approach"
@@ -153,19 +139,15 @@ class Approach(FeatureGroup):
         both = meeting.both_there
         if not len(both):
             return np.array([meeting.duration, FAR, 0.0])
-        apart = np.hypot(*(meeting.other_center[both] - meeting.ego_center[both]).T)
-        within = apart < _WITHIN
-        k = int(both[np.argmax(within) if within.any() else np.argmin(apart)])
+        distance = np.hypot(*(meeting.other_center[both] - meeting.ego_center[both]).T)
+        is_near = distance < _APPROACH
+        k = int(both[np.argmax(is_near) if is_near.any() else np.argmin(distance)])
         ahead, _, speed = meeting.other_from(k)
         return np.array([meeting.since_begin(k), ahead, speed])
 
 
 class Braking(FeatureGroup):
-    """The first instant at which the ego decelerates with nine tenths of its strongest deceleration or more.
-
-    ``braking-way``: how far the ego has driven until then. ``braking-speed``: of the ego then. Where it never brakes by
-    more than 0.1 m/s², those of the end; both are 0 where it is never there.
-    """
+    """State when the ego first brakes with nine tenths of its strongest deceleration; else the end."""
 
     name = "braking"
     features = (Feature("braking-way", "m"), Feature("braking-speed", "m/s"))
@@ -178,12 +160,7 @@ class Braking(FeatureGroup):
 
 
 class Other(FeatureGroup):
-    """What the other does, wherever the ego is.
-
-    ``other-highest-speed``: of the other, forwards or backwards. ``other-highest-speed-time``: the first instant with
-    it, since the recording began. ``other-braking-way``: how far the other has driven until it brakes hardest, as of
-    the ego in `Braking`. All are 0 where it is never there.
-    """
+    """Highest speed of the other, and the distance that it has driven until it brakes hardest; 0 if it never exists."""
 
     name = "other"
     features = (
@@ -193,24 +170,20 @@ class Other(FeatureGroup):
     )
 
     def values(self, meeting: Meeting) -> FloatArray:
-        one, there = meeting.recording, meeting.other_there
-        if not len(there):
+        instants = meeting.other_there
+        if not len(instants):
             return np.zeros(3)
-        speeds = np.abs(one.speed[meeting.other_row, there])
+        speeds = np.abs(meeting.recording.speed[meeting.other_row, instants])
         k = int(np.argmax(speeds))
-        braking = _strongest_braking(one.acceleration[meeting.other_row], there)
-        steps = np.diff(meeting.other_center[there[there <= braking]], axis=0)
-        return np.array([speeds[k], meeting.since_begin(int(there[k])), np.hypot(steps[:, 0], steps[:, 1]).sum()])
+        braking = _strongest_braking(meeting.recording.acceleration[meeting.other_row], instants)
+        steps = np.diff(meeting.other_center[instants[instants <= braking]], axis=0)
+        return np.array([speeds[k], meeting.since_begin(int(instants[k])), np.hypot(steps[:, 0], steps[:, 1]).sum()])
 
 
 class Crossing(FeatureGroup):
-    """Where the ways of both come nearest to each other, whenever each is there.
+    """Where the paths of both come nearest to each other, and how much later than the other the ego is there.
 
-    ``crossing-distance``: of the centres' ways. ``crossing-gap``: how much later than the other the ego is there;
-    above 0 where the other is first, which is a way in which a scenario can go. Of places that are alike the one
-    counts that both pass with the least time between them: 1 s counts as much as 0.1 m.
-
-    Where one of the two is never there: 100 m and 0 s.
+    Of equally near points the one counts that both pass with the least time between them: 1 s counts as much as 0.1 m.
     """
 
     name = "crossing"
@@ -221,13 +194,7 @@ class Crossing(FeatureGroup):
 
 
 class Slowest(FeatureGroup):
-    """The first instant at which the ego is slowest.
-
-    ``lowest-speed``: of the ego, forwards or backwards. ``lowest-speed-time``: since the recording began.
-    ``lowest-speed-way``: how far the ego has driven until then. All are 0 where it is never there.
-    ``lowest-speed-ahead``, ``lowest-speed-left``: place of the other's centre then, seen from the ego's.
-    ``lowest-speed-other-speed``. Where one of the two is not there: 100 m ahead, at a speed of 0.
-    """
+    """State at the first instant at which the ego is slowest, with the other in the ego's frame."""
 
     name = "slowest"
     features = (
@@ -240,25 +207,17 @@ class Slowest(FeatureGroup):
     )
 
     def values(self, meeting: Meeting) -> FloatArray:
-        one, there = meeting.recording, meeting.ego_there
-        if not len(there):
+        instants = meeting.ego_there
+        if not len(instants):
             return np.array([0.0, 0.0, 0.0, FAR, 0.0, 0.0])
-        speeds = np.abs(one.speed[meeting.ego_row, there])
+        speeds = np.abs(meeting.recording.speed[meeting.ego_row, instants])
         lowest = int(np.argmin(speeds))
-        k = int(there[lowest])
+        k = int(instants[lowest])
         return np.array([speeds[lowest], meeting.since_begin(k), meeting.way_until(k), *meeting.other_from(k)])
 
 
 class Turn(FeatureGroup):
-    """How the ego's heading changes: the first instant at which it does so fastest, and the one at which it begins.
-
-    ``turn-time``: of the fastest change, since the recording began. ``turn-way``: how far the ego has driven until
-    then. Both are 0 where it never turns by more than 0.001 rad/s.
-
-    ``turn-begin-left``: how far left the other's centre is, seen from the ego's, where the heading first differs by
-    more than 0.05 rad from that at the begin, or at the end where it never does. ``turn-begin-other-speed``. Both are 0
-    where one of the two is not there.
-    """
+    """State when the ego turns fastest, and when its heading first differs by 0.05 rad from the initial one."""
 
     name = "turn"
     features = (
@@ -269,68 +228,65 @@ class Turn(FeatureGroup):
     )
 
     def values(self, meeting: Meeting) -> FloatArray:
-        one, there = meeting.recording, meeting.ego_there
-        if len(there) < 2:
+        recording, instants = meeting.recording, meeting.ego_there
+        if len(instants) < 2:
             return np.zeros(4)
-        heading = one.heading[meeting.ego_row, there]
-        begun = _between(heading, heading[0]) > _BEGUN
-        _, left, speed = meeting.other_from(int(there[np.argmax(begun) if begun.any() else -1]))
-        rates = _between(heading[1:], heading[:-1]) / np.diff(one.time[there])
+        heading = recording.heading[meeting.ego_row, instants]
+        turning = _between(heading, heading[0]) > _TURN_STARTED
+        _, left, speed = meeting.other_from(int(instants[np.argmax(turning) if turning.any() else -1]))
+        rates = _between(heading[1:], heading[:-1]) / np.diff(recording.time[instants])
         k = int(np.argmax(rates))
-        if not rates[k] > _TURNS:
+        if not rates[k] > _STRAIGHT:
             return np.array([0.0, 0.0, left, speed])
-        return np.array([meeting.since_begin(int(there[k + 1])), meeting.way_until(int(there[k + 1])), left, speed])
+        fastest = int(instants[k + 1])
+        return np.array([meeting.since_begin(fastest), meeting.way_until(fastest), left, speed])
 
 
 class Whole(FeatureGroup):
-    """The recording as a whole.
-
-    ``duration``: from its first to its last instant. ``way``: how far the ego drives. ``contact``: 1 where the boxes
-    of both touch or their collision is recorded, else 0; whether they do is a way in which a scenario can go.
-    """
+    """Duration, distance that the ego drives, and whether both touch."""
 
     name = "whole"
     features = (Feature("duration", "s"), Feature("way", "m"), Feature("contact", "1", branch=True))
 
     def values(self, meeting: Meeting) -> FloatArray:
         recorded = meeting.recording.first_collision(meeting.ego, meeting.other)
-        touched = meeting.nearest[1] == 0.0 or recorded is not None
-        return np.array([meeting.duration, meeting.way_until(None), float(touched)])
+        is_contact = meeting.nearest[1] == 0.0 or recorded is not None
+        return np.array([meeting.duration, meeting.way_until(None), float(is_contact)])
 
 
 def _strongest_braking(accelerations: FloatArray, there: IntArray) -> int:
-    """First of some instants at which somebody all but brakes hardest; the last one where nobody brakes."""
+    """First of the instants at which an entity brakes (nearly) hardest; the last one if it does not brake."""
     braking = np.nan_to_num(-accelerations[there])
     strongest = float(braking.max())
-    return int(there[np.argmax(braking >= _STRONG * strongest) if strongest > _BRAKES else -1])
+    return int(there[np.argmax(braking >= _STRONG * strongest) if strongest > _MIN_BRAKING else -1])
 
 
 def _between(headings: FloatArray, others: FloatArray | float) -> FloatArray:
     """Angles between headings, the shortest way round."""
-    turned = np.abs(headings - others)
-    return np.asarray(np.minimum(turned, np.abs(2.0 * np.pi - turned)))
+    angle = np.abs(headings - others)
+    return np.asarray(np.minimum(angle, np.abs(2.0 * np.pi - angle)))
 
 
 FEATURES: Final[Registry[FeatureGroup]] = Registry("group of features", "cornercase.features", FeatureGroup)
 """Groups of features by name; other packages add subclasses of `FeatureGroup` through this entry-point group."""
 
-for _one in (NearestApproach, Approach, Braking, Crossing, Other, Slowest, Turn, Whole):
-    FEATURES.register(_one.name, _one)
+for _group in (NearestApproach, Approach, Braking, Crossing, Other, Slowest, Turn, Whole):
+    FEATURES.register(_group.name, _group)
 
 
 def known_features() -> tuple[Feature, ...]:
-    """All features that are registered.
+    """All registered features.
 
     Returns
     -------
     tuple of Feature
-        By the names of their groups, in alphabetical order; those of one group as it has them.
+        Groups in alphabetical order; the features of a group in its own order.
     """
     return tuple(feature for group in _groups() for feature in group.features)
 
 
 def features_of(recordings: Iterable[Recording | None], ego: str, other: str | Sequence[str]) -> FloatArray:
-    """Compute what happened in recordings.
+    """Compute the features of recordings.
 
     Parameters
     ----------
@@ -339,22 +295,24 @@ def features_of(recordings: Iterable[Recording | None], ego: str, other: str | S
     ego : str
         Name of an entity.
     other : str or sequence of str
-        Names of one or several others. Of several, the features are of the one that the ego collides with first in a
-        recording, else of the one whose box comes nearest to the ego's.
+        Names of one or several others. Of several, the one is taken that the ego collides with first in a recording,
+        else the one whose box comes nearest to the ego's.
 
     Returns
     -------
     ndarray of float64, shape (n, f)
-        The `known_features` of each, in their order; NaN for a scenario that failed.
+        The `registered_features` of each recording, in their order; NaN for a scenario that failed.
 
     Raises
     ------
     InputError
-        There is no entity of that name, or a group of another package does not give what it says.
+        There is no entity of that name, or a group of another package does not return the features that it lists.
     """
     groups = _groups()
     count = sum(len(group.features) for group in groups)
-    rows = [np.full(count, np.nan) if one is None else _row(groups, one, ego, other) for one in recordings]
+    rows = [
+        np.full(count, np.nan) if recording is None else _row(groups, recording, ego, other) for recording in recordings
+    ]
     return np.array(rows).reshape(len(rows), count)
 
 
@@ -372,7 +330,7 @@ def _checked(group: FeatureGroup, meeting: Meeting) -> FloatArray:
         values = np.asarray(group.values(meeting), dtype=np.float64)
     if values.shape != (len(group.features),) or not np.isfinite(values).all():
         raise InputError(
-            f"The group of features '{group.name}' gives {values.tolist()}; it has to give a finite number for each of"
-            f" its {len(group.features)} features."
+            f"The group of features '{group.name}' returned {values.tolist()}; it has to return a finite number for"
+            f" each of its {len(group.features)} features."
         )
     return values

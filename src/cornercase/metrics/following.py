@@ -1,4 +1,4 @@
-"""Metrics of one entity that follows another: headway, time headway, potential time to collision."""
+"""Metrics of an ego that follows another entity: headway, time headway, potential time to collision."""
 
 from __future__ import annotations
 
@@ -13,14 +13,12 @@ from cornercase.recordings import Recording
 class Headway(Metric):
     """Distance that the ego could go straight on until its box touches that of the other.
 
-    For one car behind another on one lane this is the gap from front to rear bumper, in m. It depends on
-    positions and headings only; 0 when the boxes touch. Not defined where the other is not in the ego's way
-    (beside or behind it) or one of the two does not exist. Cap: 100 m.
+    For one car behind another on one lane this is the gap from front to rear bumper, in m. It depends on positions and
+    headings only; 0 if the boxes touch. Not defined if the other is not ahead of the ego (beside or behind it) or one
+    of the two does not exist. Cap: 100 m.
 
-    Notes
-    -----
-    Source: L. Westhofen et al., "Criticality metrics for automated driving: a review and suitability analysis
-    of the state of the art", Archives of Computational Methods in Engineering 30 (2023), headway.
+    Source: L. Westhofen et al., "Criticality metrics for automated driving: a review and suitability analysis of the
+    state of the art", Archives of Computational Methods in Engineering 30 (2023), headway.
     """
 
     name = "hw"
@@ -34,21 +32,19 @@ class Headway(Metric):
 
 
 class Thw(Metric):
-    """Time headway: when the ego reaches the place where the rear of the other is now.
+    """Time headway: time until the ego reaches the present position of the other's rear.
 
-    ``gap / v`` in s, with the gap of `Headway` and the ego's speed v; 0 when the boxes touch, inf for a
-    standing ego. The other's speed plays no part, so a standing one is nothing special. Not defined where the
-    other is not in the ego's way or one of the two does not exist. Cap: 10 s.
+    ``gap / v`` in s, with the gap of `Headway` and the ego's speed v; 0 if the boxes touch, inf for a standing ego. It
+    does not depend on the other's speed. Not defined if the other is not ahead of the ego or one of the two does not
+    exist. Cap: 10 s.
+
+    Source: J. R. Jansson, "Collision avoidance theory with application to automotive collision mitigation", Linköping
+    University (2005), with the gap between boxes.
 
     Parameters
     ----------
     accelerating : bool, default False
-        Let the ego keep its present acceleration until it stands; inf where it stops before.
-
-    Notes
-    -----
-    Source: J. R. Jansson, "Collision avoidance theory with application to automotive collision mitigation",
-    Linköping University (2005), with the gap between boxes.
+        Let the ego keep its present acceleration until it stands; inf if it stops before.
     """
 
     name = "thw"
@@ -70,16 +66,13 @@ class Thw(Metric):
 class Pttc(Metric):
     """Potential time to collision: the leader keeps its acceleration until it stands, the ego its speed.
 
-    The smallest t >= 0 in s with ``gap = (v - v_other) t - a_other t² / 2``; once a braking leader has come
-    to its stop it stays there. 0 when the boxes touch, inf when the ego never reaches the other. With a leader
-    of constant speed it is the time to collision; a standing leader is an obstacle. Not defined where the
-    other is not in the ego's way or one of the two does not exist. Cap: 10 s.
+    The smallest t >= 0 in s with ``gap = (v - v_other) t - a_other t² / 2``; a braking leader stays where it stops. 0
+    if the boxes touch, inf if the ego never reaches the other. With a leader of constant speed it is the time to
+    collision; a standing leader is an obstacle. Not defined if the other is not ahead of the ego or one of the two does
+    not exist. Cap: 10 s.
 
-    Notes
-    -----
-    Source: H. Wakabayashi et al., "Traffic conflict analysis using vehicle tracking system/digital VCR and
-    proposal of a new conflict indicator", Infrastructure Planning Review 20 (2003); the leader does not
-    reverse by braking.
+    Source: H. Wakabayashi et al., "Traffic conflict analysis using vehicle tracking system/digital VCR and proposal of
+    a new conflict indicator", Infrastructure Planning Review 20 (2003); the leader does not reverse by braking.
     """
 
     name = "pttc"
@@ -90,12 +83,16 @@ class Pttc(Metric):
 
     def course(self, recording: Recording, ego: str, other: str) -> FloatArray:
         pair = Following.of(recording, ego, other)
-        speed, rate = pair.leader_speed, pair.leader_acceleration
-        slows = speed * rate < 0.0
-        # At a speed of 0 the sign of the acceleration is that of the brake, not of a start backwards.
-        rate = np.where((speed == 0.0) & (rate < 0.0), 0.0, rate)
-        stop = np.where(slows, -speed / np.where(slows, rate, 1.0), np.inf)
-        moving = time_to_cover(pair.gap, pair.closing, -rate, stops=False)
-        way = np.where(slows, 0.5 * speed * np.where(slows, stop, 0.0), 0.0)
-        standing = time_to_cover(pair.gap + way, pair.speed, np.zeros_like(way))
-        return np.where(np.isnan(moving), np.nan, np.where(moving <= stop, moving, np.fmax(standing, stop)))
+        speed, acceleration = pair.leader_speed, pair.leader_acceleration
+        brakes = speed * acceleration < 0.0
+        # A standing leader with negative acceleration holds its brake; it does not start to reverse.
+        acceleration = np.where((speed == 0.0) & (acceleration < 0.0), 0.0, acceleration)
+        stop_time = np.where(brakes, -speed / np.where(brakes, acceleration, 1.0), np.inf)
+        time_before_stop = time_to_cover(pair.gap, pair.closing, -acceleration, stops=False)
+        stop_distance = np.where(brakes, 0.5 * speed * np.where(brakes, stop_time, 0.0), 0.0)
+        time_to_stopped = time_to_cover(pair.gap + stop_distance, pair.speed, np.zeros_like(stop_distance))
+        return np.where(
+            np.isnan(time_before_stop),
+            np.nan,
+            np.where(time_before_stop <= stop_time, time_before_stop, np.fmax(time_to_stopped, stop_time)),
+        )

@@ -1,4 +1,4 @@
-"""Gap time: how far apart in time both would reach the crossing of their tracks."""
+"""Gap time: difference of the times at which both entities reach the crossing of their tracks."""
 
 from __future__ import annotations
 
@@ -14,20 +14,17 @@ from cornercase.recordings import Recording
 class GapTime(Metric):
     """Difference of the times at which both reach the crossing of their tracks at their present speeds.
 
-    ``|d / v - d_other / v_other|`` in s, with the ways that the centres still have to go to the crossing that
-    `TrajectoryDistance` takes. 0 when both arrive together, inf when at least one stands. Not defined where no
-    crossing lies ahead of both (one has passed it), for tracks that do not cross, and where one of the two
-    does not exist. Cap: 10 s.
+    ``|d / v - d_other / v_other|`` in s, with the distances of the centres to the crossing that `TrajectoryDistance`
+    takes. 0 if both arrive together, inf if at least one stands. Not defined if no crossing lies ahead of both (one has
+    passed it), for tracks that do not cross, and if one of the two does not exist. Cap: 10 s.
+
+    Source: gap time, B. L. Allen, B. T. Shin, P. J. Cooper, "Analysis of traffic conflicts and collisions",
+    Transportation Research Record 667 (1978), predicted with constant speeds.
 
     Parameters
     ----------
     ahead : float, default 100.0
         How far each track goes straight on after the recording, in m.
-
-    Notes
-    -----
-    Source: gap time, B. L. Allen, B. T. Shin, P. J. Cooper, "Analysis of traffic conflicts and collisions",
-    Transportation Research Record 667 (1978), predicted with constant speeds.
     """
 
     name = "gap-time"
@@ -41,24 +38,22 @@ class GapTime(Metric):
         self.ahead = ahead
 
     def course(self, recording: Recording, ego: str, other: str) -> FloatArray:
-        mine, others = _arrivals(recording, ego, other, self.ahead)
-        return _apart(mine, others)
+        ego_times, other_times = _arrivals(recording, ego, other, self.ahead)
+        return _apart(ego_times, other_times)
 
 
 class SquaredGapTime(GapTime):
     """Difference of the squared times at which both reach the crossing of their tracks.
 
-    ``|t² - t_other²|`` in s², the gap time times the sum of both arrival times, so that the same gap counts
-    more the sooner it comes. Arrivals, 0, inf and where it is not defined as in `GapTime`. Cap: 100 s².
+    ``|t² - t_other²|`` in s², the gap time times the sum of both arrival times, so that the same gap counts more the
+    sooner it occurs. Arrivals, 0, inf and where it is not defined as in `GapTime`. Cap: 100 s².
+
+    Source: squared predicted relative encroachment time, as in Westhofen et al. 2023.
 
     Parameters
     ----------
     ahead : float, default 100.0
         As in `GapTime`.
-
-    Notes
-    -----
-    Source: squared predicted relative encroachment time, as in Westhofen et al. 2023.
     """
 
     name = "spret"
@@ -67,15 +62,15 @@ class SquaredGapTime(GapTime):
     source = "Squared predicted relative encroachment time, as in Westhofen et al. 2023"
 
     def course(self, recording: Recording, ego: str, other: str) -> FloatArray:
-        mine, others = _arrivals(recording, ego, other, self.ahead)
-        return _apart(mine**2, others**2)
+        ego_times, other_times = _arrivals(recording, ego, other, self.ahead)
+        return _apart(ego_times**2, other_times**2)
 
 
 def _arrivals(recording: Recording, ego: str, other: str, ahead: float) -> tuple[FloatArray, FloatArray]:
-    ways = ways_to_crossing(recording, ego, other, ahead)
+    distances = ways_to_crossing(recording, ego, other, ahead)
     speeds = (np.abs(recording.speed[recording.index(name)]) for name in (ego, other))
-    mine, others = (_time(way, speed) for way, speed in zip(ways, speeds, strict=True))
-    return mine, others
+    ego_times, other_times = (_time(distance, speed) for distance, speed in zip(distances, speeds, strict=True))
+    return ego_times, other_times
 
 
 def _time(way: FloatArray, speed: FloatArray) -> FloatArray:
@@ -85,6 +80,6 @@ def _time(way: FloatArray, speed: FloatArray) -> FloatArray:
 
 def _apart(one: FloatArray, two: FloatArray) -> FloatArray:
     with np.errstate(invalid="ignore"):
-        apart = np.abs(one - two)
-    # Two that stand never arrive, at no time together.
-    return np.where(np.isinf(one) & np.isinf(two), np.inf, apart)
+        gap = np.abs(one - two)
+    # Two standing entities never arrive, so they do not arrive together.
+    return np.where(np.isinf(one) & np.isinf(two), np.inf, gap)

@@ -1,4 +1,4 @@
-"""How hard the ego would have to steer around the other in its way."""
+"""Metrics of the steering that the ego needs to pass the other ahead of it."""
 
 from __future__ import annotations
 
@@ -15,14 +15,12 @@ from cornercase.recordings import Recording
 class LateralAcceleration(Metric):
     """Required lateral acceleration: the weaker of those with which the ego passes the other left or right.
 
-    ``min over ± of 2 |±(w + w_other) / 2 + Δy| / TTC²`` in m/s². Δy is how far the other's centre lies to the
-    left of the ego's, across the ego's heading, when the gap is closed (so with the lateral speed that both
-    have); the widths are those of the boxes across the ego's heading; TTC is gap / Δv along it. 0 when the
-    gap does not shrink, inf at contact while it does. A standing other is an obstacle. Not defined where the
-    other is not in the ego's way or one of the two does not exist. Cap: 0, most critical value: 20 m/s².
+    ``min over ± of 2 |±(w + w_other) / 2 + Δy| / TTC²`` in m/s². Δy is how far left of the ego's centre the other's
+    lies, across the ego's heading, when the gap is closed (with both lateral speeds kept); the widths are those of the
+    boxes across the ego's heading; TTC is gap / Δv along it. 0 if the gap does not shrink, inf at contact while it
+    does. A standing other is an obstacle. Not defined if the other is not ahead of the ego or one of the two does not
+    exist. Cap: 0, most critical value: 20 m/s².
 
-    Notes
-    -----
     Source: required lateral acceleration, as in Westhofen et al. 2023 and Jansson 2005.
     """
 
@@ -40,19 +38,17 @@ class LateralAcceleration(Metric):
 class Stn(Metric):
     """Steer threat number: required over available lateral acceleration.
 
-    The required lateral acceleration (`LateralAcceleration`) over the greatest one, without unit: 1 where
-    steering at full power just avoids the contact. 0 when the gap does not shrink. Standing others, and where
-    it is not defined, as there. Cap: 0, most critical value: 5.
+    The required lateral acceleration (`LateralAcceleration`) over the greatest one, without unit: 1 if full steering
+    just avoids the contact. 0 if the gap does not shrink. Standing others, and where it is not defined, as there. Cap:
+    0, most critical value: 5.
+
+    Source: M. Brännström, J. Sjöberg, E. Coelingh, "A situation and threat assessment algorithm for a rear-end
+    collision avoidance system", IEEE Intelligent Vehicles Symposium (2008).
 
     Parameters
     ----------
     acceleration : float, default 8.0
         Greatest lateral acceleration of the ego in m/s².
-
-    Notes
-    -----
-    Source: M. Brännström, J. Sjöberg, E. Coelingh, "A situation and threat assessment algorithm for a rear-end
-    collision avoidance system", IEEE Intelligent Vehicles Symposium (2008).
     """
 
     name = "stn"
@@ -73,17 +69,9 @@ class Stn(Metric):
 
 
 def required_acceleration(recording: Recording, ego: str, other: str) -> FloatArray:
-    """Weakest lateral acceleration of the ego without contact; see `LateralAcceleration`.
+    """Weakest lateral acceleration that avoids contact (see `LateralAcceleration`), shape (T,), in m/s², not negative.
 
-    Parameters
-    ----------
-    recording : Recording
-    ego, other : str
-
-    Returns
-    -------
-    ndarray of float64, shape (T,)
-        m/s², not negative; NaN where the other is not in the ego's way.
+    NaN if the other is not ahead of the ego.
     """
     pair = Following.of(recording, ego, other)
     heading = recording.heading[recording.index(ego)]
@@ -93,9 +81,9 @@ def required_acceleration(recording: Recording, ego: str, other: str) -> FloatAr
     drift = ((velocity(recording, other) - velocity(recording, ego)) * left).sum(-1)
     closes = pair.closing > 0.0
     time = np.where(closes, pair.gap / np.where(closes, pair.closing, 1.0), np.inf)
-    reached = offset + np.where(closes, drift * np.where(closes, time, 0.0), 0.0)
-    way = np.minimum(np.abs(0.5 * width + reached), np.abs(0.5 * width - reached))
+    final_offset = offset + np.where(closes, drift * np.where(closes, time, 0.0), 0.0)
+    distance = np.minimum(np.abs(0.5 * width + final_offset), np.abs(0.5 * width - final_offset))
     with np.errstate(divide="ignore"):
-        required = np.where(closes, 2.0 * way / np.where(closes, time, 1.0) ** 2, 0.0)
+        required = np.where(closes, 2.0 * distance / np.where(closes, time, 1.0) ** 2, 0.0)
     required = np.where(closes & (time == 0.0), np.inf, required)
     return np.where(np.isnan(pair.gap + pair.closing), np.nan, required)

@@ -1,4 +1,4 @@
-"""Metrics of one recording."""
+"""Measure metrics on one recording."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from cornercase._common.typing import FloatArray
 from cornercase.metrics.base import Metric
 from cornercase.metrics.others import name_others, others_there
 from cornercase.metrics.registry import METRICS
-from cornercase.metrics.severity import velocity_change
+from cornercase.metrics.severity import find_contact
 from cornercase.recordings import Recording, read_recording
 
 if TYPE_CHECKING:
@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Measurement:
-    """What metrics say of a recording; each mapping has the names of the metrics as keys.
+    """Metrics of a recording. Each mapping has the names of the metrics as keys.
 
     Attributes
     ----------
@@ -39,7 +39,7 @@ class Measurement:
         Of courses and scores; ``"1"`` for none.
     lower_is_critical : mapping of str to bool
     against : mapping of str to (str or None)
-        Of several others the one that each score is against, as in `Measured`; empty where there is one.
+        Entity that each score comes from, as in `MetricResult`; empty if there is only one other entity.
     """
 
     time: FloatArray
@@ -50,7 +50,7 @@ class Measurement:
     against: Mapping[str, str | None] = field(default_factory=dict)
 
     def head(self) -> tuple[str, ...]:
-        """Say what `rows` has in its columns.
+        """Column names of `rows`.
 
         Returns
         -------
@@ -59,12 +59,12 @@ class Measurement:
         return ("metric", "score", "unit", "critical is", *(["against"] if self.against else []))
 
     def rows(self) -> list[tuple[str, ...]]:
-        """Say the score of each metric, with its unit, whether low or high is critical, and of several others whom.
+        """One row per metric: name, score, unit, whether low or high is critical and, with several others, the entity.
 
         Returns
         -------
         list of tuple of str
-            As `head` says.
+            Columns as in `column_names`.
         """
         plain = [
             (name, f"{score:.4g}", self.units[name], "low" if self.lower_is_critical[name] else "high")
@@ -98,14 +98,13 @@ def measure(
     Parameters
     ----------
     recording : Recording or path
-        A path of whatever `read_recording` reads.
+        A path of anything that `read_recording` reads.
     ego : str
         Name of the entity under test.
     other : str or sequence of str
-        Whom it is measured against; of several the one counts to whom it is most critical, metric by metric. ``"*"``
-        stands for all others.
+        Entities to measure against. Of several, each metric takes the most critical value. ``"*"`` means all others.
     metrics : sequence of str, optional
-        Options stand after a colon, as in ``"ttc:accelerating=true"``; by default all metrics that need none.
+        Options follow a colon, as in ``"ttc:accelerating=true"``. By default all metrics that need no option.
 
     Returns
     -------
@@ -114,7 +113,7 @@ def measure(
     Raises
     ------
     InputError
-        The recording cannot be read, there is no such entity or metric, or the two are one entity.
+        The recording cannot be read, there is no such entity or metric, or ego and other are the same entity.
 
     Examples
     --------
@@ -133,48 +132,35 @@ def measure(
     ttc     1.4    s     low
     drac    3.571  m/s²  high
     """
-    read = recording if isinstance(recording, Recording) else read_recording(path("recording", recording))
-    read.index(ego)
-    others = name_others(other, ego, read.names)
-    for one in others:
-        read.index(one)
-    names = _plain_names() if metrics is None else texts("metrics", metrics)
-    made = [METRICS.create(name) for name in dict.fromkeys(names)]
-    for metric in made:
+    loaded = recording if isinstance(recording, Recording) else read_recording(path("recording", recording))
+    loaded.index(ego)
+    others = name_others(other, ego, loaded.names)
+    for entity in others:
+        loaded.index(entity)
+    optionless = [name for name in METRICS.names() if not METRICS.class_of(name).wants]
+    names = optionless if metrics is None else texts("metrics", metrics)
+    created = [METRICS.create(name) for name in dict.fromkeys(names)]
+    for metric in created:
         metric.require()
     try:
-        found = measured(made, read, ego, others)
+        results = measured(created, loaded, ego, others)
     except PartError as error:
         raise InputError(f"{str(error)[0].upper()}{str(error)[1:]}.") from error
     return Measurement(
-        time=read.time,
-        courses={name: one.course for name, one in found.items()},
-        scores={name: one.score for name, one in found.items()},
-        units={metric.name: metric.unit for metric in made},
-        lower_is_critical={metric.name: metric.lower_is_critical for metric in made},
-        against={name: one.against for name, one in found.items()} if len(others) > 1 else {},
+        time=loaded.time,
+        courses={name: result.course for name, result in results.items()},
+        scores={name: result.score for name, result in results.items()},
+        units={metric.name: metric.unit for metric in created},
+        lower_is_critical={metric.name: metric.lower_is_critical for metric in created},
+        against={name: result.against for name, result in results.items()} if len(others) > 1 else {},
     )
 
 
-def _plain_names() -> list[str]:
-    """Names that are metrics by themselves."""
-    return [name for name in METRICS.names() if not METRICS.class_of(name).wants]
-
-
 class Measured(NamedTuple):
-    """What a metric says of a recording.
+    """Course and score of a metric; with several others, the most critical value at each instant, and score.
 
-    Attributes
-    ----------
-    course : ndarray of float64, shape (T,)
-        With several others, at each instant the most critical of the values against each; NaN where it is defined
-        against none of them.
-    score : float
-        With several others the most critical of the scores against each.
-    against : str or None
-        Of several others the one whose score that is, of equal ones the first. None where there is one other only,
-        where the score is the metric's cap, and where course and score are the same against all, as of a metric that
-        does not look at the other.
+    `against`: name of the entity the score comes from (the first one if tied). None if there is only one other entity,
+    if the score is the cap, or if all entities give the same result.
     """
 
     course: FloatArray
@@ -185,66 +171,48 @@ class Measured(NamedTuple):
 def measured(
     metrics: Iterable[Metric], recording: Recording, ego: str, other: str | Sequence[str]
 ) -> dict[str, Measured]:
-    """Measure a recording.
+    """Evaluate metrics on a recording. Return the results by name of the metric.
 
-    Parameters
-    ----------
-    metrics : iterable of Metric
-    recording : Recording
-    ego : str
-        Name of an entity.
-    other : str or sequence of str
-        Names of one or several others. Of several, one that is never there counts as nothing.
-
-    Returns
-    -------
-    dict of str to Measured
-        Course and score by the metric's name; the score of a recording in which both touch as of
-        `Metric.score_of_contact`.
-
-    Raises
-    ------
-    InputError
-        There is no entity of that name.
-    PartError
-        A metric raised an exception, or gave no numbers.
+    Of several others, those that never exist in the recording are skipped. Contacts count as in
+    `Metric.score_with_contact`. PartError if a metric raises an exception, or returns no numbers.
     """
     named = (other,) if isinstance(other, str) else tuple(other)
     others = others_there(recording, named)
-    # Once for all metrics.
-    changes: dict[str, float | None] = {}
-    found = {}
+    contacts: dict[str, tuple[int, float] | None] = {}  # cache by entity, shared by all metrics
+    results = {}
     for metric in metrics:
-        each = [_measured_against(metric, recording, ego, one, changes) for one in others]
-        found[metric.name] = each[0] if len(named) == 1 else _worst(metric, others, each)
-    return found
+        per_entity = [_measured_against(metric, recording, ego, entity, contacts) for entity in others]
+        results[metric.name] = per_entity[0] if len(named) == 1 else _worst(metric, others, per_entity)
+    return results
 
 
 def _measured_against(
-    metric: Metric, recording: Recording, ego: str, other: str, changes: dict[str, float | None]
+    metric: Metric, recording: Recording, ego: str, other: str, contacts: dict[str, tuple[int, float] | None]
 ) -> Measured:
     course, score = _asked(metric, recording, ego, other)
     if metric.contact is not None:
-        if other not in changes:
-            changes[other] = velocity_change(recording, ego, other)
-        change = changes[other]
-        score = score if change is None else metric.score_of_contact(score, change)
+        if other not in contacts:
+            contacts[other] = find_contact(recording, ego, other)
+        contact = contacts[other]
+        score = score if contact is None else metric.score_of_contact(score, contact[1])
     return Measured(course, score)
 
 
 def _asked(metric: Metric, recording: Recording, ego: str, other: str) -> tuple[FloatArray, float]:
-    """Course and score of a metric, which may be a class of anybody."""
-    part, heard = f"the metric {metric.name}", requests_heard()
+    """Course and score of a metric, which may be third-party code; check both."""
+    part, interrupts = f"the metric {metric.name}", requests_heard()
     try:
         course = metric.course(recording, ego, other)
         score = metric.score(course)
     except (InputError, PartError):
         raise
     except BaseException as error:
-        raise failure_of(part, error, heard) from error
+        raise failure_of(part, error, interrupts) from error
     if not (np.shape(course) == recording.time.shape and _is_numeric(course)):
-        each = f"a number for each of {recording.time.size} instants"
-        raise PartError(f"{part} gave {shown(course)} as its course, which is not {each}")
+        raise PartError(
+            f"{part} gave {shown(course)} as its course, which is not a number for each of"
+            f" {recording.time.size} instants"
+        )
     if not (np.ndim(score) == 0 and _is_numeric(score)) or np.isnan(score):
         raise PartError(f"{part} gave {shown(score)} as its score, which is not a number")
     return course, score
@@ -255,13 +223,13 @@ def _is_numeric(given: object) -> bool:
 
 
 def _worst(metric: Metric, others: Sequence[str], each: Sequence[Measured]) -> Measured:
-    """Put together what a metric says against each of several others, of which one is there at least."""
-    courses = metric.oriented(np.stack([np.asarray(one.course, dtype=np.float64) for one in each]))
-    scores = [metric.oriented(one.score) for one in each]
+    """Combine the results against several others, at least one of which exists."""
+    courses = metric.oriented(np.stack([np.asarray(result.course, dtype=np.float64) for result in each]))
+    scores = [metric.oriented(result.score) for result in each]
     k = scores.index(min(scores))
-    alike = len(each) > 1 and all(
+    all_equal = len(each) > 1 and all(
         score == scores[0] and np.array_equal(course, courses[0], equal_nan=True)
         for score, course in zip(scores, courses, strict=True)
     )
-    decides = scores[k] < metric.oriented(metric.cap) and not alike
-    return Measured(metric.oriented(np.fmin.reduce(courses)), each[k].score, others[k] if decides else None)
+    has_source = scores[k] < metric.oriented(metric.cap) and not all_equal
+    return Measured(metric.oriented(np.fmin.reduce(courses)), each[k].score, others[k] if has_source else None)

@@ -1,4 +1,4 @@
-"""Whom an ego is measured against."""
+"""Which entities an ego is measured against."""
 
 from __future__ import annotations
 
@@ -17,25 +17,9 @@ EVERYBODY: Final = "*"
 
 
 def name_others(other: object, ego: str, known: Sequence[str]) -> tuple[str, ...]:
-    """Take the names of one or several others.
+    """Resolve `other` to the names of one or several entities, each once; InputError if that is impossible.
 
-    Parameters
-    ----------
-    other : object
-        A name, or a sequence of names; ``"*"`` stands for all that are known but the ego.
-    ego : str
-    known : sequence of str
-        Names of all entities.
-
-    Returns
-    -------
-    tuple of str
-        At least one; each once. Those that are given need not be among those that are known.
-
-    Raises
-    ------
-    InputError
-        It is something else, there is none, the ego is among them, or names stand in one text with commas between.
+    ``"*"`` stands for all of `entity_names` but the ego. Other names need not be in `entity_names`.
 
     Examples
     --------
@@ -44,7 +28,7 @@ def name_others(other: object, ego: str, known: Sequence[str]) -> tuple[str, ...
     """
     given = texts("other", other)
     if not given:
-        raise InputError("`other`: there is none; name an entity, or * for all but the ego.")
+        raise InputError("`other` is empty; name an entity, or * for all but the ego.")
     if ego in given:
         raise InputError(f"`other` {ego}: is the ego itself; name the entity that it meets.")
     for name in given:
@@ -53,59 +37,29 @@ def name_others(other: object, ego: str, known: Sequence[str]) -> tuple[str, ...
             raise InputError(f"`other` {name}: is not an entity; give several one by one.")
     everyone = [name for name in known if name != ego]
     if EVERYBODY in given and not everyone:
-        raise InputError(f"`other` {EVERYBODY}: there is nobody but {ego}.")
-    return tuple(dict.fromkeys(name for one in given for name in (everyone if one == EVERYBODY else [one])))
+        raise InputError(f"`other` {EVERYBODY}: there is no entity but {ego}.")
+    return tuple(dict.fromkeys(name for entry in given for name in (everyone if entry == EVERYBODY else [entry])))
 
 
 def others_there(recording: Recording, others: Sequence[str]) -> tuple[str, ...]:
-    """Leave out those of several others that are never there.
+    """Return those of `others` that exist at any instant of the recording, in the same order.
 
-    Parameters
-    ----------
-    recording : Recording
-    others : sequence of str
-        Names of entities, one at least.
-
-    Returns
-    -------
-    tuple of str
-        In the same order, without those that the recording does not know. Where none of them is ever there, one that
-        it knows, or else the first.
+    If none does: one that the recording has at least by name, else the first.
     """
-    known = [name for name in others if name in recording.names]
-    there = [name for name in known if np.isfinite(recording.x[recording.index(name)]).any()]
-    return tuple(there or known[:1] or others[:1])
+    recorded = [name for name in others if name in recording.names]
+    present = [name for name in recorded if np.isfinite(recording.x[recording.index(name)]).any()]
+    return tuple(present or recorded[:1] or others[:1])
 
 
 def nearest_other(recording: Recording, ego: str, other: str | Sequence[str]) -> str:
-    """Find the one of several others that comes nearest to the ego.
-
-    Parameters
-    ----------
-    recording : Recording
-    ego : str
-        Name of an entity.
-    other : str or sequence of str
-        Names of one or several others.
-
-    Returns
-    -------
-    str
-        The first that the ego collides with; without a collision the one whose box has the smallest gap to the ego's
-        at any instant, of equal ones the first.
-
-    Raises
-    ------
-    InputError
-        The recording has none of them, or no entity of the ego's name.
-    """
+    """Return the one of several others that the ego collides with first, else the one with the smallest gap."""
     others = others_there(recording, (other,) if isinstance(other, str) else other)
     if len(others) == 1:
         return others[0]
-    hits = [recording.first_collision(ego, name) for name in others]
-    touched = [(hit.time, k) for k, hit in enumerate(hits) if hit is not None]
-    if touched:
-        return others[min(touched)[1]]
+    collisions = [recording.first_collision(ego, name) for name in others]
+    times = [(collision.time, k) for k, collision in enumerate(collisions) if collision is not None]
+    if times:
+        return others[min(times)[1]]
     gaps = [Meeting(recording, ego, name).nearest for name in others]
-    # Who is never there with the ego is farther than anybody.
+    # An entity that never exists together with the ego counts as farthest.
     return others[min(range(len(others)), key=lambda k: (gaps[k][0] is None, gaps[k][1]))]

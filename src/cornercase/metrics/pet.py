@@ -1,4 +1,4 @@
-"""Post-encroachment time and encroachment time, as they were recorded."""
+"""Post-encroachment time and encroachment time, from the recorded motion."""
 
 from __future__ import annotations
 
@@ -11,37 +11,33 @@ from cornercase.recordings import Recording
 
 
 class Pet(Metric):
-    """Time between one entity leaving the conflict area and the other entering it, as it was recorded.
+    """Time between one entity leaving the conflict area and the other entering it, as recorded.
 
-    ``t_in(second) - t_out(first)`` in s. The conflict area is where the areas overlap that the two bounding
-    boxes sweep in the whole recording, on tracks of any shape; each connected stretch of the tracks on which
-    the boxes would meet, were it not for the time, has an area of its own, and the smallest value counts. An
-    entity is in the area while its box touches it. Between two instants the corners go straight and the speed
-    changes evenly.
+    ``t_in(second) - t_out(first)`` in s. The conflict area is the overlap of the areas that both bounding boxes sweep
+    in the whole recording, on tracks of any shape. Each connected stretch of the tracks on which the boxes would meet,
+    regardless of time, has an area of its own; the smallest value counts. An entity is in the area while its box
+    touches it. Between two instants the corners go straight and the speed changes evenly.
 
-    The value is known afterwards only and belongs to the recording as a whole: the course has it at all
-    instants.
+    The value is known only afterwards and belongs to the recording as a whole: the course has it at all instants.
 
-    Not defined (NaN throughout) without a conflict area, when the second enters before the first has left (so
-    in each collision), and when the first never leaves. A recording in which both touch scores 0. An entity that
-    stands outside of the other's swept area gives no conflict, one that stands inside does not leave. A recording
-    that ends before the second enters has no conflict area. Never negative unless `signed`. Cap: 10 s.
+    Not defined (NaN throughout) without a conflict area, if the second enters before the first has left (so in each
+    collision), and if the first never leaves. A recording in which both touch scores 0. An entity that stands outside
+    of the other's swept area gives no conflict, one that stands inside does not leave. A recording that ends before the
+    second enters has no conflict area. Never negative unless `signed`. Cap: 10 s.
+
+    Source: B. L. Allen, B. T. Shin, P. J. Cooper, "Analysis of traffic conflicts and collisions", Transportation
+    Research Record 667 (1978).
 
     Parameters
     ----------
     area : tuple of five float, optional
-        Rectangle to take for the conflict area, such as the shared part of two lanes: x and y of its centre
-        in m, heading in rad, length and width in m.
+        Rectangle to use as the conflict area, such as the shared part of two lanes: x and y of its centre in m, heading
+        in rad, length and width in m.
     signed : bool, default False
-        Where both were in the area at once, give the (negative) time by which the second came too early
-        instead of NaN; an entity that has not left counts as leaving when its recording ends.
+        If both were in the area at once, give the (negative) time by which the second came too early instead of NaN. An
+        entity that has not left counts as leaving when its recording ends.
     severity : bool, default False
-        Let the score go on below 0 among collisions, by how hard they are (`Metric.score_of_contact`).
-
-    Notes
-    -----
-    Source: B. L. Allen, B. T. Shin, P. J. Cooper, "Analysis of traffic conflicts and collisions",
-    Transportation Research Record 667 (1978).
+        Score collisions below 0, by how hard they are (`Metric.score_with_contact`).
     """
 
     name = "pet"
@@ -72,23 +68,21 @@ class Pet(Metric):
 
 
 class EncroachmentTime(Metric):
-    """How long the ego is in the conflict area, as it was recorded.
+    """How long the ego is in the conflict area, as recorded.
 
-    ``t_out - t_in`` in s of the conflict area of `Pet`; of several areas or visits the longest counts. The
-    other's time plays no part, only the area that it sweeps. Known afterwards only, so the course has the
-    value at all instants. inf where the ego has come to stand in the area. Not defined (NaN throughout)
-    without a conflict area, and where the recording ends while the ego drives through it. Cap: 0, most critical
-    value: 60 s, which is the score of a recording in which both touch.
+    ``t_out - t_in`` in s for the conflict area of `Pet`; of several areas or visits the longest counts. It depends on
+    the area that the other sweeps, not on when. It is known only afterwards, so the course has the value at all
+    instants. inf if the ego comes to a stop in the area. Not defined (NaN throughout) without a conflict area, and if
+    the recording ends while the ego drives through it. Cap: 0, most critical value: 60 s, which is the score of a
+    recording in which both touch.
+
+    Source: B. L. Allen, B. T. Shin, P. J. Cooper, "Analysis of traffic conflicts and collisions", Transportation
+    Research Record 667 (1978).
 
     Parameters
     ----------
     area : tuple of five float, optional
-        Rectangle to take for the conflict area, as in `Pet`.
-
-    Notes
-    -----
-    Source: B. L. Allen, B. T. Shin, P. J. Cooper, "Analysis of traffic conflicts and collisions",
-    Transportation Research Record 667 (1978).
+        Rectangle to use as the conflict area, as in `Pet`.
     """
 
     name = "encroachment-time"
@@ -102,9 +96,9 @@ class EncroachmentTime(Metric):
         self.area = checked_area(self.name, area)
 
     def course(self, recording: Recording, ego: str, other: str) -> FloatArray:
-        lengths = [
+        durations = [
             stay.leaves - stay.enters if stay.left else np.inf
             for stay, _ in visits(recording, ego, other, self.area)
             if stay.left or stay.stands
         ]
-        return np.full(len(recording.time), max(lengths, default=np.nan))
+        return np.full(len(recording.time), max(durations, default=np.nan))

@@ -10,7 +10,7 @@ from cornercase.metrics.base import Metric
 METRICS: Final[Registry[Metric]] = Registry("metric", "cornercase.metrics", Metric)
 """Criticality metrics by name."""
 
-for _name, _place in (
+for _name, _target in (
     ("a-lat-req", "lateral:LateralAcceleration"),
     ("a-long-req", "deceleration:LongitudinalAcceleration"),
     ("btn", "deceleration:Btn"),
@@ -42,6 +42,6 @@ for _name, _place in (
     ("ttce", "encounter:Ttce"),
     ("wttc", "wttc:Wttc"),
 ):
-    METRICS.register(_name, f"cornercase.metrics.{_place}")
+    METRICS.register(_name, f"cornercase.metrics.{_target}")
 for _term in ("macro", "micro", "nano", "individual", "penalty"):
     METRICS.register(f"traffic-quality-{_term}", "cornercase.metrics.traffic_quality:TrafficQuality", term=_term)

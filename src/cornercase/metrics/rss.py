@@ -1,4 +1,4 @@
-"""Responsibility-sensitive safety."""
+"""Responsibility-sensitive safety (RSS)."""
 
 from __future__ import annotations
 
@@ -18,22 +18,24 @@ Term = Literal["both", "longitudinal", "lateral"]
 
 
 class Rss(Metric):
-    """Distance by which the ego keeps, or falls short of, the minimum of responsibility-sensitive safety.
+    """Distance by which the ego keeps, or violates, the minimum of responsibility-sensitive safety.
 
-    Along and across the ego's heading the gap between the boxes is compared with the minimum that lets both
-    react and brake. Where the lateral minimum is violated the value in m is the longitudinal surplus, elsewhere
-    the larger of the two; so it is below 0 exactly in a dangerous situation, in which both minima are violated.
-    Lower is more critical.
+    Along and across the ego's heading the gap between the boxes is compared with the minimum that lets both react and
+    brake. If the lateral minimum is violated, the value in m is the longitudinal surplus, else the larger of the two;
+    so it is below 0 exactly in a dangerous situation, in which both minima are violated. Lower is more critical.
 
-    Along the heading, of two that go the same way the rear one, with speed v_r, needs
+    If both go the same way, the rear one, with speed v_r, needs
 
-        [v_r ρ + a ρ²/2 + (v_r + ρ a)² / (2 b_min) - v_f² / (2 b_max)]₊,
+        [v_r ρ + a ρ²/2 + (v_r + ρ a)² / (2 b_min) - v_f² / (2 b_max)]₊.
 
-    two that come towards each other both need their way during ρ and until they stand, the ego with
-    ``correct_braking`` and the other with ``min_braking`` (`longitudinal_minimum`, `opposite_minimum`); across
-    it see `lateral_minimum`. Two that stand need what they may start in the time ρ. Not defined where one of
+    If they come towards each other, both need their distance during ρ and until they stand, the ego with
+    ``correct_braking`` and the other with ``min_braking`` (`min_longitudinal_gap`, `min_oncoming_gap`); across the
+    heading see `min_lateral_gap`. Two standing entities need the distance of accelerating for ρ. Not defined if one of
     the two does not exist. Cap: 100 m, most critical value: -500 m, which is the score of a recording in which both
     touch.
+
+    Source: S. Shalev-Shwartz, S. Shammah, A. Shashua, "On a formal model of safe and scalable self-driving cars",
+    arXiv:1708.06374, definitions 1, 2, 6 and 8, in the frame of the ego instead of the lane.
 
     Parameters
     ----------
@@ -42,13 +44,13 @@ class Rss(Metric):
     acceleration : float, default 3.5
         Greatest acceleration a during the response, in m/s².
     min_braking, max_braking : float, default 4.0 and 8.0
-        Deceleration that a rear vehicle keeps at least, and a front one at most, in m/s².
+        Least deceleration of a rear vehicle and greatest of a front one, in m/s².
     correct_braking : float, default 3.0
-        Least deceleration of one that is on its own side and meets an oncoming one, in m/s².
+        Least deceleration of a vehicle on its own side that meets an oncoming one, in m/s².
     lateral_acceleration, lateral_braking : float, default 0.2 and 0.8
         As above, across the heading, in m/s².
     lateral_margin : float, default 0.1
-        Room for wavering μ, in m.
+        Margin for lateral fluctuation μ, in m.
     term : {"both", "longitudinal", "lateral"}, default "both"
         Which surplus to give.
 
@@ -56,11 +58,6 @@ class Rss(Metric):
     ------
     InputError
         An option is negative or not finite, or there is no such term.
-
-    Notes
-    -----
-    Source: S. Shalev-Shwartz, S. Shammah, A. Shashua, "On a formal model of safe and scalable self-driving
-    cars", arXiv:1708.06374, definitions 1, 2, 6 and 8, in the frame of the ego instead of the lane's.
     """
 
     name = "rss"
@@ -108,34 +105,49 @@ class Rss(Metric):
 
     def _along(self, recording: Recording, ego: str, other: str, axis: FloatArray) -> FloatArray:
         gap, ahead = _gap(recording, ego, other, axis)
-        mine, others = ((velocity(recording, name) * axis).sum(-1) for name in (ego, other))
-        # Seen along the line from the ego to the other.
-        mine, others = np.where(ahead, mine, -mine), np.where(ahead, others, -others)
+        ego_speed, other_speed = ((velocity(recording, name) * axis).sum(-1) for name in (ego, other))
+        # Speeds in the direction from the ego to the other.
+        ego_speed, other_speed = np.where(ahead, ego_speed, -ego_speed), np.where(ahead, other_speed, -other_speed)
         rear = longitudinal_minimum(
-            np.maximum(mine, 0.0), others, self.response_time, self.acceleration, self.min_braking, self.max_braking
+            np.maximum(ego_speed, 0.0),
+            other_speed,
+            self.response_time,
+            self.acceleration,
+            self.min_braking,
+            self.max_braking,
         )
         front = longitudinal_minimum(
-            np.maximum(-others, 0.0), -mine, self.response_time, self.acceleration, self.min_braking, self.max_braking
+            np.maximum(-other_speed, 0.0),
+            -ego_speed,
+            self.response_time,
+            self.acceleration,
+            self.min_braking,
+            self.max_braking,
         )
         opposite = opposite_minimum(
-            mine, -others, self.response_time, self.acceleration, self.correct_braking, self.min_braking
+            ego_speed, -other_speed, self.response_time, self.acceleration, self.correct_braking, self.min_braking
         )
-        towards = (mine >= 0.0) & (others < 0.0)
-        surplus: FloatArray = gap - np.where(towards, opposite, np.where(mine >= 0.0, rear, front))
+        towards = (ego_speed >= 0.0) & (other_speed < 0.0)
+        surplus: FloatArray = gap - np.where(towards, opposite, np.where(ego_speed >= 0.0, rear, front))
         return surplus
 
     def _across(self, recording: Recording, ego: str, other: str, axis: FloatArray) -> FloatArray:
         gap, is_left = _gap(recording, ego, other, axis)
-        mine, others = ((velocity(recording, name) * axis).sum(-1) for name in (ego, other))
-        mine, others = np.where(is_left, mine, -mine), np.where(is_left, -others, others)
+        ego_speed, other_speed = ((velocity(recording, name) * axis).sum(-1) for name in (ego, other))
+        ego_speed, other_speed = np.where(is_left, ego_speed, -ego_speed), np.where(is_left, -other_speed, other_speed)
         minimum = lateral_minimum(
-            mine, others, self.response_time, self.lateral_acceleration, self.lateral_braking, self.lateral_margin
+            ego_speed,
+            other_speed,
+            self.response_time,
+            self.lateral_acceleration,
+            self.lateral_braking,
+            self.lateral_margin,
         )
         return gap - minimum
 
 
 def _gap(recording: Recording, ego: str, other: str, axis: FloatArray) -> tuple[FloatArray, npt.NDArray[np.bool_]]:
-    """Gap between the boxes' projections (negative where they overlap), and whether the other lies towards +."""
+    """Gap between the boxes' projections on `axis` (negative if they overlap), and whether the other lies towards +."""
     a, b = ((boxes(recording, name) * axis[:, None]).sum(-1) for name in (ego, other))
     positive = b.max(-1) + b.min(-1) >= a.max(-1) + a.min(-1)
     return np.where(positive, b.min(-1) - a.max(-1), a.min(-1) - b.max(-1)), positive
@@ -149,23 +161,12 @@ def longitudinal_minimum(
     min_braking: float,
     max_braking: float,
 ) -> FloatArray:
-    """Least safe gap of two that go the same way (definition 1).
-
-    Parameters
-    ----------
-    rear, front : ndarray of float64, shape (...)
-        Speeds in m/s; a negative one of the front counts as 0.
-    response_time, acceleration, min_braking, max_braking : float
-        As in `Rss`.
-
-    Returns
-    -------
-    ndarray of float64, shape (...)
-        m.
-    """
-    reached = rear + response_time * acceleration
-    way: FloatArray = rear * response_time + 0.5 * acceleration * response_time**2 + reached**2 / (2.0 * min_braking)
-    return np.maximum(way - np.maximum(front, 0.0) ** 2 / (2.0 * max_braking), 0.0)
+    """Least safe gap in m if both go the same way (definition 1). Speeds in m/s; a negative front speed counts as 0."""
+    response_speed = rear + response_time * acceleration
+    distance: FloatArray = (
+        rear * response_time + 0.5 * acceleration * response_time**2 + response_speed**2 / (2.0 * min_braking)
+    )
+    return np.maximum(distance - np.maximum(front, 0.0) ** 2 / (2.0 * max_braking), 0.0)
 
 
 def opposite_minimum(
@@ -176,57 +177,33 @@ def opposite_minimum(
     correct_braking: float,
     min_braking: float,
 ) -> FloatArray:
-    """Least safe gap of two that come towards each other (definition 2).
+    """Least safe gap in m if both come towards each other (definition 2).
 
-    Parameters
-    ----------
-    correct, wrong : ndarray of float64, shape (...)
-        Speeds towards each other in m/s, of the one on its own side and of the other.
-    response_time, acceleration, correct_braking, min_braking : float
-        As in `Rss`.
-
-    Returns
-    -------
-    ndarray of float64, shape (...)
-        m.
+    `correct_side_speed` and `wrong_side_speed` are the speeds towards each other in m/s, of the vehicle on its own side
+    and of the other.
     """
-    way = np.zeros_like(correct)
+    distance = np.zeros_like(correct)
     for speed, braking in ((correct, correct_braking), (wrong, min_braking)):
-        reached = speed + response_time * acceleration
-        way = way + 0.5 * (speed + reached) * response_time + reached**2 / (2.0 * braking)
-    return way
+        response_speed = speed + response_time * acceleration
+        distance = distance + 0.5 * (speed + response_speed) * response_time + response_speed**2 / (2.0 * braking)
+    return distance
 
 
 def lateral_minimum(
-    one: FloatArray,
-    two: FloatArray,
-    response_time: float,
-    acceleration: float,
-    braking: float,
-    margin: float,
+    one: FloatArray, two: FloatArray, response_time: float, acceleration: float, braking: float, margin: float
 ) -> FloatArray:
-    """Least safe lateral gap (definition 6): both drift towards each other during the response, then brake.
+    """Least safe lateral gap in m (definition 6): both drift towards each other during the response, then brake.
 
-    Parameters
-    ----------
-    one, two : ndarray of float64, shape (...)
-        Lateral speeds of both towards the other, in m/s.
-    response_time : float
-        s.
-    acceleration, braking : float
-        Lateral, in m/s².
-    margin : float
-        m.
-
-    Returns
-    -------
-    ndarray of float64, shape (...)
-        m, at least `margin`.
+    `ego_speed` and `other_speed` are the lateral speeds of both towards each other, in m/s. At least `margin`.
     """
-    way = np.zeros_like(one)
+    distance = np.zeros_like(one)
     for speed in (one, two):
-        reached = speed + response_time * acceleration
-        # One that still moves away afterwards gives room while it brakes.
-        way = way + 0.5 * (speed + reached) * response_time + reached * np.abs(reached) / (2.0 * braking)
-    minimum: FloatArray = margin + np.maximum(way, 0.0)
+        response_speed = speed + response_time * acceleration
+        # An entity that still moves away afterwards increases the gap while it brakes.
+        distance = (
+            distance
+            + 0.5 * (speed + response_speed) * response_time
+            + response_speed * np.abs(response_speed) / (2.0 * braking)
+        )
+    minimum: FloatArray = margin + np.maximum(distance, 0.0)
     return minimum

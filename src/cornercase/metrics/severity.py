@@ -1,4 +1,4 @@
-"""How severe a collision is, or would be."""
+"""Severity of a collision that happened or is predicted."""
 
 from __future__ import annotations
 
@@ -32,32 +32,28 @@ MASSES: Mapping[str, float] = MappingProxyType(
         "animal": 75.0,
     }
 )
-"""Mass in kg by kind, where none is given."""
+"""Default mass in kg by type of entity."""
 
-_OTHERWISE = 1500.0
-# Times of contacts in s that are the same but for rounding.
-_ROUNDED = 1e-9
+_DEFAULT_MASS = 1500.0
+_TIME_TOLERANCE = 1e-9  # s
 
 
 class DeltaV(Metric):
     """Change of the ego's velocity in a collision in which both stick together (plastic impact).
 
-    ``m_other / (m + m_other) |v_other - v|`` in m/s, with the velocities as vectors at the first instant at
-    which the boxes touch; the course keeps it while they touch. Not defined while they do not, so a recording
-    without a collision scores the cap. Two that touch without moving give 0; a standing one is nothing
-    special. Cap: 0 m/s.
+    ``m_other / (m + m_other) |v_other - v|`` in m/s, with the velocities as vectors at the first instant at which the
+    boxes touch; the course keeps the value while they touch. Not defined while they do not, so a recording without a
+    collision scores the cap. A contact without motion gives 0. Cap: 0 m/s.
+
+    Source: S. G. Shelby, "Delta-V as a measure of traffic conflict severity", 3rd International Conference on Road
+    Safety and Simulation (2011), with the velocities as vectors.
 
     Parameters
     ----------
     masses : mapping of str to float, optional
-        Masses in kg by the entity's name or kind; else those of `MASSES`, and 1,500 kg for other kinds.
+        Masses in kg by the entity's name or type; else those of `MASSES`, and 1,500 kg for other types.
     predicted : bool, default False
         Give the value of a collision with the present velocities, at each instant.
-
-    Notes
-    -----
-    Source: S. G. Shelby, "Delta-V as a measure of traffic conflict severity", 3rd International Conference on
-    Road Safety and Simulation (2011), with the velocities as vectors.
     """
 
     name = "delta-v"
@@ -80,11 +76,14 @@ class DeltaV(Metric):
 
 
 class ConflictSeverity(Metric):
-    """Change of the ego's velocity that evasive braking would leave of a collision ahead.
+    """Change of the ego's velocity in a predicted collision, after evasive braking.
 
-    ``[m_other / (m + m_other) (|v_other - v| - a TTC)]₊`` in m/s: `DeltaV` as predicted, less what braking by
-    a until the contact takes off; the time to collision is that of `Ttc`. 0 where none is ahead; two that
-    stand give 0. Not defined where one of the two does not exist. Cap: 0 m/s.
+    ``[m_other / (m + m_other) (|v_other - v| - a TTC)]₊`` in m/s: the predicted `DeltaV`, less what braking by a until
+    the contact removes; the time to collision is that of `Ttc`. 0 if no collision is predicted, or both stand. Not
+    defined if one of the two does not exist. Cap: 0 m/s.
+
+    Source: O. Bagdadi, "Estimation of the severity of safety critical events", Accident Analysis and Prevention 50
+    (2013).
 
     Parameters
     ----------
@@ -92,11 +91,6 @@ class ConflictSeverity(Metric):
         a in m/s².
     masses : mapping of str to float, optional
         As in `DeltaV`.
-
-    Notes
-    -----
-    Source: O. Bagdadi, "Estimation of the severity of safety critical events", Accident Analysis and
-    Prevention 50 (2013).
     """
 
     name = "conflict-severity"
@@ -113,73 +107,44 @@ class ConflictSeverity(Metric):
     def course(self, recording: Recording, ego: str, other: str) -> FloatArray:
         change = _change(recording, ego, other, self.masses)
         time = Ttc().course(recording, ego, other)
-        ahead = np.isfinite(time)
-        braked = self.deceleration * np.where(ahead, time, 0.0) * _share(recording, ego, other, self.masses)
-        left = np.where(ahead, np.maximum(change - braked, 0.0), 0.0)
-        return np.where(np.isnan(time), np.nan, left)
-
-
-def velocity_change(recording: Recording, ego: str, other: str) -> float | None:
-    """Greatest change of velocity of either in a collision in which both stick together, in m/s.
-
-    Parameters
-    ----------
-    recording : Recording
-    ego, other : str
-        Names of two entities.
-
-    Returns
-    -------
-    float or None
-        That of the lighter one, at the first instant of a contact; None without a contact. 0 where their velocities at
-        that time are not known.
-    """
-    found = find_contact(recording, ego, other)
-    return None if found is None else found[1]
+        is_predicted = np.isfinite(time)
+        reduction = self.deceleration * np.where(is_predicted, time, 0.0) * _share(recording, ego, other, self.masses)
+        remaining = np.where(is_predicted, np.maximum(change - reduction, 0.0), 0.0)
+        return np.where(np.isnan(time), np.nan, remaining)
 
 
 def find_contact(recording: Recording, ego: str, other: str) -> tuple[int, float] | None:
-    """Find the first instant of a contact.
+    """First instant of a contact, and the velocity change of the lighter entity in m/s if both stick together.
 
-    Parameters
-    ----------
-    recording : Recording
-    ego, other : str
-        Names of two entities.
-
-    Returns
-    -------
-    tuple of int and float, or None
-        The instant, and the change of velocity of the lighter one in m/s as of `velocity_change`; None without a
-        contact.
+    None without a contact; a change of 0 if the velocities then are unknown.
     """
     touch = touching(recording, ego, other)
     recorded = recording.first_collision(ego, other)
     if recorded is not None:
-        # Of the instant of a recorded contact on, though boxes may overlap from the next one only.
-        touch[min(np.searchsorted(recording.time, recorded.time - _ROUNDED), len(touch) - 1)] = True
+        # A recorded contact counts from its own instant, even if boxes overlap only from the next one.
+        touch[min(np.searchsorted(recording.time, recorded.time - _TIME_TOLERANCE), len(touch) - 1)] = True
     if not touch.any():
         return None
     first = int(np.argmax(touch))
-    size = float(np.hypot(*relative_velocity(recording, ego, other)[first]))
+    speed = float(np.hypot(*relative_velocity(recording, ego, other)[first]))
     share = _share(recording, ego, other, {})
-    return first, (max(share, 1.0 - share) * size if np.isfinite(size) else 0.0)
+    return first, (max(share, 1.0 - share) * speed if np.isfinite(speed) else 0.0)
 
 
 def _change(recording: Recording, ego: str, other: str, masses: Mapping[str, float]) -> FloatArray:
-    gap = relative_velocity(recording, ego, other)
-    change: FloatArray = _share(recording, ego, other, masses) * np.hypot(gap[:, 0], gap[:, 1])
+    velocity = relative_velocity(recording, ego, other)
+    change: FloatArray = _share(recording, ego, other, masses) * np.hypot(velocity[:, 0], velocity[:, 1])
     return change
 
 
 def _share(recording: Recording, ego: str, other: str, masses: Mapping[str, float]) -> float:
-    mine, others = (_mass(recording, name, masses) for name in (ego, other))
-    return others / (mine + others)
+    ego_mass, other_mass = (_mass(recording, name, masses) for name in (ego, other))
+    return other_mass / (ego_mass + other_mass)
 
 
 def _mass(recording: Recording, name: str, masses: Mapping[str, float]) -> float:
-    kind = recording.kinds[recording.index(name)].lower()
-    return masses.get(name, masses.get(kind, MASSES.get(kind, _OTHERWISE)))
+    object_type = recording.kinds[recording.index(name)].lower()
+    return masses.get(name, masses.get(object_type, MASSES.get(object_type, _DEFAULT_MASS)))
 
 
 def _checked_masses(metric: str, masses: Mapping[str, float] | None) -> dict[str, float]:

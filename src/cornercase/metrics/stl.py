@@ -1,4 +1,4 @@
-"""Robustness of a formula of signal temporal logic."""
+"""Robustness of a formula of signal temporal logic (STL)."""
 
 from __future__ import annotations
 
@@ -19,28 +19,25 @@ _FAR: Final = 100.0
 
 
 class Stl(Metric):
-    """How far a formula of signal temporal logic holds: positive where it does, negative where it is violated.
+    """Robustness of a formula of signal temporal logic: positive if it holds, negative if it is violated.
 
-    The course is the robustness of what holds from each instant on, the score that at the first instant. The unit is
-    that of the formula's comparisons, and 1 where they have several. Not defined (NaN throughout) where no comparison
-    was ever defined.
+    The course is the robustness from each instant on, the score that at the first instant. The unit is that of the
+    formula's comparisons, and 1 if they have several. Not defined (NaN throughout) if no comparison was ever defined.
 
     Cap: for a comparison of a metric with a number, how far the number is from the metric's own cap, so that
-    ``stl:always(clearance > 0.5)`` scores what ``clearance`` does less 0.5; for any other 100; of several the largest.
-    Most critical value: -100, or how far a number is beyond the most critical value of the metric that it is compared
-    with, if that is more.
+    ``stl:always(clearance > 0.5)`` scores the ``clearance`` less 0.5; for any other comparison 100; of several the
+    largest. Most critical value: -100, or how far a number is beyond the most critical value of the metric that it is
+    compared with, if that is more.
+
+    Source: G. E. Fainekos, G. J. Pappas, "Robustness of temporal logic specifications for continuous-time signals",
+    Theoretical Computer Science 410 (2009); A. Donzé, O. Maler, "Robust satisfaction of temporal logic over real-valued
+    signals", FORMATS (2010); temporal operators by RTAMT (D. Ničković, T. Yamaguchi, ATVA 2020).
 
     Parameters
     ----------
     formula : str, default "clearance > 0"
-        All that stands behind the colon: ``"stl:always[0:5](ttc > 1.5)"``. Its language is that of
+        Everything behind the colon: ``"stl:always[0:5](ttc > 1.5)"``. Its language is that of
         `cornercase.metrics.Formula`.
-
-    Notes
-    -----
-    Source: G. E. Fainekos, G. J. Pappas, "Robustness of temporal logic specifications for continuous-time signals",
-    Theoretical Computer Science 410 (2009); A. Donzé, O. Maler, "Robust satisfaction of temporal logic over real-valued
-    signals", FORMATS (2010); temporal operators by RTAMT (D. Ničković, T. Yamaguchi, ATVA 2020).
     """
 
     name = "stl"
@@ -56,14 +53,14 @@ class Stl(Metric):
         self.unit = self.formula.unit
         comparisons = self.formula.comparisons
         self.cap = max(map(_cap, comparisons))
-        self.most_critical = -max(_FAR, *(gap for one in comparisons for gap in _beyond(one)), 0.0)
+        self.most_critical = -max(_FAR, *(gap for comparison in comparisons for gap in _beyond(comparison)), 0.0)
 
     def require(self) -> None:
         self.formula.require()
 
     def course(self, recording: Recording, ego: str, other: str) -> FloatArray:
         signals = signals_of(recording, ego, other)
-        if all(np.isnan(one.margin(signals)).all() for one in self.formula.comparisons):
+        if all(np.isnan(comparison.margin(signals)).all() for comparison in self.formula.comparisons):
             return np.full(len(signals.time), np.nan)
         return self.formula.robustness(signals)
 
@@ -72,15 +69,15 @@ class Stl(Metric):
 
 
 def _cap(comparison: Predicate) -> float:
-    name, bound = comparison.left.name, comparison.right
-    if not isinstance(bound, Bound) or not is_metric(name):
+    name, limit = comparison.left.name, comparison.right
+    if not isinstance(limit, Bound) or not is_metric(name):
         return _FAR
-    return abs(METRICS.create(name).cap - bound.value)
+    return abs(METRICS.create(name).cap - limit.value)
 
 
 def _beyond(comparison: Predicate) -> Iterator[float]:
-    name, bound = comparison.left.name, comparison.right
-    if isinstance(bound, Bound) and is_metric(name):
+    name, limit = comparison.left.name, comparison.right
+    if isinstance(limit, Bound) and is_metric(name):
         worst = METRICS.create(name).most_critical
         if worst is not None:
-            yield abs(worst - bound.value)
+            yield abs(worst - limit.value)

@@ -1,4 +1,4 @@
-"""Traffic quality."""
+"""Inverse universal traffic quality."""
 
 from __future__ import annotations
 
@@ -15,29 +15,32 @@ from cornercase.recordings import Recording
 
 Term = Literal["all", "macro", "micro", "nano", "individual", "penalty"]
 
-_WINDOW = 2.0
-_STANDS = 1e-5
+_WINDOW = 2.0  # s
+_STANDSTILL = 1e-5  # m/s
 
 
 class TrafficQuality(Metric):
     r"""How demanding the traffic of the whole scene is for the ego; higher is more critical.
 
-    ``penalty * sqrt(macro² + micro² + nano² + individual²)``, without unit, of all n entities that exist:
+    ``penalty * sqrt(macro² + micro² + nano² + individual²)``, without unit, over all n entities that exist:
 
     - *macro*, the traffic as a whole: standard deviation over mean of all speeds (of the population);
     - *micro*, how crowded it is around the ego: the number of entities whose centre lies within the radius
       r = (0.36 v)² + L + v of the ego's, with the ego's speed v in m/s and length L in m, over n;
-    - *nano*, the traffic around the ego: standard deviation over mean of the speeds of these entities, the
-      ego left out; 0 if there are none;
+    - *nano*, the traffic around the ego: standard deviation over mean of the speeds of these entities, without the
+      ego; 0 if there are none;
     - *individual*, how the ego drives: (\|mean a\| / 1.5 m/s² + mean v / 13.89 m/s) / 2, means over the
       samples of the last 2 s, fewer at the beginning;
     - *penalty*, the distance: exp(-d / 5 m), with the smallest gap d between the boxes of any two entities: 1
-      when two overlap, 0 for a scene of one.
+      if two overlap, 0 for a scene of one.
 
-    Speeds count without their sign. Where the mean speed is below 1e-5 m/s, macro or nano is 0; so a scene in
-    which all stand has only the micro term. Not defined where the ego does not exist. Cap: 0, the smallest
-    possible value, most critical value: 10. The second entity of a course plays no part; a recording in which it
-    touches the ego scores 10.
+    Speeds count without their sign. If the mean speed is below 1e-5 m/s, macro or nano is 0; so a standing scene has
+    only the micro term. Not defined if the ego does not exist. Cap: 0, the smallest possible value, most critical
+    value: 10. The second entity of a course is not used; a recording in which it touches the ego scores 10.
+
+    Source: B. Schütt, M. Zipfl, J. M. Zöllner, E. Sax, "Inverse universal traffic quality: a criticality metric for
+    crowded urban traffic scenes", IEEE Intelligent Vehicles Symposium (2023). The window of the individual term ends at
+    each instant, and overlapping boxes have the gap 0.
 
     Parameters
     ----------
@@ -48,12 +51,6 @@ class TrafficQuality(Metric):
     ------
     InputError
         There is no such term.
-
-    Notes
-    -----
-    Source: B. Schütt, M. Zipfl, J. M. Zöllner, E. Sax, "Inverse universal traffic quality: a criticality
-    metric for crowded urban traffic scenes", IEEE Intelligent Vehicles Symposium (2023). The window of the
-    individual term ends at each instant, and overlapping boxes have the gap 0.
     """
 
     name = "traffic-quality"
@@ -70,26 +67,7 @@ class TrafficQuality(Metric):
         self.name = "traffic-quality" if term == "all" else f"traffic-quality-{term}"
 
     def course(self, recording: Recording, ego: str, other: str = "") -> FloatArray:
-        """Traffic quality, or the chosen term of it, at each instant.
-
-        Parameters
-        ----------
-        recording : Recording
-        ego : str
-            Name of an entity.
-        other : str, optional
-            Not used; the metric is one of the scene.
-
-        Returns
-        -------
-        ndarray of float64, shape (T,)
-            NaN where the ego does not exist.
-
-        Raises
-        ------
-        InputError
-            There is no entity of that name.
-        """
+        """Traffic quality, or the chosen term of it, at each instant; `other` is not used."""
         scene = _Scene(recording, ego)
         if self.term != "all":
             term: FloatArray = getattr(scene, self.term)()
@@ -99,7 +77,7 @@ class TrafficQuality(Metric):
 
 
 class _Scene:
-    """All entities of a recording, seen by one of them; each term has shape (T,)."""
+    """All entities of a recording, relative to the ego; each term has shape (T,)."""
 
     def __init__(self, recording: Recording, ego: str) -> None:
         self.recording = recording
@@ -107,25 +85,25 @@ class _Scene:
         self.centers = np.stack([recording.center(name) for name in recording.names])
         self.speed = np.abs(recording.speed)
         self.exists: BoolArray = np.isfinite(self.centers).all(-1) & np.isfinite(self.speed)
-        apart = self.centers - self.centers[self.ego]
+        offsets = self.centers - self.centers[self.ego]
         speed = self.speed[self.ego]
         radius = (0.36 * speed) ** 2 + recording.length[self.ego] + speed
-        self.near: BoolArray = self.exists & (np.hypot(apart[..., 0], apart[..., 1]) <= radius)
+        self.near: BoolArray = self.exists & (np.hypot(offsets[..., 0], offsets[..., 1]) <= radius)
         self.near[self.ego] = False
 
     def macro(self) -> FloatArray:
         return _variation(self.speed, self.exists)
 
     def micro(self) -> FloatArray:
-        share: FloatArray = self.near.sum(0) / np.maximum(self.exists.sum(0), 1)
-        return share
+        fraction: FloatArray = self.near.sum(0) / np.maximum(self.exists.sum(0), 1)
+        return fraction
 
     def nano(self) -> FloatArray:
         return _variation(self.speed, self.near)
 
     def individual(self) -> FloatArray:
         time = self.recording.time
-        # Written times are rounded: a sample that is 2 s old up to a part of the step belongs to the window.
+        # Stored times are rounded, so a sample that is 2 s old up to a small tolerance belongs to the window.
         first = np.searchsorted(time, time - _WINDOW - 1e-6)
         acceleration = _mean_since(first, self.recording.acceleration[self.ego])
         speed = _mean_since(first, self.speed[self.ego])
@@ -133,12 +111,13 @@ class _Scene:
 
     def penalty(self) -> FloatArray:
         a, b = np.triu_indices(len(self.centers), 1)
-        apart = self.centers[a] - self.centers[b]
-        widest = np.where(self.exists[a] & self.exists[b], np.hypot(apart[..., 0], apart[..., 1]), np.inf)
+        offsets = self.centers[a] - self.centers[b]
+        center_distance = np.where(self.exists[a] & self.exists[b], np.hypot(offsets[..., 0], offsets[..., 1]), np.inf)
         reach = 0.5 * np.hypot(self.recording.length, self.recording.width)
-        # Two boxes are at most as far apart as their centres, at least that less both half diagonals.
-        least = widest - (reach[a] + reach[b])[:, None]
-        pair, instant = np.nonzero(np.isfinite(widest) & (least <= widest.min(0, initial=np.inf)))
+        # The gap of two boxes is at most the distance of their centres, and at least that less both half diagonals.
+        min_gap = center_distance - (reach[a] + reach[b])[:, None]
+        is_candidate = np.isfinite(center_distance) & (min_gap <= center_distance.min(0, initial=np.inf))
+        pair, instant = np.nonzero(is_candidate)
         corners = np.stack([boxes(self.recording, name) for name in self.recording.names])
         smallest = np.full(len(self.recording.time), np.inf)
         np.minimum.at(smallest, instant, box_distance(corners[a[pair], instant], corners[b[pair], instant]))
@@ -147,19 +126,19 @@ class _Scene:
 
 
 def _variation(speed: FloatArray, counted: BoolArray) -> FloatArray:
-    """Divide standard deviation by mean of the counted speeds, 0 where these stand or there are none."""
-    number = np.maximum(counted.sum(0), 1)
-    mean = np.where(counted, speed, 0.0).sum(0) / number
-    spread = np.sqrt((np.where(counted, speed - mean, 0.0) ** 2).sum(0) / number)
-    moves = mean >= _STANDS
+    """Coefficient of variation (standard deviation over mean) of the counted speeds; 0 if all stand or none count."""
+    count = np.maximum(counted.sum(0), 1)
+    mean = np.where(counted, speed, 0.0).sum(0) / count
+    spread = np.sqrt((np.where(counted, speed - mean, 0.0) ** 2).sum(0) / count)
+    moves = mean >= _STANDSTILL
     return np.where(moves, spread / np.where(moves, mean, 1.0), 0.0)
 
 
 def _mean_since(first: IntArray, values: FloatArray) -> FloatArray:
-    """Mean of the finite values from `first` up to each instant, 0 where there are none."""
-    known = np.isfinite(values)
-    total = np.append(0.0, np.cumsum(np.where(known, values, 0.0)))
-    number = np.append(0, np.cumsum(known))
+    """Mean of the finite values from `first` up to each instant, 0 if there are none."""
+    is_finite = np.isfinite(values)
+    total = np.append(0.0, np.cumsum(np.where(is_finite, values, 0.0)))
+    count = np.append(0, np.cumsum(is_finite))
     end = np.arange(1, len(values) + 1)
-    mean: FloatArray = (total[end] - total[first]) / np.maximum(number[end] - number[first], 1)
+    mean: FloatArray = (total[end] - total[first]) / np.maximum(count[end] - count[first], 1)
     return mean

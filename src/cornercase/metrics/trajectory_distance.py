@@ -12,16 +12,19 @@ from cornercase.recordings import Recording
 
 
 class TrajectoryDistance(Metric):
-    """Sum of the ways that both entities have still to go along their tracks to where these cross.
+    """Sum of the distances that both entities still have along their tracks to where these cross.
 
-    ``d_ego + d_other`` in m. A track joins the recorded centres of the bounding box and goes straight on from
-    the last of them, along the last heading, for `ahead`; so an entity that stands, or stops before the
-    crossing, has a path too. At each instant the crossing that lies ahead of both counts, of several the one
-    with the smallest sum. Only the shape of the tracks counts, not the speeds.
+    ``d_ego + d_other`` in m. A track joins the recorded centres of the bounding box and goes straight on from the last
+    of them, along the last heading, for `ahead`; so an entity that stands, or stops before the crossing, has a path
+    too. At each instant the crossing that lies ahead of both counts, of several the one with the smallest sum. It
+    depends on the shape of the tracks, not on the speeds.
 
-    Not defined where one of the two does not exist, where no crossing lies ahead of both (one has passed it),
-    and for tracks that do not cross: parallel ones, one behind the other, and those that merge without
-    touching. A track that joins the other and then follows it exactly meets it where it joins. Cap: 200 m.
+    Not defined if one of the two does not exist, if no crossing lies ahead of both (one has passed it), and for tracks
+    that do not cross: parallel ones, one behind the other, and those that merge without touching. A track that joins
+    the other and then follows it exactly meets it where it joins. Cap: 200 m.
+
+    Source: trajectory distance, first objective of scenario 1 in Schütt, Otten and Sax, "Clustering-based criticality
+    analysis for testing of automated driving systems" (2023).
 
     Parameters
     ----------
@@ -32,11 +35,6 @@ class TrajectoryDistance(Metric):
     ------
     InputError
         `ahead` is negative or not finite.
-
-    Notes
-    -----
-    Source: trajectory distance, first objective of scenario 1 in Schütt, Otten and Sax, "Clustering-based
-    criticality analysis for testing of automated driving systems" (2023).
     """
 
     name = "trajectory-distance"
@@ -51,5 +49,5 @@ class TrajectoryDistance(Metric):
         self.ahead = ahead
 
     def course(self, recording: Recording, ego: str, other: str) -> FloatArray:
-        mine, others = ways_to_crossing(recording, ego, other, self.ahead)
-        return mine + others
+        ego_distance, other_distance = ways_to_crossing(recording, ego, other, self.ahead)
+        return ego_distance + other_distance

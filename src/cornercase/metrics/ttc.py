@@ -16,26 +16,23 @@ from cornercase.recordings import Recording
 class Ttc(Metric):
     """Time until the two bounding boxes first touch if both go straight on.
 
-    Each box keeps its heading and its speed along it; the value is the smallest t >= 0 in s at which the
-    boxes share a point, found exactly with separating axes in the plane. For an entity that follows another
-    on one lane this is gap / Δv; crossing and oncoming paths need no case of their own.
+    Each box keeps its heading and its speed along it; the value is the smallest t >= 0 in s at which the boxes share a
+    point, computed exactly with separating axes in the plane. For an entity that follows another on one lane this is
+    gap / Δv; crossing and oncoming paths need no special case.
 
-    0 when the boxes touch now, inf when they never do (equal speeds, moving apart, passing by). Two standing
-    entities give inf unless they touch; one standing entity is an obstacle. Not defined where one of the two
-    does not exist. Cap: 10 s.
+    0 if the boxes touch now, inf if they never do (equal speeds, moving apart, passing by). Two standing entities give
+    inf unless they touch; one standing entity is an obstacle. Not defined if one of the two does not exist. Cap: 10 s.
+
+    Source: J. C. Hayward, "Near-miss determination through use of a scale of danger", Highway Research Record 384
+    (1972), with the contact of the boxes in two dimensions instead of the gap on one lane.
 
     Parameters
     ----------
     accelerating : bool, default False
-        Let both keep their present acceleration along the heading instead, until they stand; nobody starts to
-        reverse by braking.
+        Let both keep their present acceleration along the heading until they stand instead; braking does not lead to
+        reversing.
     severity : bool, default False
-        Let the score go on below 0 among collisions, by how hard they are (`Metric.score_of_contact`).
-
-    Notes
-    -----
-    Source: J. C. Hayward, "Near-miss determination through use of a scale of danger", Highway Research Record
-    384 (1972), with the contact of the boxes in two dimensions instead of the gap on one lane.
+        Score collisions below 0, by how hard they are (`Metric.score_with_contact`).
     """
 
     name = "ttc"
@@ -53,26 +50,29 @@ class Ttc(Metric):
         a, b = boxes(recording, ego), boxes(recording, other)
         if not self.accelerating:
             return first_contact(a, b, relative_velocity(recording, ego, other))
-        one, two = _Braking(recording, ego), _Braking(recording, other)
+        ego_motion, other_motion = _Braking(recording, ego), _Braking(recording, other)
         first = np.full(len(recording.time), np.nan)
-        # From one stop to the next both accelerations are constant.
-        bounds = np.sort(np.stack([np.zeros_like(one.stop), one.stop, two.stop, np.full_like(one.stop, np.inf)]), 0)
-        for begin, end in pairwise(bounds):
-            reached = np.where(np.isfinite(begin), begin, 0.0)
+        # Both accelerations are constant between the times at which an entity stops.
+        zeros = np.zeros_like(first)
+        stops = np.sort(np.stack([zeros, ego_motion.stop, other_motion.stop, zeros + np.inf]), 0)
+        for begin, end in pairwise(stops):
+            start = np.where(np.isfinite(begin), begin, 0.0)
             contact = first_contact(
-                a + one.way(reached)[:, None, :],
-                b + two.way(reached)[:, None, :],
-                without_rounding(two.velocity(reached) - one.velocity(reached)),
-                two.acceleration(reached) - one.acceleration(reached),
-                np.where(np.isfinite(begin), end - reached, -1.0),
+                a + ego_motion.way(start)[:, None, :],
+                b + other_motion.way(start)[:, None, :],
+                without_rounding(other_motion.velocity(start) - ego_motion.velocity(start)),
+                other_motion.acceleration(start) - ego_motion.acceleration(start),
+                np.where(np.isfinite(begin), end - start, -1.0),
             )
             first = np.fmin(first, begin + contact)
-        unknown = np.isnan(a + b).any((1, 2)) | np.isnan(one.speed + two.speed + one.rate + two.rate)
-        return np.where(unknown, np.nan, first)
+        is_unknown = np.isnan(a + b).any((1, 2)) | np.isnan(
+            ego_motion.speed + other_motion.speed + ego_motion.rate + other_motion.rate
+        )
+        return np.where(is_unknown, np.nan, first)
 
 
 class _Braking:
-    """Straight motion from each instant on, with constant acceleration up to the stop."""
+    """Straight motion from each instant on, with constant acceleration until the stop."""
 
     def __init__(self, recording: Recording, name: str) -> None:
         i = recording.index(name)
@@ -85,8 +85,8 @@ class _Braking:
         self.stop = np.where(slows, -self.speed / np.where(slows, self.rate, 1.0), np.inf)
 
     def way(self, time: FloatArray) -> FloatArray:
-        driven = np.minimum(time, self.stop)
-        return self._ahead(self.speed * driven + 0.5 * self.rate * driven**2)
+        moving = np.minimum(time, self.stop)
+        return self._ahead(self.speed * moving + 0.5 * self.rate * moving**2)
 
     def velocity(self, time: FloatArray) -> FloatArray:
         return self._ahead(np.where(time < self.stop, self.speed + self.rate * time, 0.0))

@@ -22,18 +22,19 @@ _VULNERABLE = frozenset({"bicycle", "pedestrian", "wheelchair", "animal"})
 class Wttc(Metric):
     """Time to collision if both entities do the worst that physics allows.
 
-    Each entity may accelerate in any direction by at most ``a``: after a time t it is somewhere in a circle
-    that moves on with its present velocity and grows by ``a t²/2``. The value is the smallest t >= 0 in s
-    with ::
+    Each entity may accelerate in any direction by at most ``a``: after a time t it is somewhere in a circle that moves
+    on with its present velocity and grows by ``a t²/2``. The value is the smallest t >= 0 in s with ::
 
         |Δp + Δv t| = R + (a_ego + a_other) t² / 2,
 
-    where Δp and Δv are the differences of the box centres and of the velocities along the headings, and R is
-    the sum of the half diagonals, so that the circles enclose the boxes. It never exceeds the time to
-    collision.
+    where Δp and Δv are the differences of the box centres and of the velocities along the headings, and R is the sum of
+    the half diagonals, so that the circles enclose the boxes. It never exceeds the time to collision.
 
-    0 when the circles touch now. Two standing entities give sqrt(2 (d - R) / (a_ego + a_other)). Not defined
-    where one of the two does not exist. Never inf as long as one can accelerate. Cap: 10 s.
+    0 if the circles touch now. Two standing entities give sqrt(2 (d - R) / (a_ego + a_other)). Not defined if one of
+    the two does not exist. Never inf as long as one can accelerate. Cap: 10 s.
+
+    Source: W. Wachenfeld, P. Junietz, R. Wenzel, H. Winner, "The worst-time-to-collision metric for situation
+    identification", IEEE Intelligent Vehicles Symposium (2016).
 
     Parameters
     ----------
@@ -42,17 +43,12 @@ class Wttc(Metric):
     vulnerable_acceleration : float, default 2.5
         Greatest acceleration in m/s² of bicycles, pedestrians, wheelchairs and animals.
     severity : bool, default False
-        Let the score go on below 0 among collisions, by how hard they are (`Metric.score_of_contact`).
+        Score collisions below 0, by how hard they are (`Metric.score_with_contact`).
 
     Raises
     ------
     InputError
         An acceleration is negative.
-
-    Notes
-    -----
-    Source: W. Wachenfeld, P. Junietz, R. Wenzel, H. Winner, "The worst-time-to-collision metric for situation
-    identification", IEEE Intelligent Vehicles Symposium (2016).
     """
 
     name = "wttc"
@@ -95,36 +91,24 @@ class Wttc(Metric):
 def worst_contact(
     position: FloatArray, velocity: FloatArray, radius: npt.ArrayLike, acceleration: npt.ArrayLike
 ) -> FloatArray:
-    """Smallest t >= 0 with |position + velocity t| = radius + acceleration t²/2, for all elements at once.
+    """Smallest t >= 0 in s with |position + velocity t| = radius + acceleration t²/2, for all elements at once.
 
-    Squared, the equation is a quartic h(t) = 0 without a cubic term. For t >= 0 it is concave up to one
-    inflection and convex from there on. A root in the concave part lies before the only maximum, which
-    Newton's method finds from the left; from there it runs into the root without overshooting, also where two
-    roots fall together. If the maximum stays below 0, the only root lies in the convex part, and
-    Newton's method reaches it from a bound on the right.
+    Squared, the equation is a quartic h(t) = 0 without a cubic term. For t >= 0 it is concave up to one inflection and
+    convex from there on. A root in the concave part lies before the only maximum, which Newton's method finds from the
+    left; from there it runs into the root without overshooting, even if two roots coincide. If the maximum stays below
+    0, the only root lies in the convex part, and Newton's method reaches it from a bound on the right.
 
-    Parameters
-    ----------
-    position, velocity : ndarray of float64, shape (..., 2)
-        Of one circle relative to the other, in m and m/s.
-    radius : array_like of float, shape (...)
-        Sum of both radii in m.
-    acceleration : array_like of float, shape (...)
-        Sum of both greatest accelerations in m/s², not negative; 0 gives the time to collision of the
-        circles.
-
-    Returns
-    -------
-    ndarray of float64, shape (...)
-        s; 0 where the circles touch now, inf for never, NaN where an input is.
+    `position` and `velocity`, shape (..., 2), are those of one circle relative to the other; `radius` is the sum of
+    both radii in m, `acceleration` the sum of both greatest accelerations in m/s² (0 gives the time to collision of the
+    circles). 0 if the circles touch now, inf for never, NaN if an input is.
     """
     radius, growth = np.asarray(radius, dtype=np.float64), np.asarray(acceleration, dtype=np.float64)
     position, velocity = np.asarray(position, dtype=np.float64), np.asarray(velocity, dtype=np.float64)
     shape = np.broadcast_shapes(position.shape[:-1], velocity.shape[:-1], radius.shape, growth.shape)
-    found = np.empty(math.prod(shape))
+    roots = np.empty(math.prod(shape))
     wttc_kernel.roots(
         *(np.ascontiguousarray(np.broadcast_to(vector, (*shape, 2)).reshape(-1, 2)) for vector in (position, velocity)),
         *(np.ascontiguousarray(np.broadcast_to(number, shape).ravel()) for number in (radius, growth)),
-        found,
+        roots,
     )
-    return found.reshape(shape)
+    return roots.reshape(shape)

@@ -1,4 +1,4 @@
-"""Where to look next: optimizers by name, and the interface of one's own."""
+"""Optimizers by name, and the base class for your own."""
 
 import lazy_loader as lazy
 

@@ -1,4 +1,4 @@
-"""What an optimizer is."""
+"""Base class of optimizers."""
 
 from __future__ import annotations
 
@@ -10,40 +10,39 @@ from cornercase._common.errors import InputError
 from cornercase._common.typing import FloatArray
 
 Need = Literal["threshold", "budget", "features"]
-"""What an optimizer may need beside the space and the seed."""
+"""Constructor arguments that an optimizer may require besides space and seed."""
 
 
 class Optimizer(ABC):
-    """Chooses where to look next, in the unit cube.
+    """Proposes scenarios to run, as points of the unit cube.
 
-    An optimizer depends on its space, its seed and what it was told, in the order of the calls, and on nothing else:
-    a new one of the same seed that is told the same rounds asks for the same points. So a study that was killed goes
-    on by telling it again.
+    An optimizer depends only on its space, its seed and the observed scores, in the order of the calls: a new one with
+    the same seed that observes the same rounds proposes the same points. So a killed study is resumed by telling it the
+    results again.
 
-    A subclass takes ``space`` (a `ParameterSpace`), ``seed`` (int) and what it needs as keyword arguments, and
-    defines `ask` and `tell`. Further arguments have defaults; users set them after a colon, as in
-    ``bayes:filling=0``.
+    A subclass takes ``space`` (a `ParameterSpace`), ``seed`` (int) and what it `requires` as keyword arguments, and
+    defines `ask` and `tell`. Further arguments have defaults; users set them after a colon, as in ``bayes:filling=0``.
 
     Attributes
     ----------
     name : str
         As on the command line.
-    takes_several : bool, default False
+    multi_objective : bool, default False
         Whether it takes several scores per scenario and searches their Pareto front.
-    begins_from_studies : bool, default False
-        Whether it takes the scores of another study to begin from, by `begin_from`.
-    needs : frozenset of {"threshold", "budget", "features"}, default empty
-        What it is given as keyword arguments beside ``space`` and ``seed``: ``threshold``, the oriented score up to
-        which a scenario is critical; ``budget``, the number of scenarios in all; ``features``, the `Feature` of each
-        number by which it is told what happened in a run. An optimizer that needs the budget asks for other points
-        with another one, so its studies keep the budget that they began with. The `tell` of one that needs features
-        takes them as its third argument, shape (m, f), NaN for a scenario that failed.
-    remembers_asking : bool, default False
-        Whether it depends on what it was asked for, too. A search without rounds asks it again before it goes on.
+    supports_warm_start : bool, default False
+        Whether `warm_start` accepts the scores of another study.
+    requires : frozenset of {"threshold", "budget", "features"}, default empty
+        Keyword arguments besides ``space`` and ``seed``: ``threshold``, the score up to which a scenario is critical;
+        ``budget``, the total number of scenarios; ``features``, the `Feature` of each column of features. The proposals
+        of an optimizer that requires the budget depend on it, so its studies keep their initial budget. The `tell` of
+        one that requires features takes them as third argument, shape (m, f), NaN for a scenario that failed.
+    is_stateful_ask : bool, default False
+        Whether its proposals also depend on earlier calls of `ask`. If a search without rounds is resumed, these are
+        repeated.
 
     See Also
     --------
-    cornercase.optimizers.OPTIMIZERS : Optimizers by name, also those of other packages.
+    cornercase.optimizers.OPTIMIZERS : Optimizers by name, including those of other packages.
 
     Examples
     --------
@@ -70,7 +69,7 @@ class Optimizer(ABC):
 
     @abstractmethod
     def ask(self, n: int) -> FloatArray:
-        """Propose points that were not told yet.
+        """Propose points that were not observed yet.
 
         Parameters
         ----------
@@ -79,63 +78,63 @@ class Optimizer(ABC):
         Returns
         -------
         ndarray of float64, shape (m, d)
-            In the unit cube; m < n only when the space has no more.
+            In the unit cube; m < n only if the space has no more.
         """
 
     @abstractmethod
     def tell(self, points: FloatArray, scores: FloatArray) -> None:
-        """Take the scores of one round.
+        """Observe the scores of one round.
 
         Parameters
         ----------
         points : ndarray of float64, shape (m, d)
         scores : ndarray of float64, shape (m,) or (m, k)
-            Oriented: lower is more critical. NaN for a scenario that failed. Several scores each, k of them, only
-            where the optimizer `takes_several`.
+            Lower is more critical. NaN for a scenario that failed. k scores per scenario only if the optimizer is
+            `multi_objective`.
         """
 
     def ask_beside(self, n: int, pending: FloatArray, *lies: Any) -> FloatArray:
-        """Propose points while others are run, in a search without rounds.
+        """Propose points while others are running, in a search without rounds.
 
-        By default a copy of the optimizer is told the mean of all scores for each point that is run (a constant liar)
-        and asked for points.
+        By default a copy of the optimizer observes the mean of all scores for each pending point (constant liar), and
+        then proposes points.
 
         Parameters
         ----------
         n : int
         pending : ndarray of float64, shape (p, d)
-            Points that were proposed and not told yet, in the order in which they were proposed.
-        *lies : ndarray of float64, shape (p,), (p, k) or (p, f)
-            What a constant liar tells of them: the further arguments of `tell`.
+            Points that were proposed and have no result yet, in the order in which they were proposed.
+        *pseudo_results : ndarray of float64, shape (p,), (p, k) or (p, f)
+            Results that a constant liar assumes for them: the further arguments of `tell`.
 
         Returns
         -------
         ndarray of float64, shape (m, d)
-            As of `ask`; none of `pending`.
+            As from `ask`; none of `pending`.
 
         Notes
         -----
         Source: D. Ginsbourger, R. Le Riche, L. Carraro, "Kriging is well-suited to parallelize optimization", in
         Computational Intelligence in Expensive Optimization Problems (2010).
         """
-        liar = deepcopy(self)
+        optimizer = deepcopy(self)
         if len(pending):
-            liar.tell(pending, *lies)
-        return liar.ask(n)
+            optimizer.tell(pending, *lies)
+        return optimizer.ask(n)
 
     def begin_from(self, points: FloatArray, scores: FloatArray) -> None:
-        """Take what another study knows, before anything is told; by default it is refused.
+        """Observe another study, before the first `tell`. Refused by default.
 
         Parameters
         ----------
         points : ndarray of float64, shape (n, d)
             Scenarios of a study of the same parameters, of another driver, simulator or time step.
         scores : ndarray of float64, shape (n,)
-            Oriented and finite; 10 at least, not all the same.
+            Lower is more critical; finite; at least 10, not all the same.
 
         Raises
         ------
         InputError
-            It learns nothing from another study.
+            The optimizer does not support a warm start.
         """
         raise InputError(f"`from_study`: {self.name} learns nothing from another study; use level-set or committee.")

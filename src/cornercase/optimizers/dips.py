@@ -1,4 +1,4 @@
-"""Where scores fall towards a threshold without reaching it."""
+"""Suggest points downhill from local minima of the scores."""
 
 from __future__ import annotations
 
@@ -9,48 +9,34 @@ from scipy.spatial import cKDTree
 
 from cornercase._common.typing import FloatArray
 
-# So many times as far as from the scores about it a score may be from the threshold.
+# Greatest distance of a minimum from the threshold, relative to its depth below the neighbouring scores.
 _MOST: Final = 3.0
 
 
 def below_dips(at: FloatArray, scores: FloatArray, threshold: float, most: int | None = None) -> FloatArray:
-    """Places that are likely to be lower than the scenarios that are lower than all those about them.
+    """Suggest points downhill from local minima that do not reach the threshold, (m, e), the most promising first.
 
-    A process of all scores, most of which may be flat, does not tell such a scenario from noise, and a search for a
-    boundary goes to the one that is known. But the next critical region may lie there.
+    A process of all scores, most of which may be flat, does not distinguish such a minimum from noise, and a boundary
+    search stays at the known boundary. But the next critical region may be there. A local minimum is a scenario that is
+    not critical and has the lowest score among its 2 e nearest ones, if its score is at most three times as far from
+    the threshold as from their median. From there it goes downhill by the slope through these neighbours, half as far
+    as to the nearest of them.
 
-    Looked at is each scenario that is not critical and has the least score among its nearest ones, as many as a cube
-    has sides, if its score is at most three times as far from the threshold as from their median. From there it goes
-    downhill by the slope through these neighbours, half as far as to the nearest of them.
-
-    Parameters
-    ----------
-    at : ndarray of float64, shape (n, e)
-        Scenarios that were run, as `encoded`.
-    scores : ndarray of float64, shape (n,)
-        Oriented; NaN for a scenario that failed, which counts as the highest.
-    threshold : float
-    most : int, optional
-        How many are looked for; by default all.
-
-    Returns
-    -------
-    ndarray of float64, shape (m, e)
-        At most so many; first from where the score is nearest to the threshold by that measure.
+    `points` (n, e) are encoded scenarios that were run, `scores` (n,) are minimized; NaN for a failed scenario counts
+    as the highest. At most `max_count` points, by default all.
     """
     count = 2 * at.shape[1]
     if len(at) <= count:
         return at[:0]
     scores = np.where(np.isnan(scores), np.nanmax(scores), scores)
-    far, near = map(np.asarray, cKDTree(at).query(at, k=count + 1))
-    about = scores[near[:, 1:]]
-    height, depth = scores - threshold, np.median(about, axis=1) - scores
-    lowest = (height > 0.0) & (scores < about.min(axis=1)) & (height <= _MOST * depth)
-    dips = np.flatnonzero(lowest)
-    dips = dips[np.argsort(height[dips] / depth[dips], kind="stable")][:most]
-    places = np.empty((len(dips), at.shape[1]))
-    for k, i in enumerate(dips):
+    distance, near = map(np.asarray, cKDTree(at).query(at, k=count + 1))
+    neighbour_scores = scores[near[:, 1:]]
+    height, depth = scores - threshold, np.median(neighbour_scores, axis=1) - scores
+    minima = np.flatnonzero((height > 0.0) & (scores < neighbour_scores.min(axis=1)) & (height <= _MOST * depth))
+    minima = minima[np.argsort(height[minima] / depth[minima], kind="stable")][:most]
+    suggestions = np.empty((len(minima), at.shape[1]))
+    for k, i in enumerate(minima):
         others = near[i, 1:]
         slope = np.linalg.lstsq(at[others] - at[i], scores[others] - scores[i], rcond=None)[0]
-        places[k] = at[i] - 0.5 * far[i, 1] * slope / max(float(np.linalg.norm(slope)), 1e-12)
-    return places
+        suggestions[k] = at[i] - 0.5 * distance[i, 1] * slope / max(float(np.linalg.norm(slope)), 1e-12)
+    return suggestions

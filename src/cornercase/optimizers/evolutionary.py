@@ -1,4 +1,4 @@
-"""Evolution of the scenarios that were run, for one score or several."""
+"""Genetic algorithm, for one score or several."""
 
 from __future__ import annotations
 
@@ -17,29 +17,27 @@ _TRIES = 50
 
 
 class EvolutionaryOptimizer(Optimizer):
-    """Genetic algorithm; with several scores it is NSGA-II and looks for their Pareto front.
+    """Genetic algorithm; with several scores it is NSGA-II and searches their Pareto front.
 
-    The parents of a round are the best of all that was told, by non-dominated sorting and crowding distance, chosen in
-    tournaments of two. Their children come from simulated binary crossover and polynomial mutation; parameters with
-    choices are inherited from some parent or drawn anew. Children that were run before, or that the constraints do
-    not admit, are made again.
+    The parents of a round are the best of all observed scenarios, by non-dominated sorting and crowding distance,
+    selected in tournaments of two. Children come from simulated binary crossover and polynomial mutation; parameters
+    with choices are inherited from some parent or drawn anew. Children that were run before, or violate constraints,
+    are generated again.
+
+    Source: K. Deb et al., "A fast and elitist multiobjective genetic algorithm: NSGA-II", IEEE Transactions on
+    Evolutionary Computation 6 (2002); implemented with pymoo (J. Blank, K. Deb, IEEE Access 8, 2020).
 
     Parameters
     ----------
     space : ParameterSpace
     seed : int
     population : int, default 40
-        Points of the Sobol' sequence at the beginning, and number of the best that can be parents.
+        Number of initial points of the Sobol' sequence, and of the best scenarios that can be parents.
 
     Raises
     ------
     InputError
         The population is smaller than two.
-
-    Notes
-    -----
-    Source: K. Deb et al., "A fast and elitist multiobjective genetic algorithm: NSGA-II", IEEE Transactions on
-    Evolutionary Computation 6 (2002); implemented with pymoo (J. Blank, K. Deb, IEEE Access 8, 2020).
     """
 
     name = "evolutionary"
@@ -56,19 +54,19 @@ class EvolutionaryOptimizer(Optimizer):
         self._scores: FloatArray | None = None
 
     def ask(self, n: int) -> FloatArray:
-        """Propose at most `n` points, shape (m, d), as in `Optimizer.ask`."""
+        """Propose at most `n` points, (m, d), as in `Optimizer.ask`."""
         return self.ask_beside(n, self._points[:0])
 
     def ask_beside(self, n: int, pending: FloatArray, *lies: Any) -> FloatArray:
-        """Propose points, as in `Optimizer.ask_beside`: only scenarios that have ended are parents."""
+        """Propose points, as in `Optimizer.ask_async`: only finished scenarios are parents."""
         if self._scores is None or np.isfinite(self._scores).all(axis=1).sum() < self._population:
             return self._sequence.ask(n, besides=pending)
         children = self._children(n, pending)
-        besides = np.concatenate([pending, children])
-        return np.concatenate([children, self._sequence.ask(n - len(children), besides=besides)])
+        exclude = np.concatenate([pending, children])
+        return np.concatenate([children, self._sequence.ask(n - len(children), besides=exclude)])
 
     def tell(self, points: FloatArray, scores: FloatArray) -> None:
-        """Take scores, shape (m,) or (m, k), of points, shape (m, d), as in `Optimizer.tell`."""
+        """Observe scores (m,) or (m, k) of points (m, d), as in `Optimizer.tell`."""
         columns = scores.reshape(len(points), -1)
         self._points = np.concatenate([self._points, points])
         self._scores = columns if self._scores is None else np.concatenate([self._scores, columns])
@@ -76,7 +74,7 @@ class EvolutionaryOptimizer(Optimizer):
         self._sequence.tell(points, scores)
 
     def _children(self, n: int, pending: FloatArray) -> FloatArray:
-        """Make at most `n` points, shape (m, d), neither told nor pending, from the best that were told."""
+        """Generate at most `n` points, (m, d), neither observed nor pending, from the best scenarios."""
         from pymoo.core.mating import Mating
         from pymoo.core.population import Population
         from pymoo.core.problem import Problem
@@ -87,21 +85,21 @@ class EvolutionaryOptimizer(Optimizer):
 
         assert self._scores is not None
         rng = np.random.default_rng([self._seed, len(self._points) + len(pending)])
-        known = np.flatnonzero(np.isfinite(self._scores).all(axis=1))
-        known = known[_best(self._scores[known], self._population)]
+        finished = np.flatnonzero(np.isfinite(self._scores).all(axis=1))
+        best = finished[_best(self._scores[finished], self._population)]
         problem = Problem(n_var=self._space.dimension, n_obj=self._scores.shape[1], xl=0.0, xu=1.0)
-        everyone = Population.new(X=self._points[known], F=self._scores[known])
-        parents = RankAndCrowding().do(problem, everyone, n_survive=self._population, random_state=rng)
+        population = Population.new(X=self._points[best], F=self._scores[best])
+        parents = RankAndCrowding().do(problem, population, n_survive=self._population, random_state=rng)
         mating = Mating(TournamentSelection(func_comp=_better), SBX(), PM())
-        found = np.zeros((0, self._space.dimension))
+        accepted = np.zeros((0, self._space.dimension))
         for _ in range(_TRIES):
-            if len(found) == n:
+            if len(accepted) == n:
                 break
             children = mating.do(problem, parents, 2 * n, random_state=rng).get("X")
             children = self._with_names(np.clip(children, 0.0, 1.0), parents.get("X"), rng)
-            besides = np.concatenate([pending, found])
-            found = np.concatenate([found, self._unseen.among(children, besides=besides)])[:n]
-        return found
+            exclude = np.concatenate([pending, accepted])
+            accepted = np.concatenate([accepted, self._unseen.among(children, besides=exclude)])[:n]
+        return accepted
 
     def _with_names(self, children: FloatArray, parents: FloatArray, rng: np.random.Generator) -> FloatArray:
         """Give children the choices of some parent, or with a probability of 1/d any choice."""
@@ -112,7 +110,7 @@ class EvolutionaryOptimizer(Optimizer):
 
 
 def _best(scores: FloatArray, count: int) -> BoolArray:
-    """Tell which rows of scores, shape (m, k), lie on the first fronts that hold so many together, shape (m,)."""
+    """Mask of the rows of scores (m, k) on the first Pareto fronts that hold at least `count` rows together."""
     if scores.shape[1] == 1:
         return np.asarray(scores[:, 0] <= np.partition(scores[:, 0], count - 1)[count - 1])
     from moocore import pareto_rank
@@ -122,7 +120,7 @@ def _best(scores: FloatArray, count: int) -> BoolArray:
 
 
 def _better(population: Any, pairs: Any, random_state: Any = None, **_: Any) -> Any:
-    """Winner of each pair: the lower rank; of the same rank the less crowded."""
+    """Winner of each pair: the lower rank, or the less crowded of the same rank."""
     rank, crowding = population.get("rank"), population.get("crowding")
     first, second = pairs.T
     wins = (rank[first] < rank[second]) | ((rank[first] == rank[second]) & (crowding[first] >= crowding[second]))

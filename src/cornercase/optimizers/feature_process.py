@@ -1,4 +1,4 @@
-"""A Gaussian process in terms of random features."""
+"""Gaussian process with random features."""
 
 from __future__ import annotations
 
@@ -9,24 +9,12 @@ from cornercase._common.typing import FloatArray
 
 
 class FeatureProcess:
-    """Gaussian process in terms of random features: a linear model of them, whose weights have a normal prior.
+    """Gaussian process approximated by random features: a linear model with a normal prior on the weights.
 
-    Parameters
-    ----------
-    frequencies : ndarray of float64, shape (f, d)
-    phases : ndarray of float64, shape (f,)
-    amplitude : float
-    mean : float
-        Of the process where nothing is known.
-    noise : float
-        Standard deviation of single values.
-    gram : ndarray of float64, shape (f, f), optional
-    moment : ndarray of float64, shape (f,), optional
-        Sums over the values that are known: of the products of the features, and of the features times the value above
-        the mean.
+    `frequencies` (f, d), `phases` (f,) and `amplitude` define the features, `mean` is the prior mean, and `noise` the
+    standard deviation of single values. `gram` (f, f) and `moment` (f,) are sums over the known values: of the products
+    of features, and of features times value less mean.
 
-    Notes
-    -----
     Source: A. Rahimi, B. Recht, "Random features for large-scale kernel machines", NIPS (2007).
     """
 
@@ -46,31 +34,31 @@ class FeatureProcess:
         self._moment = np.zeros(len(phases)) if moment is None else moment
 
     def features(self, points: FloatArray) -> FloatArray:
-        """Compute the features of points, shape (n, f); in single precision, in which a cosine takes a tenth."""
+        """Features of points, (n, f); in single precision, in which a cosine takes a tenth of the time."""
         frequencies, phases, amplitude = self._map
         angles = (points @ frequencies.T + phases).astype(np.float32)
         return amplitude * np.cos(angles, out=angles).astype(np.float64)
 
     def extended(self, points: FloatArray, values: FloatArray) -> FeatureProcess:
-        """Take further values, shape (n,), at points, shape (n, d), in."""
+        """Process conditioned on additional values (n,) at points (n, d)."""
         rows = self.features(points)
         gram, moment = self._gram + rows.T @ rows, self._moment + rows.T @ (values - self._mean)
         return FeatureProcess(*self._map, self._mean, self._noise, gram, moment)
 
     def expecting(self, points: FloatArray) -> FeatureProcess:
-        """Take its own mean in as the values at points, shape (n, d): the mean stays, what is not sure shrinks."""
+        """Process conditioned on its own mean at points (n, d): the mean stays, the variance shrinks."""
         rows = self.features(points)
         mean = cho_solve((self._precision(), False), self._moment / self._noise**2)
         gram, moment = self._gram + rows.T @ rows, self._moment + rows.T @ (rows @ mean)
         return FeatureProcess(*self._map, self._mean, self._noise, gram, moment)
 
     def samples(self, n: int, rng: np.random.Generator) -> FloatArray:
-        """Draw `n` samples of the weights of the features, shape (n, f)."""
+        """Draw `n` samples of the weights of the features, (n, f)."""
         upper = self._precision()
         mean = cho_solve((upper, False), self._moment / self._noise**2)
         return np.asarray(mean + solve_triangular(upper, rng.standard_normal((n, len(mean))).T).T)
 
     def _precision(self) -> FloatArray:
-        """Upper triangle whose square is the precision of the weights, shape (f, f)."""
+        """Upper Cholesky factor of the precision of the weights, (f, f)."""
         precision = self._gram / self._noise**2 + np.eye(len(self._moment))
         return np.asarray(cholesky(precision, overwrite_a=True, check_finite=False))

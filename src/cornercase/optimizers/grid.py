@@ -1,4 +1,4 @@
-"""A regular grid, the baseline of every search."""
+"""Regular grid, the baseline of every search."""
 
 from __future__ import annotations
 
@@ -22,15 +22,15 @@ class GridOptimizer(Optimizer):
     ----------
     space : ParameterSpace
     seed : int
-        Not used: nothing of a grid is random.
+        Not used: a grid is not random.
     budget : int, default 3375
-        The grid has as many steps per parameter as fit into this number of scenarios, and one at least; it may have a
+        The grid has as many steps per parameter as fit into this number of scenarios, at least one, and at most a
         million points.
 
     Raises
     ------
     InputError
-        The grid would have more.
+        The grid would have more points.
     """
 
     name = "grid"
@@ -42,7 +42,7 @@ class GridOptimizer(Optimizer):
         steps = [1] * space.dimension
         sizes = [parameter.size or budget for parameter in space.parameters]
         while True:
-            # The parameter with the fewest steps gets the next one, as long as the grid stays in the budget.
+            # Add a step to the parameter with the fewest steps, as long as the grid stays within the budget.
             order = sorted((steps[j], j) for j in range(len(steps)) if steps[j] < sizes[j])
             grown = next((j for count, j in order if math.prod(steps) // count * (count + 1) <= budget), None)
             if grown is None:
@@ -50,35 +50,35 @@ class GridOptimizer(Optimizer):
             steps[grown] += 1
             if math.prod(steps) > _MOST:
                 raise InputError(
-                    f"`budget` {budget}: its grid has more than {_MOST} points, which would take gigabytes, as all are"
-                    " in memory to be run in an order that spreads out; give less, or search with 'sobol'."
+                    f"`budget` {budget}: its grid has more than {_MOST} points, which would take gigabytes of memory;"
+                    " give less, or search with 'sobol'."
                 )
         grid = space.lattice(steps)
         grid = grid[_spread_out(steps)]
         self._points = grid[space.admits(grid)]
 
     def ask(self, n: int) -> FloatArray:
-        """Return the next at most `n` points of the grid, shape (m, d)."""
+        """Return the next at most `n` points of the grid, (m, d)."""
         return self._points[self._told : self._told + n].copy()
 
     def ask_beside(self, n: int, pending: FloatArray, *lies: Any) -> FloatArray:
-        """Return the next points of the grid, as in `Optimizer.ask_beside`; no lie is needed."""
-        begun = self._told + len(pending)
-        return self._points[begun : begun + n].copy()
+        """Return the next points of the grid, as in `Optimizer.ask_async`, without pseudo-results."""
+        start = self._told + len(pending)
+        return self._points[start : start + n].copy()
 
     def tell(self, points: FloatArray, scores: FloatArray) -> None:
-        """Go on after these points."""
+        """Continue after these points."""
         self._told += len(points)
 
 
 def _spread_out(steps: list[int]) -> IntArray:
-    """Order in which any first part of a grid covers the space: that in which Sobol' points meet its cells."""
+    """Order of the cells of a grid in which every prefix covers the space: that in which Sobol' points reach them."""
     size = int(np.prod(steps))
-    # The package takes half a second to load, and few searches need it.
+    # Imported late, since it takes half a second and few searches need it.
     from scipy.stats import qmc
 
     points = qmc.Sobol(len(steps), scramble=False).random_base2((8 * size - 1).bit_length())
     cells = np.ravel_multi_index(tuple((points * steps).astype(np.int64).T), tuple(steps))
-    met, first = np.unique(cells, return_index=True)
-    missed = np.setdiff1d(np.arange(size), met)
-    return np.asarray(np.concatenate([met[np.argsort(first)], missed]), dtype=np.int64)
+    reached, first = np.unique(cells, return_index=True)
+    rest = np.setdiff1d(np.arange(size), reached)
+    return np.asarray(np.concatenate([reached[np.argsort(first)], rest]), dtype=np.int64)

@@ -1,4 +1,4 @@
-"""Optuna's samplers as searches."""
+"""Samplers of Optuna as optimizers."""
 
 from __future__ import annotations
 
@@ -21,6 +21,12 @@ _TRIES = 20
 class OptunaOptimizer(Optimizer):
     """A sampler of Optuna, with one score or several.
 
+    A sampler has a state besides points and scores. So if it observes points that it did not propose, as when a study
+    is resumed, it is first asked for as many; in the same rounds these are the same points. In a search without rounds
+    it knows which of its points are pending.
+
+    Source: T. Akiba et al., "Optuna: A next-generation hyperparameter optimization framework", KDD (2019).
+
     Parameters
     ----------
     space : ParameterSpace
@@ -32,15 +38,7 @@ class OptunaOptimizer(Optimizer):
     Raises
     ------
     InputError
-        Optuna is not there, or has no such sampler here.
-
-    Notes
-    -----
-    Source: T. Akiba et al., "Optuna: A next-generation hyperparameter optimization framework", KDD (2019).
-
-    A sampler has a state of its own beside points and scores. So when it is told points that it was not asked for, as
-    when a study goes on, it is first asked for as many; in the same rounds these are the same points. In a search
-    without rounds it knows which of its points are being run.
+        Optuna is not installed, or there is no such sampler.
     """
 
     name = "optuna"
@@ -53,7 +51,7 @@ class OptunaOptimizer(Optimizer):
         self._space, self._seed, self._kind = space, seed, sampler
         self._sequence = SobolOptimizer(space, seed)
         self._unseen = Unseen(space)
-        # Optuna's trials of points that were asked for and not told yet; None for points of the sequence.
+        # Optuna's trials of proposed points without a result; None for points of the sequence.
         self._asked: dict[bytes, Any] = {}
         self._study: Any = None
         self._in_rounds = True
@@ -61,32 +59,32 @@ class OptunaOptimizer(Optimizer):
         self._sampler = self._made()
 
     def ask(self, n: int) -> FloatArray:
-        """Propose at most `n` points, shape (m, d), as in `Optimizer.ask`."""
+        """Propose at most `n` points, (m, d), as in `Optimizer.ask`."""
         return self._proposed(n, np.zeros((0, self._space.dimension)))
 
     def ask_beside(self, n: int, pending: FloatArray, *lies: Any) -> FloatArray:
-        """Propose points, as in `Optimizer.ask_beside`: what is run is a running trial, which TPE takes for bad."""
+        """Propose points, as in `Optimizer.ask_async`: pending points are running trials, which TPE treats as bad."""
         self._in_rounds = False
         return self._proposed(n, pending)
 
     def _proposed(self, n: int, pending: FloatArray) -> FloatArray:
         if self._study is None:
-            # Optuna has to know the number of scores, which comes with the first.
+            # Optuna needs the number of scores, which is known with the first result.
             return self._sequence.ask(n, besides=pending)
         points: list[FloatArray] = []
         for _ in range(n):
             point = self._new(pending)
             if point is None:
-                found = self._sequence.ask(1, besides=np.concatenate([pending, self._open]))
-                if not len(found):
+                candidates = self._sequence.ask(1, besides=np.concatenate([pending, self._open]))
+                if not len(candidates):
                     break
-                point = found[0]
+                point = candidates[0]
                 self._asked[point.tobytes()] = None
             points.append(point)
         return np.array(points).reshape(-1, self._space.dimension)
 
     def tell(self, points: FloatArray, scores: FloatArray) -> None:
-        """Take scores, shape (m,) or (m, k), of points, shape (m, d), as in `Optimizer.tell`."""
+        """Observe scores (m,) or (m, k) of points (m, d), as in `Optimizer.tell`."""
         columns = scores.reshape(len(points), -1)
         if self._study is None:
             self._study = self._optuna.create_study(directions=["minimize"] * columns.shape[1], sampler=self._sampler)
@@ -110,7 +108,7 @@ class OptunaOptimizer(Optimizer):
         self._sequence.tell(points, scores)
 
     def _forget_open(self) -> None:
-        """End the trials of points that were asked for and got no score in their round: they will never get one."""
+        """Fail the trials of proposed points that got no score in their round, since they will never get one."""
         for trial in self._asked.values():
             if trial is not None:
                 self._study.tell(trial, state=self._optuna.trial.TrialState.FAIL)
@@ -118,11 +116,11 @@ class OptunaOptimizer(Optimizer):
 
     @property
     def _open(self) -> FloatArray:
-        """Points that were asked for and not told yet, shape (m, d)."""
+        """Points that were proposed and have no result yet, (m, d)."""
         return np.array([np.frombuffer(key) for key in self._asked]).reshape(-1, self._space.dimension)
 
     def _new(self, pending: FloatArray) -> FloatArray | None:
-        """Point of the sampler that was not proposed yet, shape (d,); None if it finds none."""
+        """Point of the sampler that was not proposed yet, (d,); None if it finds none."""
         for _ in range(_TRIES):
             trial = self._study.ask(self._distributions())
             for point in self._unseen.among(self._point(trial.params)[None], np.concatenate([pending, self._open])):
@@ -133,35 +131,39 @@ class OptunaOptimizer(Optimizer):
 
     def _made(self) -> Any:
         samplers = self._optuna.samplers
-        needed = {"cmaes": "cmaes", "gp": "torch"}.get(self._kind)
-        if needed is not None and find_spec(needed) is None:
-            raise InputError(f"The sampler '{self._kind}' of Optuna needs the package {needed}; pip install {needed}.")
+        package = {"cmaes": "cmaes", "gp": "torch"}.get(self._kind)
+        if package is not None and find_spec(package) is None:
+            raise InputError(
+                f"The sampler '{self._kind}' of Optuna needs the package {package}; pip install {package}."
+            )
         if self._kind == "tpe":
             return samplers.TPESampler(seed=self._seed, constant_liar=True)
-        kinds = {"nsga2": "NSGAIISampler", "cmaes": "CmaEsSampler", "gp": "GPSampler", "random": "RandomSampler"}
-        return getattr(samplers, kinds[self._kind])(seed=self._seed)
+        classes = {"nsga2": "NSGAIISampler", "cmaes": "CmaEsSampler", "gp": "GPSampler", "random": "RandomSampler"}
+        return getattr(samplers, classes[self._kind])(seed=self._seed)
 
     def _distributions(self) -> dict[str, Any]:
-        kinds = self._optuna.distributions
+        distributions = self._optuna.distributions
         return {
-            one.name: kinds.CategoricalDistribution(list(range(len(one.choices))))
-            if one.choices
-            else kinds.FloatDistribution(0.0, 1.0)
-            for one in self._space.parameters
+            parameter.name: distributions.CategoricalDistribution(list(range(len(parameter.choices))))
+            if parameter.choices
+            else distributions.FloatDistribution(0.0, 1.0)
+            for parameter in self._space.parameters
         }
 
-    def _point(self, parameters: dict[str, Any]) -> FloatArray:
+    def _point(self, values: dict[str, Any]) -> FloatArray:
         return np.array(
             [
-                one.middles(np.array([parameters[one.name]]))[0] if one.choices else parameters[one.name]
-                for one in self._space.parameters
+                parameter.middles(np.array([values[parameter.name]]))[0]
+                if parameter.choices
+                else values[parameter.name]
+                for parameter in self._space.parameters
             ]
         )
 
     def _parameters(self, point: FloatArray) -> dict[str, Any]:
         return {
-            one.name: int(one.numbers(point[j : j + 1])[0]) if one.choices else float(point[j])
-            for j, one in enumerate(self._space.parameters)
+            parameter.name: int(parameter.numbers(point[j : j + 1])[0]) if parameter.choices else float(point[j])
+            for j, parameter in enumerate(self._space.parameters)
         }
 
 
@@ -169,6 +171,6 @@ def _imported() -> Any:
     try:
         import optuna
     except ImportError as error:
-        raise InputError("Optuna is not installed; it comes with pip install 'cornercase[optuna]'.") from error
+        raise InputError("Optuna is not installed; install it with pip install 'cornercase[optuna]'.") from error
     optuna.logging.set_verbosity(optuna.logging.WARNING)
     return optuna

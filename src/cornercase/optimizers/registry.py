@@ -13,7 +13,7 @@ from cornercase.scenario import ParameterSpace
 OPTIMIZERS: Final[Registry[Optimizer]] = Registry("optimizer", "cornercase.optimizers", Optimizer)
 """Optimizers by name; other packages add subclasses of `Optimizer` through this entry-point group."""
 
-for _name, _place in (
+for _name, _target in (
     ("bayes", "bayes:BayesOptimizer"),
     ("committee", "committee:CommitteeOptimizer"),
     ("evolutionary", "evolutionary:EvolutionaryOptimizer"),
@@ -23,42 +23,27 @@ for _name, _place in (
     ("random", "sequences:RandomOptimizer"),
     ("sobol", "sequences:SobolOptimizer"),
 ):
-    OPTIMIZERS.register(_name, f"cornercase.optimizers.{_place}")
+    OPTIMIZERS.register(_name, f"cornercase.optimizers.{_target}")
 
 
 def optimizer_needs(name: str) -> frozenset[Need]:
-    """What an optimizer needs beside the space and the seed, as it declares.
-
-    Parameters
-    ----------
-    name : str
-        As for `create_optimizer`.
-
-    Returns
-    -------
-    frozenset of {"threshold", "budget", "features"}
-
-    Raises
-    ------
-    InputError
-        There is no optimizer of this name, or it is no subclass of `Optimizer`.
-    """
+    """Arguments that an optimizer requires besides space and seed. InputError if there is no such optimizer."""
     return OPTIMIZERS.class_of(name).needs
 
 
 def create_optimizer(name: str, space: ParameterSpace, seed: int, *, threshold: float | None, budget: int) -> Optimizer:
-    """Build an optimizer with what it needs.
+    """Create an optimizer with the arguments that it requires.
 
     Parameters
     ----------
     name : str
-        Options may stand after a colon: ``"bayes:filling=0"``.
+        Options may follow a colon: ``"bayes:filling=0"``.
     space : ParameterSpace
     seed : int
     threshold : float or None
-        Oriented score up to which a scenario is critical; None where it is not known.
+        Score up to which a scenario is critical, with lower as more critical; None if it is not known.
     budget : int
-        Scenarios in all.
+        Total number of scenarios.
 
     Returns
     -------
@@ -67,7 +52,7 @@ def create_optimizer(name: str, space: ParameterSpace, seed: int, *, threshold: 
     Raises
     ------
     InputError
-        There is no such optimizer or option, or the optimizer needs a threshold and there is none.
+        There is no such optimizer or option, or the optimizer requires a threshold and there is none.
     """
     options: dict[str, Any] = {}
     needs = optimizer_needs(name)

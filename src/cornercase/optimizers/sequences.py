@@ -1,4 +1,4 @@
-"""Points that fill the space evenly, without looking at scores."""
+"""Space-filling sequences, which do not use scores."""
 
 from __future__ import annotations
 
@@ -14,19 +14,14 @@ from cornercase.scenario import ParameterSpace
 
 _CHUNK: Final = 256
 _MOST: Final = 1 << 20
-"""Points that are drawn before a sequence counts as used up; more where many were told."""
+"""Number of points after which a sequence counts as exhausted; more if many were observed."""
 
 
 class SequenceOptimizer(Optimizer):
-    """Proposes the points of an endless sequence, without scenarios that were told before.
+    """Proposes the points of an endless sequence, without observed scenarios.
 
-    A finite space is run whole: when the sequence hardly meets new scenarios any more, those that are left follow in a
-    random order of the same seed.
-
-    Parameters
-    ----------
-    space : ParameterSpace
-    seed : int
+    A finite space is run completely: when the sequence hardly reaches new scenarios any more, the remaining ones follow
+    in a random order of the same seed.
     """
 
     takes_several = True
@@ -34,57 +29,57 @@ class SequenceOptimizer(Optimizer):
     def __init__(self, space: ParameterSpace, seed: int) -> None:
         self._space, self._seed = space, seed
         self._unseen = Unseen(space)
-        # Points of the sequence that were drawn and can be proposed.
+        # Drawn points of the sequence that can be proposed.
         self._ahead = np.zeros((0, space.dimension))
         self._drawn, self._over = 0, False
 
     @abstractmethod
     def _draw(self, count: int) -> FloatArray:
-        """Return the next points of the sequence, shape (count, d)."""
+        """Return the next points of the sequence, (count, d)."""
 
     def ask(self, n: int, besides: FloatArray | None = None) -> FloatArray:
-        """Propose the next points of the sequence.
+        """Propose the next at most `n` points of the sequence, (m, d), neither observed nor in `exclude` (k, d).
 
         Parameters
         ----------
         n : int
-        besides : ndarray of float64, shape (k, d), optional
+        exclude : ndarray of float64, shape (k, d), optional
             Further points to leave out.
 
         Returns
         -------
         ndarray of float64, shape (m, d)
-            None of them was told or is in `besides`; m < n only when the space has no more.
+            m < n only if the space has no more.
         """
-        while len(found := self._left(besides)) < n and self._lengthen(n - len(found)):
+        while len(points := self._left(besides)) < n and self._lengthen(n - len(points)):
             pass
-        return found[:n]
+        return points[:n]
 
     def ask_beside(self, n: int, pending: FloatArray, *lies: Any) -> FloatArray:
-        """Propose the next points of the sequence, as in `Optimizer.ask_beside`; no lie is needed."""
+        """Propose the next points of the sequence, as in `Optimizer.ask_async`, without pseudo-results."""
         return self.ask(n, besides=pending)
 
     def tell(self, points: FloatArray, scores: FloatArray) -> None:
-        """Leave these points, shape (m, d), out from now on; the scores are not looked at."""
+        """Exclude these points (m, d) from now on; scores are not used."""
         self._unseen.tell(points)
         self._ahead = self._unseen.left(self._ahead)
 
     def _left(self, besides: FloatArray | None) -> FloatArray:
-        # What is ahead was never told, and is looked through again only where there is something to leave out.
+        # `_ready_points` has no observed points, so it is filtered only if there is something to exclude.
         return self._ahead if besides is None or not len(besides) else self._unseen.left(self._ahead, besides)
 
     def _lengthen(self, missing: int) -> bool:
-        """Draw as many points again, or at least as many as are missing; False when there are no more."""
+        """Draw as many points again, or at least as many as are missing; False if there are no more."""
         size = self._space.size
         if self._over or self._drawn >= _MOST + 4 * len(self._unseen):
             return False
-        listed = size if size is not None and size <= _MOST // 4 else None
-        if listed is not None and self._drawn >= 4 * listed:
+        finite_size = size if size is not None and size <= _MOST // 4 else None
+        if finite_size is not None and self._drawn >= 4 * finite_size:
             points = np.random.default_rng(self._seed).permutation(self._space.lattice())
             self._over = True
         else:
             count = max(_CHUNK, self._drawn)
-            while listed is None and count < min(missing, _MOST):
+            while finite_size is None and count < min(missing, _MOST):
                 count *= 2
             self._drawn += count
             points = self._draw(count)
@@ -95,22 +90,20 @@ class SequenceOptimizer(Optimizer):
 class SobolOptimizer(SequenceOptimizer):
     """Scrambled Sobol' sequence.
 
+    Source: A. B. Owen, "Scrambling Sobol' and Niederreiter-Xing points", Journal of Complexity 14 (1998); implemented
+    in scipy.
+
     Parameters
     ----------
     space : ParameterSpace
     seed : int
-
-    Notes
-    -----
-    Source: A. B. Owen, "Scrambling Sobol' and Niederreiter-Xing points", Journal of Complexity 14 (1998); implemented
-    in scipy.
     """
 
     name = "sobol"
 
     def __init__(self, space: ParameterSpace, seed: int) -> None:
         super().__init__(space, seed)
-        # The package takes half a second to load, and few searches need it.
+        # Imported late, since it takes half a second and few searches need it.
         from scipy.stats import qmc
 
         self._sobol = qmc.Sobol(space.dimension, scramble=True, seed=np.random.default_rng(seed))

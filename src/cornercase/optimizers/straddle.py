@@ -1,4 +1,4 @@
-"""Choice of points of which it is least known on which side of the threshold they are."""
+"""Choose points by the straddle heuristic."""
 
 from __future__ import annotations
 
@@ -15,32 +15,19 @@ Floats = npt.NDArray[np.floating[Any]]
 
 
 def gains(mean: FloatArray, deviation: FloatArray) -> FloatArray:
-    """How much is learned from points about the side of the threshold they are on: the straddle heuristic.
+    """Straddle heuristic: how uncertain it is on which side of the threshold points are, (m,).
 
-    Parameters
-    ----------
-    mean, deviation : ndarray of float64, shape (m,)
-        Of a process with the threshold at 0.
-
-    Returns
-    -------
-    ndarray of float64, shape (m,)
+    `mean` and `deviation` are those of a process with the threshold at 0.
     """
     return np.asarray(1.96 * deviation - np.abs(mean))
 
 
 class Round:
-    """Points of a process, of which one after the other becomes known.
+    """Choose points of a process one after the other, each given those before it.
 
-    Parameters
-    ----------
-    process : GaussianProcess
-    places : ndarray of float64, shape (m, e)
-        As `encoded`.
-    mean, variance : ndarray of float64, shape (m,)
-        What the process predicts there; the variance is changed in place.
-    rows : ndarray of float32 or float64, shape (m, k)
-        What `GaussianProcess.predict_with_projections` gives of the places; of no columns where it is to know nothing.
+    `points` (m, e) are encoded, `mean` and `variance` (m,) the predictions there; the variance is changed in place.
+    `projections` (m, k) are those of `GaussianProcess.predict_with_projections`; no columns for a process without
+    values.
     """
 
     def __init__(
@@ -48,43 +35,23 @@ class Round:
     ) -> None:
         self._process, self._places, self._rows = process, places, rows
         self._mean, self._variance = mean, variance
-        # The process is computed in single precision, which cannot tell a lower variance from 0.
+        # The process is computed in single precision, where a lower variance is indistinguishable from 0.
         self._lowest, self._noise = 1e-5 * process.kernel.signal**2, process.kernel.noise**2
         self._learned: list[FloatArray] = []
 
     def learn(self, i: int) -> None:
-        """Make a point known.
-
-        Parameters
-        ----------
-        i : int
-            Its index.
-        """
+        """Condition the variances on point `index`."""
         shared = self._process.covariance(self._places, self._rows, i)
         for earlier in self._learned:
             shared = shared - earlier * earlier[i]
         step = shared / math.sqrt(max(self._variance[i], self._lowest) + self._noise)
-        # A point cannot explain more than the variance that is left; rounding errors are cut off.
-        most = np.sqrt(self._variance)
-        self._learned.append(np.clip(step, -most, most))
+        # A point cannot explain more than the remaining variance; larger steps are rounding errors.
+        limit = np.sqrt(self._variance)
+        self._learned.append(np.clip(step, -limit, limit))
         np.maximum(self._variance - self._learned[-1] ** 2, 0.0, out=self._variance)
 
     def choose(self, n: int, among: int) -> tuple[IntArray, float]:
-        """Choose points, each of the largest gain with those before it known.
-
-        Parameters
-        ----------
-        n : int
-            How many; at most `among`.
-        among : int
-            Of how many points, the first ones.
-
-        Returns
-        -------
-        chosen : ndarray of int64, shape (n,)
-        least : float
-            The least gain of them, as they were chosen.
-        """
+        """Choose `n` of the first `n_candidates` points, each of the largest gain: indices (n,), and least gain."""
         chosen: list[int] = []
         least = math.inf
         while len(chosen) < n:

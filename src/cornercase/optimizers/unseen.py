@@ -1,4 +1,4 @@
-"""No scenario is proposed twice."""
+"""Deduplication of proposed scenarios."""
 
 from __future__ import annotations
 
@@ -8,14 +8,10 @@ from cornercase.scenario import ParameterSpace
 
 
 class Unseen:
-    """Remembers the points of a space that were told, and leaves them out of what is proposed.
+    """Remembers the observed points of a space, and excludes them from proposals.
 
-    Two points are the same when they stand for the same concrete scenario: points are snapped to steps and choices
-    before they are compared.
-
-    Parameters
-    ----------
-    space : ParameterSpace
+    Two points are equal if they represent the same concrete scenario: points are snapped to steps and choices before
+    they are compared.
     """
 
     def __init__(self, space: ParameterSpace) -> None:
@@ -26,36 +22,26 @@ class Unseen:
         return len(self._told)
 
     def tell(self, points: FloatArray) -> None:
-        """Remember points, shape (n, d)."""
+        """Remember points (n, d)."""
         self._told |= _keys(self._space.snap(points))
 
     def among(self, points: FloatArray, besides: FloatArray | None = None) -> FloatArray:
-        """Select the points that can be proposed.
+        """Snap points (n, d) of the unit cube, and return the distinct ones that can be proposed, (m, d).
 
-        Parameters
-        ----------
-        points : ndarray of float64, shape (n, d)
-            In the unit cube.
-        besides : ndarray of float64, shape (k, d), optional
-            Further points to leave out, such as those of the same round.
-
-        Returns
-        -------
-        ndarray of float64, shape (m, d)
-            In the same order, snapped, each once, within the constraints of the space, neither told nor in `besides`.
+        They keep their order, are within the constraints of the space, and neither remembered nor in `exclude` (k, d).
         """
         snapped = self._space.snap(points)
         return self.left(snapped[self._space.admits(snapped)], besides)
 
     def left(self, points: FloatArray, besides: FloatArray | None = None) -> FloatArray:
-        """As `among`, of points that are snapped and within the constraints already."""
-        left_out = self._told if besides is None else self._told | _keys(self._space.snap(besides))
-        if surely_distinct(points, left_out):
+        """Like `filter`, for points that are already snapped and admissible."""
+        excluded = self._told if besides is None else self._told | _keys(self._space.snap(besides))
+        if surely_distinct(points, excluded):
             return points
         keys = row_keys(points)
-        # Of equal points the first stays, as the last one that is put in: in plain calls, as there are 100,000 points.
+        # Inserted in reverse, so that the first of equal points remains; fast for 100,000 points.
         first = dict(zip(reversed(keys), range(len(keys) - 1, -1, -1), strict=True))
-        for key in left_out & first.keys():
+        for key in excluded & first.keys():
             del first[key]
         return points[sorted(first.values())].reshape(-1, self._space.dimension)
 

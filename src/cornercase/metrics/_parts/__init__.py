@@ -1,1 +1,1 @@
-"""What several metrics are made of: boxes, tracks, who follows whom, compiled code."""
+"""Building blocks of several metrics: boxes, tracks, gaps along the ego's path, compiled kernels."""

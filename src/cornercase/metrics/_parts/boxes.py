@@ -10,11 +10,8 @@ from cornercase._common.geometry import box_corners, boxes_overlap
 from cornercase._common.typing import BoolArray, FloatArray, IntArray
 from cornercase.recordings import Recording
 
-_CLOSE: Final = 1e-9
-"""Share of a distance that is rounding."""
-
-_ALIKE: Final = 1e-9
-"""Relative speeds in m/s that are rounding: they take 30 years for a metre."""
+_RELATIVE_TOLERANCE: Final = 1e-9
+_MIN_SPEED: Final = 1e-9  # m/s; a slower relative motion is a rounding error (30 years for a metre)
 
 
 def boxes(recording: Recording, name: str) -> FloatArray:
@@ -23,17 +20,17 @@ def boxes(recording: Recording, name: str) -> FloatArray:
 
 
 def touching(recording: Recording, one: str, other: str) -> BoolArray:
-    """Whether two entities' bounding boxes touch, shape (T,); not where one of them does not exist."""
+    """Whether two entities' bounding boxes touch, shape (T,); False if one of them does not exist."""
     rows = [recording.index(one), recording.index(other)]
     centers = recording.center(one), recording.center(other)
-    apart = np.hypot(*(centers[1] - centers[0]).T)
-    # Boxes that touch have centres no farther apart than half of both diagonals; mostly none do, and it is soon said.
+    distance = np.hypot(*(centers[1] - centers[0]).T)
+    # Fast rejection: the centres of touching boxes are at most both half diagonals apart.
     reach = 0.5 * np.hypot(recording.length[rows], recording.width[rows]).sum()
-    near = np.flatnonzero(apart <= reach * (1.0 + _CLOSE))
-    touch = np.zeros(len(apart), dtype=np.bool_)
+    near = np.flatnonzero(distance <= reach * (1.0 + _RELATIVE_TOLERANCE))
+    touch = np.zeros(len(distance), dtype=np.bool_)
     if len(near):
-        mine, others = (_corners(recording, i, center, near) for i, center in zip(rows, centers, strict=True))
-        touch[near] = boxes_overlap(mine, others)
+        corners, other_corners = (_corners(recording, i, center, near) for i, center in zip(rows, centers, strict=True))
+        touch[near] = boxes_overlap(corners, other_corners)
     return touch
 
 
@@ -51,11 +48,11 @@ def velocity(recording: Recording, name: str) -> FloatArray:
 
 
 def relative_velocity(recording: Recording, ego: str, other: str) -> FloatArray:
-    """Velocity of the other seen from the ego in m/s, shape (T, 2), exactly 0 where only rounding sets them apart."""
+    """Velocity of the other relative to the ego in m/s, shape (T, 2), with rounding errors set to exactly 0."""
     return without_rounding(velocity(recording, other) - velocity(recording, ego))
 
 
 def without_rounding(relative: FloatArray) -> FloatArray:
-    """Return relative velocities (T, 2) with those set to 0 that are rounding."""
-    size = np.hypot(relative[:, 0], relative[:, 1])
-    return np.where((size <= _ALIKE)[:, None], 0.0, relative)
+    """Relative velocities (T, 2) with rounding errors set to 0."""
+    speed = np.hypot(relative[:, 0], relative[:, 1])
+    return np.where((speed <= _MIN_SPEED)[:, None], 0.0, relative)

@@ -1,4 +1,4 @@
-"""Where the tracks of two entities cross, and how far both still have to go there."""
+"""Crossing of two entities' tracks, and the distances of both to it."""
 
 from __future__ import annotations
 
@@ -9,53 +9,41 @@ from cornercase.metrics._parts.crossing_kernel import find_crossings
 from cornercase.recordings import Recording
 
 _REACH = 1e-6
-"""How far in m a track may end short of the other and still meet it: rounding opens no gap at a vertex."""
+"""Distance in m by which a track may miss the other and still cross it, so that rounding opens no gap at a vertex."""
 
-_STILL = 1e-9
-"""Steps in m that are rounding, and have no direction."""
+_MIN_STEP = 1e-9
+"""Steps in m up to this length are rounding errors without a direction."""
 
 _PARALLEL = 1e-6
-"""Sine of the angle below which two pieces of track run beside each other and do not cross."""
+"""Sine of the angle up to which two pieces of track are parallel and do not cross."""
 
-_MOST = 256
-"""Crossings for which there is room at first."""
+_INITIAL_CAPACITY = 256
 
 
 def ways_to_crossing(recording: Recording, ego: str, other: str, ahead: float) -> tuple[FloatArray, FloatArray]:
-    """How far both still have to go to the crossing of their tracks that lies ahead of both.
+    """Distances of ego and other to the crossing of their tracks that lies ahead of both, in m, shape (T,) each.
 
-    Parameters
-    ----------
-    recording : Recording
-    ego, other : str
-    ahead : float
-        How far each track goes straight on after the recording, in m.
-
-    Returns
-    -------
-    ndarray of float64, shape (T,)
-        Of the ego, in m; of several crossings the one with the smallest sum of both. NaN where there is none.
-    ndarray of float64, shape (T,)
-        Of the other.
+    Of several crossings the one with the smallest sum; NaN if there is none. Each track goes straight on for `ahead` m
+    after the recording.
     """
     tracks = _Track(recording, ego, ahead), _Track(recording, other, ahead)
     crossings = _crossings(*tracks)
-    left_mine, left_other = (on[:, None] - track.driven for on, track in zip(crossings, tracks, strict=True))
-    open_ = (left_mine >= -_REACH) & (left_other >= -_REACH)
-    both = np.where(open_, np.maximum(left_mine, 0.0) + np.maximum(left_other, 0.0), np.inf)
-    if not len(both):
-        nothing = np.full(len(recording.time), np.nan)
-        return nothing, nothing
-    nearest = both.argmin(0), np.arange(both.shape[1])
-    found = np.isfinite(both[nearest])
+    to_ego, to_other = (along[:, None] - track.driven for along, track in zip(crossings, tracks, strict=True))
+    is_ahead = (to_ego >= -_REACH) & (to_other >= -_REACH)
+    total = np.where(is_ahead, np.maximum(to_ego, 0.0) + np.maximum(to_other, 0.0), np.inf)
+    if not len(total):
+        undefined = np.full(len(recording.time), np.nan)
+        return undefined, undefined
+    nearest = total.argmin(0), np.arange(total.shape[1])
+    exists = np.isfinite(total[nearest])
     return (
-        np.where(found, np.maximum(left_mine[nearest], 0.0), np.nan),
-        np.where(found, np.maximum(left_other[nearest], 0.0), np.nan),
+        np.where(exists, np.maximum(to_ego[nearest], 0.0), np.nan),
+        np.where(exists, np.maximum(to_other[nearest], 0.0), np.nan),
     )
 
 
 class _Track:
-    """Polyline of an entity's centre, and how far along it the entity is at each instant."""
+    """Polyline of an entity's centre, and the distance along it at each instant."""
 
     def __init__(self, recording: Recording, name: str, ahead: float) -> None:
         center, heading = recording.center(name), recording.heading[recording.index(name)]
@@ -68,11 +56,11 @@ class _Track:
             last = heading[exists[-1]]
             tip = points[-1] + ahead * np.array([np.cos(last), np.sin(last)])
             points, along = np.vstack([points, tip]), np.append(along, along[-1] + ahead)
-        moves = np.flatnonzero(_lengths(points) > _STILL)
+        moves = np.flatnonzero(_lengths(points) > _MIN_STEP)
         self.start, self.step, self.along = points[moves], points[moves + 1] - points[moves], along[moves]
 
     def pieces(self) -> FloatArray:
-        """Start, direction and length of each piece, and how far along it begins, (n, 6)."""
+        """Start, direction, length and distance along the track of each piece, (n, 6)."""
         length = np.hypot(*self.step.T)
         return np.column_stack([self.start, self.step / length[:, None], length, self.along])
 
@@ -83,12 +71,12 @@ def _lengths(points: FloatArray) -> FloatArray:
 
 
 def _crossings(a: _Track, b: _Track) -> tuple[FloatArray, FloatArray]:
-    """Where the tracks cross, as lengths along each, shape (K,)."""
+    """Distances along each track to their crossings, shape (K,)."""
     pieces = a.pieces(), b.pieces()
-    most = _MOST
+    capacity = _INITIAL_CAPACITY
     while True:
-        found = np.empty((2, most))
-        count = find_crossings(*pieces, _PARALLEL, _REACH, found)
-        if count <= most:
-            return found[0, :count], found[1, :count]
-        most = count
+        distances = np.empty((2, capacity))
+        count = find_crossings(*pieces, _PARALLEL, _REACH, distances)
+        if count <= capacity:
+            return distances[0, :count], distances[1, :count]
+        capacity = count

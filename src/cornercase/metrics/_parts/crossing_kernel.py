@@ -7,17 +7,15 @@ from __future__ import annotations
 
 from cornercase._common.compiling import kernel
 
-# More than rounding makes of a product or a quotient.
-_MORE = 1.0 + 1e-9
+_ROUNDING = 1.0 + 1e-9  # relative tolerance, more than the rounding error of a product or quotient
 
 
 @kernel(error_model="numpy")
 def find_crossings(a, b, parallel, reach, out):
-    """Where the pieces of two tracks cross, as lengths along each, (2, most), by pieces of `a`; returns how many do.
+    """Write the distances along two tracks to their crossings to `out` (2, capacity); return how many there are.
 
-    Of each piece, (n, 6), there are its start, its direction, its length, and how far along the track it begins. Pieces
-    whose directions have a sine of at most `parallel` do not cross; one that ends up to `reach` short of the other
-    meets it.
+    Each piece, (n, 6), has its start, direction, length and distance along the track. Pieces with a sine of at most
+    `min_sine` between their directions do not cross; one that ends up to `tolerance` short of the other meets it.
     """
     count = 0
     for i in range(len(a)):
@@ -29,9 +27,9 @@ def find_crossings(a, b, parallel, reach, out):
                 continue
             over_a = (x_b - x_a) * sin_b - (y_b - y_a) * cos_b
             over_b = (x_b - x_a) * sin_a - (y_b - y_a) * cos_a
-            # Nearly all pieces are far from each other, and a product takes less time than a quotient.
-            most = abs(sine) * _MORE
-            if abs(over_a) > (length_a + reach) * most or abs(over_b) > (length_b + reach) * most:
+            # Nearly all pieces are far from each other, and a product is faster than a quotient.
+            scale = abs(sine) * _ROUNDING
+            if abs(over_a) > (length_a + reach) * scale or abs(over_b) > (length_b + reach) * scale:
                 continue
             on_a, on_b = over_a / sine, over_b / sine
             if -reach <= on_a <= length_a + reach and -reach <= on_b <= length_b + reach:

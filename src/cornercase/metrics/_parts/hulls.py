@@ -1,4 +1,4 @@
-"""Compiled separation of the hulls that boxes sweep in small steps."""
+"""Compiled intersection tests of the hulls that boxes sweep in small steps."""
 
 # Compiled functions have no static types.
 # mypy: disable-error-code="no-untyped-def, untyped-decorator"
@@ -12,16 +12,14 @@ import numpy as np
 from cornercase._common.box_tree import next_near, node_after, with_run
 from cornercase._common.compiling import kernel
 
-_MARGIN = 1e-3
-"""m by which bounds are wider than a hull."""
+_MARGIN = 1e-3  # m by which bounds are wider than a hull
 
 
 @kernel(error_model="numpy")
 def fill_axes(corners, out):
-    """Directions, (n, 8, 2), that can separate hulls, (n, 8, 2), from another convex shape.
+    """Write the possible separating axes, (n, 8, 2), of hulls of a box before and after a step, (n, 8, 2).
 
-    A hull is that of the corners of a box before a step and after it. The unit vectors are those along and across both
-    boxes, and those square to the way of each corner.
+    These are unit vectors along and across both boxes, and those perpendicular to the motion of each corner.
     """
     for i in range(len(corners)):
         _put_axes(corners[i], out[i])
@@ -60,9 +58,9 @@ def _unit(x, y):
 
 @kernel(error_model="numpy")
 def find_meetings(corners_a, axes_a, middle_a, reach_a, corners_b, axes_b, middle_b, reach_b, tree):
-    """Which hulls of `a` share a point with which of `b`, as `Meetings.runs`.
+    """Find which hulls of `a` intersect which of `b`, as overlap runs (start, first, last).
 
-    Each hull lies in a circle of some middle and reach; `tree` is the `box_tree` of bounds of those of `b`.
+    Each hull lies in the circle given by `middle` and `reach`; `tree` is the `box_tree` of the bounds of those of `b`.
     """
     leaves, count = len(tree) // 2, 0
     runs = np.empty((64, 3), dtype=np.int64)
@@ -72,9 +70,9 @@ def find_meetings(corners_a, axes_a, middle_a, reach_a, corners_b, axes_b, middl
         node = next_near(tree, 1, low_x, low_y, high_x, high_y)
         while node > 0:
             j = node - leaves
-            away = math.hypot(middle_b[j, 0] - middle_a[i, 0], middle_b[j, 1] - middle_a[i, 1])
+            distance = math.hypot(middle_b[j, 0] - middle_a[i, 0], middle_b[j, 1] - middle_a[i, 1])
             if (
-                away <= reach_a[i] + reach_b[j]
+                distance <= reach_a[i] + reach_b[j]
                 and _widest_gap(corners_a[i], axes_a[i], corners_b[j], axes_b[j], True) <= 0.0
             ):
                 if j != last + 1:
@@ -87,7 +85,7 @@ def find_meetings(corners_a, axes_a, middle_a, reach_a, corners_b, axes_b, middl
 
 @kernel(error_model="numpy")
 def fill_bounds(corners, out):
-    """Least x and y, and greatest x and y, (n, 4), of hulls, (n, 8, 2)."""
+    """Write least x and y, and greatest x and y, (n, 4), of hulls, (n, 8, 2)."""
     for i in range(len(corners)):
         out[i, 0], out[i, 1], out[i, 2], out[i, 3] = _bounds(corners[i])
 
@@ -96,15 +94,15 @@ def fill_bounds(corners, out):
 def _bounds(corners):
     low_x, high_x = _range(1.0, 0.0, corners)
     low_y, high_y = _range(0.0, 1.0, corners)
-    # Far more than rounding: what touches along another direction is never left out.
+    # The margin is far above rounding errors, so no hull that touches along another direction is missed.
     return low_x - _MARGIN, low_y - _MARGIN, high_x + _MARGIN, high_y + _MARGIN
 
 
 @kernel(error_model="numpy")
 def least_gap(start, way, share, corners, axes):
-    """Gap between a box that went a share of its way from its start, (4, 2) both, and the nearest of some hulls.
+    """Gap between a box after a fraction of its motion, (4, 2) both, and the nearest of some hulls.
 
-    Above 0 where it touches none of them, then a lower bound of the distance.
+    Above 0 if it touches none of them; then it is a lower bound of the distance.
     """
     hull, own = np.empty((8, 2)), np.empty((8, 2))
     for corner in range(4):
@@ -120,7 +118,7 @@ def least_gap(start, way, share, corners, axes):
 
 @kernel(error_model="numpy")
 def _widest_gap(a, axes_a, b, axes_b, enough):
-    """Widest gap along any axis (separating axes); with `enough` the first that is above 0, or NaN."""
+    """Widest gap along any axis (separating axes); with `stop_if_separated` the first that is above 0, or NaN."""
     widest = -np.inf
     for side in range(2):
         axes = axes_a if side == 0 else axes_b

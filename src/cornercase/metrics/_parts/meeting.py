@@ -1,4 +1,4 @@
-"""What several features need of a recording, computed once."""
+"""Quantities of a recording that several features need, computed once."""
 
 from __future__ import annotations
 
@@ -12,17 +12,17 @@ from cornercase._common.typing import FloatArray, IntArray
 from cornercase.recordings import Recording
 
 FAR: Final = 100.0
-"""Distance in m that says that two entities never meet."""
+"""Distance in m that stands for two entities that never meet."""
 
 _COARSE: Final = 64
-"""Instants of each way that are looked at first."""
+"""Number of instants of each path in the first, coarse search."""
 
 _METRES_PER_SECOND: Final = 0.1
-"""What a second between both counts against the distance of their ways."""
+"""Weight of the time between both against the distance of their paths."""
 
 
 class Meeting:
-    """A recording, its ego and one other entity, with what several features need of them.
+    """A recording, its ego and one other entity, with cached quantities that several features need.
 
     Parameters
     ----------
@@ -72,7 +72,7 @@ class Meeting:
         return np.intersect1d(self.ego_there, self.other_there, assume_unique=True)
 
     def since_begin(self, instant: int) -> float:
-        """How long after the recording began an instant is.
+        """Time from the start of the recording to an instant.
 
         Parameters
         ----------
@@ -87,18 +87,22 @@ class Meeting:
         return float(time[instant] - time[0])
 
     def _there(self, row: int) -> IntArray:
-        one = self.recording
-        there = np.isfinite(one.x[row]) & np.isfinite(one.y[row]) & np.isfinite(one.heading[row])
-        return np.flatnonzero(there & np.isfinite(one.speed[row]))
+        recording = self.recording
+        return np.flatnonzero(
+            np.isfinite(recording.x[row])
+            & np.isfinite(recording.y[row])
+            & np.isfinite(recording.heading[row])
+            & np.isfinite(recording.speed[row])
+        )
 
     @cached_property
     def _ways(self) -> FloatArray:
-        """How far the ego has driven until each instant at which it exists."""
+        """Distance that the ego has driven until each instant at which it exists, in m."""
         steps = np.diff(self.ego_center[self.ego_there], axis=0)
         return np.append(0.0, np.cumsum(np.hypot(steps[:, 0], steps[:, 1])))
 
     def way_until(self, instant: int | None) -> float:
-        """How far the ego has driven.
+        """Distance that the ego has driven until an instant.
 
         Parameters
         ----------
@@ -108,7 +112,7 @@ class Meeting:
         Returns
         -------
         float
-            m; 0 where it never exists.
+            m; 0 if it never exists.
         """
         if instant is None:
             return float(self._ways[-1])
@@ -116,44 +120,45 @@ class Meeting:
 
     @cached_property
     def nearest(self) -> tuple[int | None, float]:
-        """First instant at which the boxes are nearest, and their gap in m; None and 100 m where they never meet."""
+        """First instant at which the boxes are nearest, and their gap in m; None and 100 m if they never coexist."""
         both = self.both_there
         if not len(both):
             return None, FAR
-        apart = self.other_center[both] - self.ego_center[both]
-        distance = np.hypot(apart[:, 0], apart[:, 1])
-        one, pair = self.recording, [self.ego_row, self.other_row]
-        # A gap is at most as large as the centres are apart, and smaller by half of both diagonals at most.
-        reach = 0.5 * np.hypot(one.length[pair], one.width[pair]).sum()
-        some = both[distance <= distance.min() + reach]
-        gaps = self._gaps(some)
+        offset = self.other_center[both] - self.ego_center[both]
+        distance = np.hypot(offset[:, 0], offset[:, 1])
+        recording, pair = self.recording, [self.ego_row, self.other_row]
+        # The gap is at most the distance of the centres, and at least that less both half diagonals.
+        reach = 0.5 * np.hypot(recording.length[pair], recording.width[pair]).sum()
+        candidates = both[distance <= distance.min() + reach]
+        gaps = self._gaps(candidates)
         k = int(np.argmin(gaps))
-        return int(some[k]), float(gaps[k])
+        return int(candidates[k]), float(gaps[k])
 
     def _gaps(self, some: IntArray) -> FloatArray:
-        """Gaps between the boxes at instants, as of `box_distance`, of two boxes in a tenth of its time."""
-        one, apart = self.recording, self.other_center[some] - self.ego_center[some]
-        headings = one.heading[self.ego_row, some], one.heading[self.other_row, some]
-        sizes = [0.5 * np.array([one.length[row], one.width[row]]) for row in (self.ego_row, self.other_row)]
-        turned = headings[1] - headings[0]
-        ways = ((sizes[0], sizes[1], headings[0], turned, 1.0), (sizes[1], sizes[0], headings[1], -turned, -1.0))
-        least, beyond = np.full(len(some), np.inf), np.full(len(some), -np.inf)
-        for mine, others, heading, angle, sign in ways:
+        """Gaps between the boxes at `instants`; like `box_distance`, but ten times as fast for two boxes."""
+        recording, offset = self.recording, self.other_center[some] - self.ego_center[some]
+        rows = (self.ego_row, self.other_row)
+        headings = [recording.heading[row, some] for row in rows]
+        sizes = [0.5 * np.array([recording.length[row], recording.width[row]]) for row in rows]
+        turn = headings[1] - headings[0]
+        sides = ((sizes[0], sizes[1], headings[0], turn, 1.0), (sizes[1], sizes[0], headings[1], -turn, -1.0))
+        corner_gap, axis_gap = np.full(len(some), np.inf), np.full(len(some), -np.inf)
+        for mine, others, heading, angle, sign in sides:
             cos, sin = sign * np.cos(heading), sign * np.sin(heading)
-            ahead, left = cos * apart[:, 0] + sin * apart[:, 1], cos * apart[:, 1] - sin * apart[:, 0]
+            ahead, left = cos * offset[:, 0] + sin * offset[:, 1], cos * offset[:, 1] - sin * offset[:, 0]
             along = np.stack([np.cos(angle), np.sin(angle)]) * others[0]
             across = np.stack([-np.sin(angle), np.cos(angle)]) * others[1]
-            # Corners of the one box, seen from the middle of the other.
+            # Corners of one box in the frame of the other.
             corners = np.stack([along + across, along - across, -along + across, -along - across])
             corners += np.stack([ahead, left])
             outside = np.maximum(np.abs(corners) - mine[:, None], 0.0)
-            least = np.minimum(least, np.hypot(outside[:, 0], outside[:, 1]).min(axis=0))
+            corner_gap = np.minimum(corner_gap, np.hypot(outside[:, 0], outside[:, 1]).min(axis=0))
             reach = np.abs(along) + np.abs(across) + mine[:, None]
-            beyond = np.maximum(beyond, (np.abs(np.stack([ahead, left])) - reach).max(axis=0))
-        return np.where(beyond <= 0.0, 0.0, least)
+            axis_gap = np.maximum(axis_gap, (np.abs(np.stack([ahead, left])) - reach).max(axis=0))
+        return np.where(axis_gap <= 0.0, 0.0, corner_gap)
 
     def other_from(self, instant: int) -> tuple[float, float, float]:
-        """Where the other is, seen from the ego, and how fast.
+        """Position of the other in the ego's frame, and its speed.
 
         Parameters
         ----------
@@ -163,7 +168,7 @@ class Meeting:
         Returns
         -------
         ahead, left, speed : float
-            m, m and m/s; 100 m ahead, standing, where the other does not exist then.
+            m, m and m/s; 100 m ahead, standing, if the other does not exist then.
         """
         if instant not in self.other_there:
             return FAR, 0.0, 0.0
@@ -174,22 +179,22 @@ class Meeting:
 
     @cached_property
     def crossing(self) -> tuple[float, float]:
-        """Distance of both ways where they come nearest in m, and how much later the ego is there in s."""
+        """Distance of both paths where they come nearest in m, and how much later the ego is there in s."""
         mine, others = self.ego_there, self.other_there
         if not len(mine) or not len(others):
             return FAR, 0.0
-        step, step_too = (math.ceil(len(some) / _COARSE) for some in (mine, others))
-        i, j, _ = self._least(mine[::step], others[::step_too])
-        near = slice(max(i * step - step, 0), i * step + step + 1)
-        near_too = slice(max(j * step_too - step_too, 0), j * step_too + step_too + 1)
-        i, j, distance = self._least(mine[near], others[near_too])
+        stride, other_stride = (math.ceil(len(instants) / _COARSE) for instants in (mine, others))
+        i, j, _ = self._least(mine[::stride], others[::other_stride])
+        mine = mine[max(i * stride - stride, 0) : i * stride + stride + 1]
+        others = others[max(j * other_stride - other_stride, 0) : j * other_stride + other_stride + 1]
+        i, j, distance = self._least(mine, others)
         time = self.recording.time
-        return distance, float(time[mine[near][i]] - time[others[near_too][j]])
+        return distance, float(time[mine[i]] - time[others[j]])
 
     def _least(self, mine: IntArray, others: IntArray) -> tuple[int, int, float]:
-        """Indices among instants of both at which their ways come nearest, and their distance there."""
+        """Indices into the instants of both at which their paths come nearest, and the distance there."""
         a, b, time = self.ego_center[mine], self.other_center[others], self.recording.time
         distance = np.hypot(a[:, :1] - b[:, 0], a[:, 1:] - b[:, 1])
-        late = np.abs(time[mine][:, None] - time[others])
-        i, j = np.unravel_index(int(np.argmin(distance + _METRES_PER_SECOND * late)), distance.shape)
+        delay = np.abs(time[mine][:, None] - time[others])
+        i, j = np.unravel_index(int(np.argmin(distance + _METRES_PER_SECOND * delay)), distance.shape)
         return int(i), int(j), float(distance[i, j])

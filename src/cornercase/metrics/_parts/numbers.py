@@ -1,4 +1,4 @@
-"""Options that are numbers, and quotients."""
+"""Checks of numeric options of metrics, and a safe quotient."""
 
 from __future__ import annotations
 
@@ -12,19 +12,14 @@ from cornercase._common.typing import FloatArray
 
 
 def checked(name: str, **numbers: float) -> None:
-    """Refuse options of a metric that are not finite or negative.
-
-    Raises
-    ------
-    InputError
-    """
+    """Raise InputError if an option of the metric `metric_name` is negative or not finite."""
     for option, number in numbers.items():
         if not 0.0 <= number < np.inf:
             raise InputError(f"{name} cannot take {number} for {option}; give a finite number of 0 or more.")
 
 
 def over(numerator: npt.NDArray[Any], divisor: npt.NDArray[Any] | float) -> FloatArray:
-    """Quotient; 0 where the numerator is 0, inf where it is not and the divisor is not positive."""
+    """Quotient; 0 if the numerator is 0, inf if it is not and the divisor is not positive."""
     divisor = np.broadcast_to(divisor, numerator.shape)
     positive = divisor > 0.0
     quotient = np.where(positive, numerator / np.where(positive, divisor, 1.0), np.inf)

@@ -1,4 +1,4 @@
-"""Compiled solution of the worst time to collision, many instants side by side."""
+"""Compiled solution of the worst time to collision, vectorized over blocks of instants."""
 
 # Compiled functions have no static types.
 # mypy: disable-error-code="no-untyped-def, untyped-decorator"
@@ -11,14 +11,17 @@ import numpy as np
 
 from cornercase._common.compiling import kernel
 
-# Loops over so many instants have no branches, so that the compiler fills vectors with them.
+# Instants per block; loops over a block have no branches, so that the compiler vectorizes them.
 _BLOCK = 64
 _ITERATIONS = 100
 
 
 @kernel(error_model="numpy")
 def course(x, y, heading, speed, ahead, a, b, radius, growth, out):
-    """Relative motion of the entities in rows `a` and `b`, boxes `ahead` of their reference points; then the roots."""
+    """Write the worst time to collision of the entities in rows `ego_row` and `other_row` to `out` (T,).
+
+    Box centres are `center_offset` ahead of the reference points; `radius` and `growth` are those of the circle.
+    """
     position, velocity = np.empty((2, _BLOCK)), np.empty((2, _BLOCK))
     radii, growths = np.full(_BLOCK, radius), np.full(_BLOCK, growth)
     for first in range(0, len(out), _BLOCK):
@@ -36,43 +39,43 @@ def course(x, y, heading, speed, ahead, a, b, radius, growth, out):
 
 @kernel(error_model="numpy")
 def roots(position, velocity, radius, growth, out):
-    """The same of given relative positions and velocities (n, 2), radii and growths (n,)."""
-    places, ways = np.empty((2, _BLOCK)), np.empty((2, _BLOCK))
+    """Write the worst time to collision to `out` for relative positions and velocities (n, 2), radii, growths (n,)."""
+    positions, velocities = np.empty((2, _BLOCK)), np.empty((2, _BLOCK))
     radii, growths = np.empty(_BLOCK), np.empty(_BLOCK)
     for first in range(0, len(out), _BLOCK):
         count = min(_BLOCK, len(out) - first)
         for k in range(count):
             for axis in range(2):
-                places[axis, k] = position[first + k, axis]
-                ways[axis, k] = velocity[first + k, axis]
+                positions[axis, k] = position[first + k, axis]
+                velocities[axis, k] = velocity[first + k, axis]
             radii[k] = radius[first + k]
             growths[k] = growth[first + k]
-        _solve(places, ways, radii, growths, count, out[first : first + count])
+        _solve(positions, velocities, radii, growths, count, out[first : first + count])
 
 
 @kernel(error_model="numpy")
 def _solve(position, velocity, radius, growth, count, out):
-    apart, bend, closing = np.empty(count), np.empty(count), np.empty(count)
-    gain, size, early = np.empty(count), np.empty(count), np.empty(count)
-    top, time = np.empty(count), np.empty(count)
+    squared_gap, bend, closing = np.empty(count), np.empty(count), np.empty(count)
+    gain, size, is_early = np.empty(count), np.empty(count), np.empty(count)
+    peak_time, time = np.empty(count), np.empty(count)
     for k in range(count):
         px, py, vx, vy = position[0, k], position[1, k], velocity[0, k], velocity[1, k]
         distance = math.sqrt(px * px + py * py)
-        apart[k] = (distance - radius[k]) * (distance + radius[k])
+        squared_gap[k] = (distance - radius[k]) * (distance + radius[k])
         square = vx * vx + vy * vy
         closing[k] = -(px * vx + py * vy)
         bend[k] = square - radius[k] * growth[k]
         gain[k] = 0.5 * growth[k] * growth[k]
         size[k] = square
-    _maximum(bend, gain, closing, top)
+    _maximum(bend, gain, closing, peak_time)
     for k in range(count):
-        square, t = size[k], top[k]
-        peak = ((0.5 * gain[k] * t * t - bend[k]) * t + 2.0 * closing[k]) * t - apart[k]
-        squares = apart[k] + radius[k] * radius[k]
-        # Circles that only graze do touch: the tolerance makes up for rounding errors in the maximum.
+        square, t = size[k], peak_time[k]
+        peak = ((0.5 * gain[k] * t * t - bend[k]) * t + 2.0 * closing[k]) * t - squared_gap[k]
+        squares = squared_gap[k] + radius[k] * radius[k]
+        # Circles that only graze count as touching: the tolerance covers rounding errors in the maximum.
         rises = (bend[k] > 0.0) & (closing[k] > 0.0)
         grazes = rises & (peak >= -1e-14 * (squares + square * t * t))
-        early[k] = 1.0 if grazes else 0.0
+        is_early[k] = 1.0 if grazes else 0.0
         curvature = 2.0 * bend[k] - 6.0 * gain[k] * t * t
         drop = math.sqrt(2.0 * max(peak, 0.0) / (curvature if curvature > 0.0 else 1.0))
         from_left = t - drop if curvature > 0.0 else 0.0
@@ -84,31 +87,33 @@ def _solve(position, velocity, radius, growth, count, out):
         moves = 0
         for k in range(count):
             t = time[k]
-            value = ((0.5 * gain[k] * t * t - bend[k]) * t + 2.0 * closing[k]) * t - apart[k]
+            value = ((0.5 * gain[k] * t * t - bend[k]) * t + 2.0 * closing[k]) * t - squared_gap[k]
             slope = (2.0 * gain[k] * t * t - 2.0 * bend[k]) * t + 2.0 * closing[k]
-            left = early[k] > 0.0
-            step = value / slope if (value < 0.0) == left else 0.0
+            from_below = is_early[k] > 0.0
+            step = value / slope if (value < 0.0) == from_below else 0.0
             moved = t - step
-            # Newton's step stays below the maximum and above 0; one that is NaN is not taken.
-            bounded = (top[k] if moved > top[k] else moved) if left else (0.0 if moved < 0.0 else moved)
+            # Keep Newton's step below the maximum and above 0; ignore a step that is NaN.
+            bounded = (
+                (peak_time[k] if moved > peak_time[k] else moved) if from_below else (0.0 if moved < 0.0 else moved)
+            )
             bounded = bounded if bounded == bounded else t
-            moves += 1 if (abs(bounded - t) > 4e-15 * t) & (apart[k] > 0.0) else 0
+            moves += 1 if (abs(bounded - t) > 4e-15 * t) & (squared_gap[k] > 0.0) else 0
             time[k] = bounded
         if moves == 0:
             break
     for k in range(count):
-        t = time[k] if (early[k] > 0.0) | (growth[k] > 0.0) else math.inf
-        t = 0.0 if apart[k] <= 0.0 else t
-        known = apart[k] + size[k] + closing[k] + radius[k] + growth[k]
-        out[k] = t if known == known else math.nan
+        t = time[k] if (is_early[k] > 0.0) | (growth[k] > 0.0) else math.inf
+        t = 0.0 if squared_gap[k] <= 0.0 else t
+        total = squared_gap[k] + size[k] + closing[k] + radius[k] + growth[k]
+        out[k] = t if total == total else math.nan
 
 
 @kernel(error_model="numpy")
 def _maximum(bend, gain, closing, top):
-    """Where gain t⁴/2 - bend t² + 2 closing t is largest up to its inflection.
+    """Write to `top` where gain t⁴/2 - bend t² + 2 closing t is largest up to its inflection.
 
-    Half the slope, gain t³ - bend t + closing, is convex and falls up to the inflection; Newton's method runs
-    into its first root from the left.
+    Half the slope, gain t³ - bend t + closing, is convex and falls up to the inflection; Newton's method runs into its
+    first root from the left.
     """
     for k in range(len(top)):
         top[k] = closing[k] / bend[k]
@@ -120,9 +125,9 @@ def _maximum(bend, gain, closing, top):
             value = (gain[k] * t * t - bend[k]) * t + closing[k]
             moved = t - value / slope
             rises = (bend[k] > 0.0) & (closing[k] > 0.0)
-            goes_on = rises & (slope < 0.0) & (moved - t > 1e-9 * t)
-            top[k] = moved if goes_on else t
-            moves += 1 if goes_on else 0
+            continues = rises & (slope < 0.0) & (moved - t > 1e-9 * t)
+            top[k] = moved if continues else t
+            moves += 1 if continues else 0
         if moves == 0:
             break
     for k in range(len(top)):

@@ -1,4 +1,4 @@
-"""Reads conditions."""
+"""Parser of conditions."""
 
 from __future__ import annotations
 
@@ -19,30 +19,16 @@ _EXAMPLE: Final = "'collision', 'reference:NAME', or a bound such as 'ttc < 1'"
 
 
 def parse(text: str) -> Part:
-    """Read a condition.
-
-    Parameters
-    ----------
-    text : str
-
-    Returns
-    -------
-    Collision, ReferenceCollides, ScoreBound or Connected
-
-    Raises
-    ------
-    InputError
-        It is none; the message names the place and what helps.
-    """
+    """Parse a condition. InputError names the position of the fault and what to write there."""
     if len(text) > _LONGEST:
         raise InputError(f"The condition '{text[:60]}…' has {len(text)} characters; give {_LONGEST} at most.")
-    words = Words(text, "condition")
-    if words.ended:
-        words.expected(_EXAMPLE)
-    found = _either(words, 0)
-    if not words.ended:
-        words.refuse("give and, or, or the end of the condition.")
-    return found
+    lexer = Words(text, "condition")
+    if lexer.ended:
+        lexer.expected(_EXAMPLE)
+    condition = _either(lexer, 0)
+    if not lexer.ended:
+        lexer.refuse("give and, or, or the end of the condition.")
+    return condition
 
 
 def _either(words: Words, depth: int) -> Part:
@@ -73,45 +59,45 @@ def _one(words: Words, depth: int) -> Part:
 
 
 def _fact(words: Words) -> Part:
-    word = words.next
+    token = words.next
     if words.take_if(_COLLISION):
         return Collision()
     if words.take_if(_REFERENCE):
         if not words.take_if(":"):
             words.expected("a colon and the name of a driver, as in reference:cc-human")
         return ReferenceCollides(_driver(words))
-    if word.kind not in ("name", "number"):
+    if token.kind not in ("name", "number"):
         words.expected(_EXAMPLE)
-    if word.kind == "name":
-        base = word.text.partition(":")[0]
+    if token.kind == "name":
+        base = token.text.partition(":")[0]
         if base in ("always", "eventually", "until"):
-            words.refuse("a condition is of a whole run; give a formula to the metric stl instead.")
-        # What is misspelt may be a word of conditions as well as a metric.
+            words.refuse("a condition applies to a whole run; give a formula to the metric stl instead.")
+        # Suggest the keywords of conditions as well as metrics.
         if base != "abs" and base not in metric_names():
             if "." in base or base == "time":
                 words.refuse(f"a condition takes scores of metrics, not '{base}'.")
             words.refuse(
-                f"there is no '{word.text}'; {suggestion(base, [_COLLISION, 'reference:NAME', *metric_names()])}"
+                f"there is no '{token.text}'; {suggestion(base, [_COLLISION, 'reference:NAME', *metric_names()])}"
             )
     return _bound(words)
 
 
 def _bound(words: Words) -> ScoreBound:
-    place = words.next
-    found = read_comparison(words)
-    name, bound = found.left.name, found.right
-    if found.left.absolute or not is_metric(name) or not isinstance(bound, Bound):
-        words.refuse("compare the score of a metric with a number, as in ttc < 1.", place)
-    return ScoreBound(name, found.relation, bound.value, found.text)
+    start = words.next
+    comparison = read_comparison(words)
+    name, bound = comparison.left.name, comparison.right
+    if comparison.left.absolute or not is_metric(name) or not isinstance(bound, Bound):
+        words.refuse("compare the score of a metric with a number, as in ttc < 1.", start)
+    return ScoreBound(name, comparison.relation, bound.value, comparison.text)
 
 
 def _driver(words: Words) -> str:
-    """Name of a driver: a registered one or ``package.module:Class``, either with options."""
+    """Parse the name of a driver: a registered one or ``package.module:Class``, either with options."""
     first = words.next
     if first.kind != "name":
         words.expected("the name of a driver, as in reference:cc-human")
     words.take()
-    # A colon without options behind it, which would belong to the name, is that of a class of one's own.
+    # A colon followed by options is part of the name's token, so this one separates module and class.
     if not words.take_if(":"):
         return first.text
     second = words.next

@@ -1,10 +1,10 @@
-"""What a condition is made of, and whether it holds."""
+"""Syntax tree of a condition, and its evaluation."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
-from typing import Literal, NamedTuple, TypeAlias
+from typing import ClassVar, Literal, NamedTuple, TypeAlias
 
 import numpy as np
 
@@ -15,46 +15,26 @@ from cornercase.metrics.formulas.terms import Relation
 
 @dataclass(frozen=True)
 class Collision:
-    """The ego collides, with anybody."""
+    """The ego collides with any entity."""
 
-    @property
-    def text(self) -> str:
-        """As it is written."""
-        return "collision"
+    text: ClassVar[str] = "collision"
 
 
 @dataclass(frozen=True)
 class ReferenceCollides:
-    """The ego would collide if a reference drove it.
-
-    Attributes
-    ----------
-    driver : str
-        Name of the reference.
-    """
+    """The ego would collide if the reference driver `driver` drove it."""
 
     driver: str
 
     @property
     def text(self) -> str:
-        """As it is written."""
+        """The condition in its normalized spelling."""
         return f"reference:{self.driver}"
 
 
 @dataclass(frozen=True)
 class ScoreBound:
-    """The score of a metric compared with a number.
-
-    Attributes
-    ----------
-    metric : str
-        Its name, with its options.
-    relation : {"<", "<=", ">", ">="}
-    value : float
-        In the unit of the metric.
-    text : str
-        As it is written.
-    """
+    """Score of a metric, named with its options, compared with a number in the metric's unit."""
 
     metric: str
     relation: Relation
@@ -62,34 +42,31 @@ class ScoreBound:
     text: str
 
     def holds(self, score: float) -> bool:
-        """Whether it holds of a score."""
+        """Whether the comparison holds for a score."""
         if score == self.value:
             return self.relation in ("<=", ">=")
         return (score < self.value) == (self.relation in ("<", "<="))
 
     def margin(self, scores: Score) -> Score:
-        """How far it is from holding, in the unit of the metric: negative where it holds, 0 at the bound."""
+        """Distance from holding, in the metric's unit: negative if it holds, 0 at the bound."""
         gap = scores - self.value
         return gap if self.relation in ("<", "<=") else -gap
 
 
 @dataclass(frozen=True)
 class Connected:
-    """Parts of a condition, connected.
-
-    Attributes
-    ----------
-    operator : {"not", "and", "or"}
-    operands : tuple of Collision, ReferenceCollides, ScoreBound or Connected
-    """
+    """Parts of a condition, connected by an operator."""
 
     operator: Literal["not", "and", "or"]
     operands: tuple[Part, ...]
 
     @property
     def text(self) -> str:
-        """As it is written, with brackets around each part that is made of several."""
-        inner = [f"({one.text})" if _joined(one) else one.text for one in self.operands]
+        """The condition in its normalized spelling, with brackets around each connected part."""
+        inner = [
+            f"({part.text})" if isinstance(part, Connected) and part.operator != "not" else part.text
+            for part in self.operands
+        ]
         return f"not {inner[0]}" if self.operator == "not" else f" {self.operator} ".join(inner)
 
 
@@ -98,12 +75,9 @@ Part: TypeAlias = Fact | Connected
 
 
 class Span(NamedTuple):
-    """How far something is from holding, at least and at most: negative where it holds.
+    """Least and greatest distance from holding, negative if it holds: float or shape (T,).
 
-    Attributes
-    ----------
-    low, high : float, or ndarray of float64, shape (T,)
-        They differ where it is not known whether a reference collides.
+    They differ if it is not known whether a reference collides.
     """
 
     low: FloatArray | float
@@ -111,71 +85,36 @@ class Span(NamedTuple):
 
 
 def facts_in(part: Part) -> Iterator[Fact]:
-    """Go through what a condition speaks of, from left to right.
-
-    Parameters
-    ----------
-    part : Collision, ReferenceCollides, ScoreBound or Connected
-
-    Yields
-    ------
-    Collision, ReferenceCollides or ScoreBound
-    """
+    """Iterate over the elementary statements of a condition, from left to right."""
     if not isinstance(part, Connected):
         yield part
         return
-    for one in part.operands:
-        yield from facts_in(one)
+    for operand in part.operands:
+        yield from facts_in(operand)
 
 
 def truth_of(part: Part, known: Mapping[Fact, bool | None]) -> bool | None:
-    """Tell whether a condition holds, by Kleene's logic of three values.
-
-    Parameters
-    ----------
-    part : Collision, ReferenceCollides, ScoreBound or Connected
-    known : mapping of a fact to bool or None
-        None where it is not known.
-
-    Returns
-    -------
-    bool or None
-        None where that depends on what is not known.
-    """
+    """Whether a condition holds, in Kleene's three-valued logic: None if that depends on unknown statements."""
     if not isinstance(part, Connected):
         return known[part]
-    found = [truth_of(one, known) for one in part.operands]
+    truths = [truth_of(operand, known) for operand in part.operands]
     if part.operator == "not":
-        return None if found[0] is None else not found[0]
+        return None if truths[0] is None else not truths[0]
     decisive = part.operator == "or"
-    if decisive in found:
+    if decisive in truths:
         return decisive
-    return None if None in found else not decisive
+    return None if None in truths else not decisive
 
 
 def span_of(part: Part, known: Mapping[Fact, Span]) -> Span:
-    """Say how far a condition is from holding: of parts that all have to hold the farthest counts.
-
-    Parameters
-    ----------
-    part : Collision, ReferenceCollides, ScoreBound or Connected
-    known : mapping of a fact to Span
-
-    Returns
-    -------
-    Span
-    """
+    """Distance of a condition from holding: ``and`` takes the farthest part, ``or`` the nearest."""
     if not isinstance(part, Connected):
         return known[part]
-    found = [span_of(one, known) for one in part.operands]
+    spans = [span_of(operand, known) for operand in part.operands]
     if part.operator == "not":
-        return Span(-found[0].high, -found[0].low)
-    joined = np.maximum if part.operator == "and" else np.minimum
-    low, high = found[0]
-    for one in found[1:]:
-        low, high = joined(low, one.low), joined(high, one.high)
+        return Span(-spans[0].high, -spans[0].low)
+    combine = np.maximum if part.operator == "and" else np.minimum
+    low, high = spans[0]
+    for span in spans[1:]:
+        low, high = combine(low, span.low), combine(high, span.high)
     return Span(low, high)
-
-
-def _joined(part: Part) -> bool:
-    return isinstance(part, Connected) and part.operator != "not"

@@ -1,4 +1,4 @@
-"""Which comparison decides whether a formula holds, and at which instant."""
+"""Find the comparison and the instant that decide whether a formula holds."""
 
 from __future__ import annotations
 
@@ -14,36 +14,22 @@ from cornercase.metrics.formulas.terms import Node, Predicate
 def find_decisive(
     root: Node, margins: Mapping[Predicate, FloatArray], time: FloatArray
 ) -> tuple[Predicate, int] | None:
-    """Find what the robustness from the first instant on is the margin of.
+    """Find the comparison and the instant whose margin is the robustness at the first instant; None if it is infinite.
 
-    Several instants may have that margin by chance, also some that the formula does not look at. The one that decides
-    is the first of them with which the robustness changes.
-
-    Parameters
-    ----------
-    root : Predicate or Operation
-        The formula.
-    margins : mapping of Predicate to ndarray of float64, shape (T,)
-        Of its comparisons.
-    time : ndarray of float64, shape (T,)
-        s.
-
-    Returns
-    -------
-    tuple of Predicate and int, or None
-        None where the robustness is infinite.
+    Other instants may have the same margin by chance, even some that do not affect the formula. The result is the first
+    one with which the robustness changes. `margins` has shape (T,) for each comparison.
     """
     robustness = follow(root, dict(margins), time)[0]
     if not np.isfinite(robustness):
         return None
-    for one, margin in margins.items():
-        # Behind a 'not' the robustness is the negative.
+    for comparison, margin in margins.items():
+        # Inside a 'not' the robustness is the negative margin.
         for sign in (1.0, -1.0):
             candidates = np.flatnonzero(sign * margin == robustness)
             for towards in (np.inf, -np.inf):
-                found = _first(candidates, towards, one, root, margins, time)
-                if found is not None:
-                    return one, found
+                instant = _first(candidates, towards, comparison, root, margins, time)
+                if instant is not None:
+                    return comparison, instant
     return None
 
 
@@ -55,20 +41,20 @@ def _first(
     margins: Mapping[Predicate, FloatArray],
     time: FloatArray,
 ) -> int | None:
-    """Last of the fewest first candidates with which the robustness changes when their margins do so a little."""
+    """Last of the shortest prefix of `candidates` that changes the robustness if their margins change slightly."""
     before = follow(root, dict(margins), time)[0]
 
     def changes(count: int) -> bool:
         margin = margins[one].copy()
-        # By no more than the last bit: a large change would let others decide.
+        # By the last bit only: after a large change other comparisons would decide.
         margin[candidates[:count]] = np.nextafter(margin[candidates[:count]], towards)
         return bool(follow(root, {**margins, one: margin}, time)[0] != before)
 
-    enough, few = len(candidates), 0
-    if not enough or not changes(enough):
+    high, low = len(candidates), 0
+    if not high or not changes(high):
         return None
-    # What a margin changes it changes in one direction, so that more of them change no less.
-    while enough - few > 1:
-        middle = (enough + few) // 2
-        enough, few = (middle, few) if changes(middle) else (enough, middle)
-    return int(candidates[enough - 1])
+    # Bisection works since the robustness is monotonic in each margin: a longer prefix changes it no less.
+    while high - low > 1:
+        middle = (high + low) // 2
+        high, low = (middle, low) if changes(middle) else (high, middle)
+    return int(candidates[high - 1])

@@ -1,4 +1,4 @@
-"""Formulas of signal temporal logic over what was recorded."""
+"""Formulas of signal temporal logic over recorded signals."""
 
 from __future__ import annotations
 
@@ -20,17 +20,18 @@ from cornercase.metrics.formulas.units import spelt
 class Formula:
     """A formula of signal temporal logic in discrete time.
 
-    A comparison that stands in no temporal operator has to hold all the time, by itself or in a conjunction.
-    Docs: "Formulas" in docs/metrics.md.
+    A comparison outside of temporal operators, by itself or in a conjunction, has to hold all the time. The language is
+    described under "Formulas" in docs/metrics.md. Methods of a formula with a temporal operator raise `InputError` if
+    the extra ``stl`` is not installed.
 
     Attributes
     ----------
     root : Predicate or Operation
-        What it is made of; `Formula.parse` makes it.
+        Root of the syntax tree; created by `Formula.parse`.
 
     See Also
     --------
-    cornercase.metrics.signals_of : What it is told of a recording.
+    cornercase.metrics.signals_of : Signals of a recording.
 
     Examples
     --------
@@ -50,7 +51,7 @@ class Formula:
 
     @classmethod
     def parse(cls, text: str) -> Formula:
-        """Read a formula.
+        """Parse a formula.
 
         Parameters
         ----------
@@ -64,10 +65,10 @@ class Formula:
         Raises
         ------
         InputError
-            It is none; the message names the place and what helps.
+            The text is no formula; the message names the position and what to write there.
         """
         root = parse(text)
-        # What is stored is the other way of writing, which has all brackets.
+        # The normalized text, which has all brackets, is stored; check that it can be parsed again.
         parse(root.text)
         return cls(root)
 
@@ -76,49 +77,43 @@ class Formula:
 
     @property
     def text(self) -> str:
-        """As it is written, with one way of writing for all formulas that say the same in the same order."""
+        """Normalized spelling, equal for formulas that differ in spelling only."""
         return self.root.text
 
     @property
     def comparisons(self) -> tuple[Predicate, ...]:
-        """Comparisons in it, from left to right."""
+        """Its comparisons, from left to right."""
         return tuple(comparisons_in(self.root))
 
     @property
     def bound(self) -> Predicate | None:
-        """The comparison that it is, where it is one alone."""
+        """The comparison, if the formula is a single one."""
         return self.root if isinstance(self.root, Predicate) else None
 
     @property
     def metrics(self) -> tuple[str, ...]:
-        """Names of the metrics that it looks at, with their options."""
-        names = [signal.name for one in self.comparisons for signal in one.signals]
+        """Names of the metrics in it, with their options."""
+        names = [signal.name for comparison in self.comparisons for signal in comparison.signals]
         return tuple(dict.fromkeys(filter(is_metric, names)))
 
     @property
     def unit(self) -> str:
-        """Unit that all its comparisons are in; ``"1"`` where they are in several."""
-        units = {spelt(one.left.unit) for one in self.comparisons}
+        """Unit of all its comparisons; ``"1"`` if they have several."""
+        units = {spelt(comparison.left.unit) for comparison in self.comparisons}
         return self.comparisons[0].left.unit if len(units) == 1 else "1"
 
     @property
     def temporal(self) -> bool:
-        """Whether it has a temporal operator, so that the extra ``stl`` is needed."""
+        """Whether it has a temporal operator, so that the extra ``stl`` is required."""
         return is_temporal(self.root)
 
     def require(self) -> None:
-        """Refuse to go on where something is not installed that the formula needs.
-
-        Raises
-        ------
-        InputError
-            It has a temporal operator, and the extra ``stl`` is not installed.
-        """
+        """Raise if a package that the formula requires is not installed."""
         if self.temporal:
             require_rtamt()
 
     def robustness(self, signals: Signals) -> FloatArray:
-        """Say how far it holds from each instant on.
+        """Robustness from each instant on.
 
         Parameters
         ----------
@@ -127,18 +122,16 @@ class Formula:
         Returns
         -------
         ndarray of float64, shape (T,)
-            Positive where it holds, negative where it is violated, in `unit`: by so much every comparison can change
-            at every instant before the answer does. inf where nothing can violate it, -inf where nothing can fulfil it.
-
-        Raises
-        ------
-        InputError
-            It has a temporal operator, and the extra ``stl`` is not installed.
+            Positive if the formula holds, negative if it is violated, in `unit`: every comparison can change by this
+            amount at every instant before the verdict changes. inf if nothing can violate it, -inf if nothing can
+            fulfil it.
         """
-        return follow(self.root, {one: one.margin(signals) for one in self.comparisons}, signals.time)
+        return follow(
+            self.root, {comparison: comparison.margin(signals) for comparison in self.comparisons}, signals.time
+        )
 
     def holds(self, signals: Signals) -> BoolArray:
-        """Say whether it holds from each instant on; at a bound itself this tells ``<`` from ``<=``.
+        """Whether it holds from each instant on. Unlike the sign of `robustness`, this distinguishes ``<`` from ``<=``.
 
         Parameters
         ----------
@@ -147,16 +140,14 @@ class Formula:
         Returns
         -------
         ndarray of bool, shape (T,)
-
-        Raises
-        ------
-        InputError
-            It has a temporal operator, and the extra ``stl`` is not installed.
         """
-        return follow(self.root, {one: one.holds(signals) for one in self.comparisons}, signals.time) > 0.0
+        return (
+            follow(self.root, {comparison: comparison.holds(signals) for comparison in self.comparisons}, signals.time)
+            > 0.0
+        )
 
     def holds_at_each(self, signals: Signals) -> BoolArray:
-        """Say whether it holds at each instant, without asking that it does all the time.
+        """Whether it holds at each instant, without requiring that comparisons hold all the time.
 
         Parameters
         ----------
@@ -165,18 +156,13 @@ class Formula:
         Returns
         -------
         ndarray of bool, shape (T,)
-            True where a formula without temporal operators is not defined, as nothing is violated there.
-
-        Raises
-        ------
-        InputError
-            It has a temporal operator, and the extra ``stl`` is not installed.
+            True where a formula without temporal operators is not defined, since nothing is violated there.
         """
-        held = {one: one.holds(signals) for one in self.comparisons}
+        held = {comparison: comparison.holds(signals) for comparison in self.comparisons}
         return follow(self.root, held, signals.time, for_good=False) > 0.0
 
     def decisive(self, signals: Signals) -> tuple[Predicate, int] | None:
-        """Find which comparison, at which instant, decides whether it holds from the first instant on.
+        """Comparison and instant that decide whether it holds from the first instant on.
 
         Parameters
         ----------
@@ -185,14 +171,11 @@ class Formula:
         Returns
         -------
         tuple of Predicate and int, or None
-            The margin there is the robustness, or behind a ``not`` its negative. None where the robustness is infinite.
-
-        Raises
-        ------
-        InputError
-            It has a temporal operator, and the extra ``stl`` is not installed.
+            The margin there is the robustness, or inside a ``not`` its negative. None if the robustness is infinite.
         """
-        return find_decisive(self.root, {one: one.margin(signals) for one in self.comparisons}, signals.time)
+        return find_decisive(
+            self.root, {comparison: comparison.margin(signals) for comparison in self.comparisons}, signals.time
+        )
 
     def observed(self, signals: Signals) -> bool:
         """Whether each of its comparisons was defined at some instant.
@@ -205,4 +188,4 @@ class Formula:
         -------
         bool
         """
-        return all(not np.isnan(one.margin(signals)).all() for one in self.comparisons)
+        return all(not np.isnan(comparison.margin(signals)).all() for comparison in self.comparisons)

@@ -1,4 +1,4 @@
-"""Reads formulas."""
+"""Parser of formulas."""
 
 from __future__ import annotations
 
@@ -21,54 +21,26 @@ _Term: TypeAlias = "tuple[Signal, Word] | tuple[_Number, Word]"
 
 
 class _Number:
-    """A number with its unit, before it is known what it is compared with."""
+    """A number with its unit, before the signal that it is compared with is known."""
 
     def __init__(self, value: float, unit: Word | None) -> None:
         self.value, self.unit = value, unit
 
 
 def parse(text: str) -> Node:
-    """Read a formula.
-
-    Parameters
-    ----------
-    text : str
-
-    Returns
-    -------
-    Predicate or Operation
-
-    Raises
-    ------
-    InputError
-        It is none; the message names the place and what helps.
-    """
+    """Parse a formula. InputError names the position of the fault and what to write there."""
     if len(text) > _LONGEST:
         raise InputError(f"The formula '{text[:60]}…' has {len(text)} characters; give {_LONGEST} at most.")
     return _Parser(Words(text)).whole()
 
 
 def read_comparison(words: Words) -> Predicate:
-    """Read a comparison, and leave what follows it.
-
-    Parameters
-    ----------
-    words : Words
-
-    Returns
-    -------
-    Predicate
-
-    Raises
-    ------
-    InputError
-        There is none.
-    """
+    """Parse a comparison, and leave the rest of the text unread. InputError if there is none."""
     return _Parser(words).comparison()
 
 
 class _Parser:
-    """From the operator that binds least, `->`, down to comparisons."""
+    """Recursive descent, from the operator that binds least, `->`, down to comparisons."""
 
     def __init__(self, words: Words) -> None:
         self.words = words
@@ -77,10 +49,10 @@ class _Parser:
     def whole(self) -> Node:
         if self.words.ended:
             self.words.expected("a comparison, such as clearance > 0.5")
-        found = self.implication()
+        formula = self.implication()
         if not self.words.ended:
             self._refuse_rest()
-        return found
+        return formula
 
     def implication(self) -> Node:
         self.depth += 1
@@ -109,10 +81,10 @@ class _Parser:
         if not self.words.take_if("until"):
             return left
         interval = self.interval()
-        found = Operation("until", (left, self.unary()), interval)
+        operation = Operation("until", (left, self.unary()), interval)
         if self.words.next.text == "until":
             self.words.refuse("put brackets around one of the two until.")
-        return found
+        return operation
 
     def unary(self) -> Node:
         word = self.words.next
@@ -122,9 +94,9 @@ class _Parser:
                 self.words.refuse(f"brackets and operators are nested more than {_DEEPEST} deep.")
             operator = cast('Literal["not", "always", "eventually"]', self.words.take().text)
             interval = None if operator == "not" else self.interval()
-            found = Operation(operator, (self.unary(),), interval)
+            operation = Operation(operator, (self.unary(),), interval)
             self.depth -= 1
-            return found
+            return operation
         if not self.words.take_if("("):
             return self.comparison()
         inner = self.implication()
@@ -149,20 +121,20 @@ class _Parser:
         return begin, end
 
     def comparison(self) -> Predicate:
-        left, place = self.term()
+        left, left_token = self.term()
         relation = self.words.next
         if not self.words.take_if(*_RELATIONS):
-            self.words.expected(f"a comparison of '{place.text}': {', '.join(_RELATIONS)}")
-        right, second = self.term()
+            self.words.expected(f"a comparison of '{left_token.text}': {', '.join(_RELATIONS)}")
+        right, right_token = self.term()
         if self.words.next.text in _RELATIONS:
             self.words.refuse("compare two at a time, as in 1 < ttc and ttc < 5.")
         name = cast(Relation, relation.text)
         if isinstance(left, Signal):
-            return Predicate(left, name, self._compared(left, right, second))
+            return Predicate(left, name, self._compared(left, right, right_token))
         if isinstance(right, Signal):
-            bound = self._compared(right, left, place)
+            bound = self._compared(right, left, left_token)
             return Predicate(right, _TURNED[name], bound)
-        self.words.refuse("two numbers are compared; name a signal, such as ego.speed.", place)
+        self.words.refuse("two numbers are compared; name a signal, such as ego.speed.", left_token)
 
     def term(self) -> _Term:
         word = self.words.next
@@ -176,10 +148,10 @@ class _Parser:
             self.words.take()
             if not self.words.take_if("("):
                 self.words.expected("a signal in brackets, as in abs(ego.acceleration)")
-            found, _ = self.signal(absolute=True)
+            signal, _ = self.signal(absolute=True)
             if not self.words.take_if(")"):
                 self.words.expected("a closing bracket ')'; abs takes one signal")
-            return found, word
+            return signal, word
         return self.signal()
 
     def signal(self, absolute: bool = False) -> tuple[Signal, Word]:
@@ -189,11 +161,11 @@ class _Parser:
         try:
             unit = unit_of(word.text)
         except InputError as error:
-            meant = operator_meant(word.text) if word.text.isalpha() else ""
-            sentence = str(error)
-            if meant and "known are" in sentence:
-                sentence = f"there is no signal '{word.text}'; {meant}"
-            self.words.refuse(sentence)
+            hint = operator_meant(word.text) if word.text.isalpha() else ""
+            message = str(error)
+            if hint and "known are" in message:
+                message = f"there is no signal '{word.text}'; {hint}"
+            self.words.refuse(message)
         self.words.take()
         return Signal(word.text, unit, absolute), word
 
@@ -210,9 +182,9 @@ class _Parser:
         try:
             value = in_si(other.value, given, signal.unit)
         except InputError as error:
-            # Behind a number may stand an operator that is misspelt.
-            meant = "" if is_unit(given) else operator_meant(given)
-            self.words.refuse(meant or f"{signal.text} is in {signal.unit}: {error}", other.unit)
+            # The text behind a number may be a misspelt operator.
+            hint = "" if is_unit(given) else operator_meant(given)
+            self.words.refuse(hint or f"{signal.text} is in {signal.unit}: {error}", other.unit)
         return Bound(value, f"{place.text.removeprefix('+')} {spelt(given)}".rstrip())
 
     def _instant(self, what: str) -> float:
@@ -240,6 +212,6 @@ class _Parser:
     def _refuse_rest(self) -> NoReturn:
         word = self.words.next
         if word.text == ")":
-            self.words.refuse("this bracket closes none; leave it out.")
-        meant = operator_meant(word.text) if word.kind == "name" else ""
-        self.words.refuse(meant if meant else "give and, or, ->, until, or the end of the formula.")
+            self.words.refuse("this bracket has no opening bracket; remove it.")
+        hint = operator_meant(word.text) if word.kind == "name" else ""
+        self.words.refuse(hint or "give and, or, ->, until, or the end of the formula.")

@@ -1,4 +1,4 @@
-"""What formulas speak of: metrics, the motion of the ego and of another entity, time."""
+"""Signals that formulas can use: metrics, the motion of the ego and of another entity, time."""
 
 from __future__ import annotations
 
@@ -22,13 +22,13 @@ _MOTION: Final = MappingProxyType({"x": "m", "y": "m", "heading": "rad", "speed"
 _OWN: Final = MappingProxyType(
     {f"{who}.{what}": unit for who in ("ego", "other") for what, unit in _MOTION.items()} | {"time": "s"}
 )
-"""Unit by name, of signals that are no metrics."""
+"""Unit by name, of signals that are not metrics."""
 
 FORMULAS: Final = "stl"
-"""Name of the metric of a formula, which cannot stand in another."""
+"""Name of the metric of a formula, which cannot be used in another formula."""
 
 CONDITION: Final = "critical-if"
-"""Name of the metric of a condition, which cannot stand in a formula either."""
+"""Name of the metric of a condition, which cannot be used in a formula either."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -49,11 +49,10 @@ class Signals:
 
 
 def signals_of(recording: Recording, ego: str, other: str, courses: Mapping[str, FloatArray] | None = None) -> Signals:
-    """Make the signals of a recording; metrics are measured when they are asked for.
+    """Create the signals of a recording; metrics are computed on first access.
 
-    The signal of a metric is its course. At the first instant of a contact it is at least as critical as the score that
-    the metric gives a recording in which both touch, so that a collision violates a bound on a metric that says nothing
-    of it.
+    The signal of a metric is its course. At the first instant of a contact it is at least as critical as the metric's
+    score for contacts, so that a collision violates a bound on a metric that does not see collisions.
 
     Parameters
     ----------
@@ -61,7 +60,7 @@ def signals_of(recording: Recording, ego: str, other: str, courses: Mapping[str,
     ego, other : str
         Names of two entities.
     courses : mapping of str to ndarray of float64, shape (T,), optional
-        Courses of metrics that are known already, by name.
+        Courses of metrics that are already computed, by name.
 
     Returns
     -------
@@ -76,21 +75,7 @@ def signals_of(recording: Recording, ego: str, other: str, courses: Mapping[str,
 
 
 def unit_of(name: str) -> str:
-    """Return the unit of a signal.
-
-    Parameters
-    ----------
-    name : str
-
-    Returns
-    -------
-    str
-
-    Raises
-    ------
-    InputError
-        There is no such signal; the message says which one is meant.
-    """
+    """Unit of a signal. InputError, with a suggestion, if there is no such signal."""
     if name in _OWN:
         return _OWN[name]
     base = name.partition(":")[0]
@@ -104,32 +89,17 @@ def unit_of(name: str) -> str:
 
 
 def metric_names() -> list[str]:
-    """Return the metrics that can be signals.
-
-    Returns
-    -------
-    list of str
-    """
+    """Names of the metrics that can be signals."""
     return [name for name in METRICS.names() if name not in (FORMULAS, CONDITION)]
 
 
 def is_metric(name: str) -> bool:
-    """Whether a signal is a metric.
-
-    Parameters
-    ----------
-    name : str
-        Of a signal that there is.
-
-    Returns
-    -------
-    bool
-    """
+    """Whether a signal, which has to exist, is a metric."""
     return name not in _OWN
 
 
 class _Measured(Mapping[str, FloatArray]):
-    """Signals of a recording, each found when it is first asked for."""
+    """Signals of a recording, each computed on first access."""
 
     def __init__(self, recording: Recording, ego: str, other: str, courses: dict[str, FloatArray]) -> None:
         self._recording, self._courses = recording, courses
@@ -169,17 +139,17 @@ class _Measured(Mapping[str, FloatArray]):
         if self._contact is None:
             return course
         instant, change = self._contact
-        touched = np.array(course, dtype=np.float64)
-        touched[instant] = metric.score_of_contact(float(metric.capped(touched[instant : instant + 1])[0]), change)
-        return touched
+        signal = np.array(course, dtype=np.float64)
+        signal[instant] = metric.score_of_contact(float(metric.capped(signal[instant : instant + 1])[0]), change)
+        return signal
 
 
 def _course(metric: Metric, recording: Recording, ego: str, other: str) -> FloatArray:
-    """Course of a metric, which may be a class of anybody."""
-    heard = requests_heard()
+    """Course of a metric, which may be third-party code."""
+    interrupts = requests_heard()
     try:
         return metric.course(recording, ego, other)
     except (InputError, PartError):
         raise
     except BaseException as error:
-        raise failure_of(f"the metric {metric.name}", error, heard) from error
+        raise failure_of(f"the metric {metric.name}", error, interrupts) from error

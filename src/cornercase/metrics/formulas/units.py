@@ -1,4 +1,4 @@
-"""Units that a number in a formula may have."""
+"""Units of numbers in formulas."""
 
 from __future__ import annotations
 
@@ -30,44 +30,19 @@ _UNITS: Final = MappingProxyType(
         "%": ("1", 1e-2),
     }
 )
-"""Unit in SI, and how much of it one is, by the unit as it is written."""
+"""SI unit and conversion factor, by the spelling of a unit."""
 
 
 def spelt(unit: str) -> str:
-    """Spell a unit as the units of metrics are.
-
-    Parameters
-    ----------
-    unit : str
-
-    Returns
-    -------
-    str
-        With ``²`` for ``^2`` and for a 2 at the end.
-    """
+    """Normalize the spelling of a unit: ``²`` for ``^2`` and for a 2 at the end."""
     plain = unit.replace("^2", "²")
     return plain[:-1] + "²" if plain in ("m/s2", "s2") else plain
 
 
 def in_si(number: float, given: str, wanted: str) -> float:
-    """Convert a number to the unit of the signal that it is compared with.
+    """Convert a number from the unit `from_unit` (``""``: already converted) to the unit `to_unit` of a signal.
 
-    Parameters
-    ----------
-    number : float
-    given : str
-        Its unit; ``""`` for that of the signal.
-    wanted : str
-        Unit of the signal.
-
-    Returns
-    -------
-    float
-
-    Raises
-    ------
-    InputError
-        There is no such unit, or it is one of something else; the message says which fit.
+    InputError, with the units that fit, if there is no such unit or it is one of another quantity.
 
     Examples
     --------
@@ -79,23 +54,14 @@ def in_si(number: float, given: str, wanted: str) -> float:
         return number
     if unit not in _UNITS:
         raise InputError(f"there is no unit '{given}'; {suggestion(unit, _UNITS)}")
-    quantity, size = _UNITS[unit]
-    if quantity != target:
-        fitting = [name for name, (of, _) in _UNITS.items() if of == target] or [target]
+    si_unit, factor = _UNITS[unit]
+    if si_unit != target:
+        fitting = [name for name, (si_unit, _) in _UNITS.items() if si_unit == target] or [target]
         raise InputError(f"the unit '{given}' does not fit; give {', '.join(fitting)}.")
-    # A quotient keeps numbers such as 36 km/h exact.
-    return number / 3.6 if unit == "km/h" else number * size
+    # Division keeps numbers such as 36 km/h exact.
+    return number / 3.6 if unit == "km/h" else number * factor
 
 
 def is_unit(text: str) -> bool:
-    """Whether there is such a unit.
-
-    Parameters
-    ----------
-    text : str
-
-    Returns
-    -------
-    bool
-    """
+    """Whether there is such a unit."""
     return spelt(text) in _UNITS
