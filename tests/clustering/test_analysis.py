@@ -134,15 +134,15 @@ def test_what_is_no_study_is_refused(wrong):
 @pytest.mark.parametrize(
     ("change", "words"),
     [
-        (lambda told: told[0].update(cluster=77), "profiles of other clusters"),
-        (lambda told: told[0].update(size=1), "profiles of other clusters"),
-        (lambda told: told.pop(), "profiles of other clusters"),
-        (lambda told: told.append(told[0]), "profiles of other clusters"),
+        (lambda told: told[0].update(cluster=77), "profiles that do not fit the clusters"),
+        (lambda told: told[0].update(size=1), "profiles that do not fit the clusters"),
+        (lambda told: told.pop(), "profiles that do not fit the clusters"),
+        (lambda told: told.append(told[0]), "profiles that do not fit the clusters"),
         (lambda told: told[0].update(name=None), "Profile has 'None' as its name"),
         (lambda told: told[0].update(name=["Ego"]), r"Profile has .* as its name"),
         (lambda told: told[0].update(true_of="all"), "Profile has 'all' as its true_of"),
-        (lambda told: told[0].update(example=0), "an example of no scenario"),
-        (lambda told: told[0].update(outcomes={"Ego first": -1}), "fewer than no scenarios"),
+        (lambda told: told[0].update(example=0), "a profile whose example is not a scenario"),
+        (lambda told: told[0].update(outcomes={"Ego first": -1}), "a negative number of scenarios"),
         (lambda told: told[0].update(more=1), "unexpected keyword argument 'more'"),
     ],
 )

@@ -202,7 +202,7 @@ def test_refuses_what_is_no_aspect(path):
 
 def test_refuses_an_aspect_that_gives_something_else(path, monkeypatch):
     monkeypatch.setitem(ASPECTS._factories, "odd", (Odd, {}))
-    with pytest.raises(InputError, match=r"The aspect 'odd' gives shape \(3, 1\) for scenario"):
+    with pytest.raises(InputError, match=r"The aspect 'odd' returns shape \(3, 1\) for scenario"):
         analyze(path, "odd")
 
 
@@ -223,7 +223,7 @@ class Writes(Aspect):
 
 def test_refuses_an_aspect_that_gives_no_numbers(path, monkeypatch):
     monkeypatch.setitem(ASPECTS._factories, "odd", (Texts, {}))
-    with pytest.raises(InputError, match=r"The aspect 'odd' gives no numbers for scenario 1"):
+    with pytest.raises(InputError, match=r"The aspect 'odd' returns no numbers for scenario 1"):
         analyze(path, "odd")
 
 
@@ -276,7 +276,7 @@ class NumberForUnit(Aspect):
         (Fails, r"^The aspect 'odd' fails for scenario \d+ of .*s\.db: KeyError: 'no such\\nthing'\.$"),
         (
             Widens,
-            r"^The aspect 'odd' gives [12] numbers for each instant of scenario \d+ of .*, and [12] for scenario 1;",
+            r"^The aspect 'odd' returns [12] channels for scenario \d+ of .*, and [12] for scenario 1;",
         ),
         (
             Refuses,
@@ -284,7 +284,7 @@ class NumberForUnit(Aspect):
         ),
         (WithoutUnit, r"^The aspect 'odd' cannot be made: AttributeError: .*unit"),
         (WithoutSeries, r"^The aspect 'odd' failed as it was made: TypeError: .*series"),
-        (NumberForUnit, r"^The aspect 'odd' has 3 as its unit; it has to be a text\.$"),
+        (NumberForUnit, r"^The aspect 'odd' has 3 as its unit; it has to be a string\.$"),
     ],
 )
 def test_an_aspect_that_fails_is_named_in_one_sentence(path, monkeypatch, aspect, words):

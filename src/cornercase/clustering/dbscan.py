@@ -1,4 +1,4 @@
-"""Compiled DBSCAN: all pairs of some hundred points take less time than the checks and the tree of a library."""
+"""Compiled DBSCAN; for some hundred points faster than the input checks and the tree of a library."""
 
 # Compiled functions have no static types.
 # mypy: disable-error-code="no-untyped-def, untyped-decorator"
@@ -14,10 +14,10 @@ _NOISE = -1
 
 @kernel(error_model="numpy")
 def find_clusters(points, reach, needed, labels):
-    """Label points, (n, k), of which `needed` lie within `reach` of each other, and their neighbours.
+    """Fill `labels`, shape (n,), with DBSCAN clusters of points, shape (n, k); -1 is noise.
 
-    Dense points that are neighbours are of one cluster. Clusters are numbered in the order of their first dense points;
-    another point belongs to the first of the clusters that it has a dense neighbour in, or to none.
+    Clusters are numbered in the order of their first dense points. A border point belongs to the first cluster in which
+    it has a dense neighbour.
     """
     count = len(points)
     square = reach * reach
