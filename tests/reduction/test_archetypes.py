@@ -161,7 +161,7 @@ def test_archetypes_cover_the_extremes_better_than_chance():
         (lambda: find_prototype(np.zeros((2, 2)), []), "has no prototype"),
         (lambda: choose_by_cluster(np.zeros((3, 1)), np.zeros((2, 2)), [0, 0]), "same scenarios"),
         (lambda: choose_by_cluster(np.zeros((1, 1)), [[0.0]], [0], archetypes=0), "`archetypes` 0"),
-        (lambda: measure_coverage(np.zeros((2, 2)), []), "No scenario is kept"),
+        (lambda: measure_coverage(np.zeros((2, 2)), []), "No scenario is selected"),
         (lambda: measure_coverage(np.zeros((2, 2)), [2]), "not among the 2"),
         (lambda: measure_coverage(np.zeros((2, 2)), [-1]), "not among the 2"),
         (lambda: measure_coverage(np.zeros((2, 3)), [0]), "is not square"),

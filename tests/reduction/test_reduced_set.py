@@ -110,7 +110,7 @@ def test_medoids_leave_nearly_the_smallest_mean_there_is():
     [
         ({}, "give one of them"),
         ({"size": 3, "cover": 0.1}, "give one of them"),
-        ({"size": 0}, "keeps nothing"),
+        ({"size": 0}, "selects nothing"),
         ({"cover": 2.0}, "`cover` 2: give a number"),
     ],
 )

@@ -1,7 +1,7 @@
-"""Compiled sums of what scenarios with places leave out, by cells: some scenarios that are near each other.
+"""Compiled coverage sums for embedded scenarios, by cells of nearby scenarios.
 
-A scenario that is added is nearer than what is kept to few, and most cells are too far away to hold one of these. So
-where many are kept, most distances are never made.
+An added scenario becomes the nearest one for few others, and most cells are too far away to contain one of these. So if
+many are selected, most distances are never computed.
 """
 
 # Compiled functions have no static types.
@@ -18,22 +18,22 @@ from cornercase._common.compiling import kernel
 from cornercase._common.typing import FloatArray
 
 CELL = 16
-"""Scenarios of a cell."""
+"""Number of scenarios in a cell."""
 
 AXES = 8
-"""Axes that cells are found by, and after which is looked whether a scenario of a cell is still near enough."""
+"""Number of axes by which cells are formed, and after which the distance computation may stop early."""
 
 _MARGIN = 1.0 + 1e-9
-"""Bounds are wider by this factor, far more than rounding."""
+"""Factor by which bounds are wider, far more than rounding."""
 
 
 class Cells(NamedTuple):
-    """Cells of all clusterings, and what is left in them.
+    """Cells of all clusterings, and the uncovered costs in them.
 
     `places`, (clusterings, n, stages, AXES), are in the order of the scenarios and `cells`, (clusterings, c, stages,
-    AXES, CELL), in that of the cells, the axis along which scenarios differ most first. `centres`, (clusterings, AXES,
-    c), and `radii` are of balls around the cells by the first axes. `near` are squared distances to the nearest kept
-    scenario, and `left` what these cost; who is farther from a centre than the root of `reach` is near to none of the
+    AXES, CELL), in the order of the cells, the axis of largest variance first. `centres`, (clusterings, AXES, c), and
+    `radii` are bounding balls of the cells in the first axes. `near` are squared distances to the nearest selected
+    scenario and `left` their costs; a scenario farther from a centre than the root of `reach` is nearest to none of the
     cell.
     """
 
@@ -51,7 +51,7 @@ class Cells(NamedTuple):
 
 @kernel(error_model="numpy")
 def find_gains(gains, of):
-    """By how much each scenario would lower the sum of what is left."""
+    """Fill `gains` with the amount by which each scenario would lower the sum."""
     away, apart = np.empty(of.cells.shape[1]), np.empty(CELL)
     for index in range(len(gains)):
         gains[index] = _gain(index, of, away, apart)
@@ -59,9 +59,9 @@ def find_gains(gains, of):
 
 @kernel(error_model="numpy")
 def find_best(gains, gap, alike, of):
-    """Scenario that would lower the sum most, of those that have a gap, the first one of equals; -1 where none has.
+    """Return the scenario with a gap that would lower the sum most, the first of equals; -1 if there is none.
 
-    `gains` are what they were when fewer were kept, so none has become larger, and are brought up to date as needed.
+    `gains` are upper bounds from when fewer were selected, and are updated as needed.
     """
     away, apart = np.empty(of.cells.shape[1]), np.empty(CELL)
     last = -1
@@ -80,7 +80,7 @@ def find_best(gains, gap, alike, of):
 
 @kernel(error_model="numpy")
 def keep(index, of):
-    """Note in `near`, `left` and `reach` that a scenario is kept."""
+    """Update `near`, `left` and `reach` for a newly selected scenario."""
     away, apart = np.empty(of.cells.shape[1]), np.empty(CELL)
     for k in range(len(of.cells)):
         place = of.places[k, index]
@@ -121,7 +121,7 @@ def _measure_away(place, centres, away):
 
 @kernel(error_model="numpy", _nrt=False)
 def _come_near(place, cell, near, apart):
-    """Whether any scenario of a cell is nearer than `near`; then `apart` is how far they are."""
+    """Fill `apart` with squared distances to a cell; False as soon as none can be nearer than `near`."""
     apart[:] = 0.0
     for stage in range(len(place)):
         nearer = 0
@@ -139,5 +139,5 @@ def _come_near(place, cell, near, apart):
 
 @kernel(error_model="numpy", _nrt=False)
 def _cost(distance, usual, power, heavy):
-    cost = distance / usual
-    return cost * cost * cost * heavy if power == 3 else cost * cost * heavy
+    ratio = distance / usual
+    return ratio * ratio * ratio * heavy if power == 3 else ratio * ratio * heavy
