@@ -19,9 +19,9 @@ from cornercase.clustering import (
     read_distances,
     series_of,
 )
+from cornercase.clustering.comparing import instants_apart, thinned
 from cornercase.clustering.landmarks import Comparing, find_by_landmarks
 from cornercase.clustering.places import Placing
-from cornercase.clustering.thinning import instants_apart, thinned
 from cornercase.dtw import distance_matrix
 from cornercase.reduction import measure_gaps
 from cornercase.study import Study

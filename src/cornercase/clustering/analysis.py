@@ -268,7 +268,7 @@ def read_distances(study: Study, by: str) -> Distances:
     InputError
         The study was not analysed by it, or what it holds is damaged.
     """
-    if is_placed(study, by):
+    if study.analysis(by, "ids")[1].get("inexact") is not None:
         arrays, _ = study.analysis(by, "ids", "places")
         with damage_told(study.path):
             places = arrays["places"]
@@ -291,11 +291,6 @@ def read_between(study: Study, by: str) -> FloatArray:
     with damage_told(study.path):
         _require_distances(distances, len(arrays["landmarks"]))
     return distances
-
-
-def is_placed(study: Study, by: str) -> bool:
-    """Whether the scenarios of an analysis were compared with landmarks only."""
-    return study.analysis(by, "ids")[1].get("inexact") is not None
 
 
 def _require_distances(distances: FloatArray, n: int) -> None:

@@ -22,12 +22,14 @@ from cornercase.clustering.clauses import Account
 from cornercase.clustering.clusters import Clustering, ClusteringMethod
 from cornercase.clustering.comparing import (
     default_aspects,
+    instants_apart,
     instants_within,
     make_aspect,
     require_aspect,
     require_same_channels,
     series_in,
     series_of,
+    thinned,
     unit_of,
 )
 from cornercase.clustering.estimator import ScenarioClustering
@@ -36,7 +38,6 @@ from cornercase.clustering.landmarks import MOST_COMPARED, Comparing, find_by_la
 from cornercase.clustering.outcomes import Outcome, find_outcome
 from cornercase.clustering.places import Distances, PlacedDistances
 from cornercase.clustering.profiles import describe_clusters
-from cornercase.clustering.thinning import instants_apart, thinned
 from cornercase.clustering.traits import measure_traits
 from cornercase.study import Study, open_study
 

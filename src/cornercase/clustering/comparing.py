@@ -20,6 +20,8 @@ from cornercase.study import Study
 
 BY_DEFAULT: Final = (EGO_TRAJECTORY, "bearing", "interaction")
 """Aspects that `analyze` uses besides the metrics of the study."""
+INSTANTS: Final = 100
+"""Largest number of instants of a series of median length."""
 
 
 def default_aspects(study: Study) -> tuple[str, ...]:
@@ -51,17 +53,21 @@ def make_aspect(name: str) -> Aspect:
     return aspect
 
 
-def series_of(study: Study, aspect: str) -> list[FloatArray]:
-    """Return one time series per finished scenario, each of shape (T_i, k); (T_i,) for a metric."""
+def series_of(
+    study: Study, aspect: str, ids: Sequence[int] | None = None, other: str | None = None
+) -> list[FloatArray]:
+    """Return one time series per finished scenario, or per scenario of `ids`: shape (T_i, k); (T_i,) for a metric.
+
+    `other` is the entity that aspects look at besides the ego, by default the main other one of the study.
+    """
     require_aspect(study, aspect)
-    rows = study.done()
+    ids = [row.id for row in study.done()] if ids is None else ids
     if aspect in study.meta.metrics:
         metric = METRICS.create(aspect)
-        return [metric.capped(study.course(row.id, aspect)) for row in rows]
-    aspect_object = make_aspect(aspect)
-    other = study.main_other()
-    series = [series_in(study, row.id, study.recording(row.id), aspect_object, other) for row in rows]
-    require_same_channels(study, aspect, [row.id for row in rows], series)
+        return [metric.capped(study.course(scenario, aspect)) for scenario in ids]
+    aspect_object, other = make_aspect(aspect), study.main_other() if other is None else other
+    series = [series_in(study, scenario, study.recording(scenario), aspect_object, other) for scenario in ids]
+    require_same_channels(study, aspect, ids, series)
     return series
 
 
@@ -127,3 +133,15 @@ def instants_within(times: Sequence[FloatArray], window: float | None) -> int | 
         )
     # The cap avoids an overflow; no recording has that many instants.
     return math.floor(min(float(window) / steps[0], 1e9) + 1e-6) + 1
+
+
+def instants_apart(lengths: Sequence[int]) -> int:
+    """Return the stride, at least 1, that leaves at most 100 instants of a series of median length."""
+    return max(1, math.ceil(float(np.median(lengths)) / INSTANTS))
+
+
+def thinned(series: FloatArray, every: int) -> FloatArray:
+    """Take every `every`-th instant of a series, shape (T,) or (T, k), and the last one."""
+    if every == 1:
+        return series
+    return np.concatenate((series[:-1:every], series[-1:]))

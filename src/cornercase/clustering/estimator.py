@@ -155,12 +155,14 @@ class ScenarioClustering(ClusterMixin, BaseEstimator):  # type: ignore[misc]
         self.require_settings()
         matrix = _checked(distances)
         # The canonical order decides to which of two touching clusters a border point belongs.
-        self._spanning = canonical_order(matrix)
+        self._kernel_rows = canonical_order(matrix)
         count = self._landmark_count(len(matrix))
         if count < len(matrix):
-            self._spanning = self._spanning[np.sort(np.random.default_rng(0).choice(len(matrix), count, replace=False))]
-        within = matrix[np.ix_(self._spanning, self._spanning)]
-        self._known = search_settings(
+            self._kernel_rows = self._kernel_rows[
+                np.sort(np.random.default_rng(0).choice(len(matrix), count, replace=False))
+            ]
+        within = matrix[np.ix_(self._kernel_rows, self._kernel_rows)]
+        self._fitted_clustering = search_settings(
             within,
             gamma=self.gamma if self.gamma == "auto" else float(self.gamma),
             eps=self.eps if self.eps == "auto" else float(self.eps),
@@ -168,9 +170,11 @@ class ScenarioClustering(ClusterMixin, BaseEstimator):  # type: ignore[misc]
             n_components=self.n_components if self.n_components == "auto" else int(self.n_components),
             method=self.method,
         )
-        self._scale = self._known.scale or 1.0
+        self._scale = self._fitted_clustering.scale or 1.0
         with threadpool_limits(limits=1):
-            self._space = KernelSpace(self._known.gamma, self._known.embedding.shape[1]).fit(within / self._scale)
+            self._space = KernelSpace(self._fitted_clustering.gamma, self._fitted_clustering.embedding.shape[1]).fit(
+                within / self._scale
+            )
             result = self._extended(matrix) if count < len(matrix) else self._as_given()
         self.result_: Clustering = result
         self.labels_, self.embedding_, self.candidates_ = result.labels, result.embedding, result.candidates
@@ -228,7 +232,7 @@ class ScenarioClustering(ClusterMixin, BaseEstimator):  # type: ignore[misc]
         if not np.isfinite(matrix).all() or (matrix < 0.0).any():
             raise InputError("A distance is negative or not finite; give finite distances of at least 0.")
         with threadpool_limits(limits=1):
-            return self._space.transform(matrix[:, self._spanning] / self._scale)
+            return self._space.transform(matrix[:, self._kernel_rows] / self._scale)
 
     def predict(self, distances: npt.ArrayLike) -> IntArray:
         """Assign new scenarios to the existing clusters, without changing these.
@@ -251,7 +255,7 @@ class ScenarioClustering(ClusterMixin, BaseEstimator):  # type: ignore[misc]
         InputError
             As `transform`.
         """
-        return join_nearest(self.transform(distances), self._known)
+        return join_nearest(self.transform(distances), self._fitted_clustering)
 
     def kernel_lost(self, distances: FloatArray, between: FloatArray) -> float:
         """Return the relative error of the kernel of new scenarios, approximated from the clustered ones.
@@ -269,20 +273,24 @@ class ScenarioClustering(ClusterMixin, BaseEstimator):  # type: ignore[misc]
             As `Clustering.error`.
         """
         with threadpool_limits(limits=1):
-            return self._space.error(distances[:, self._spanning] / self._scale, between / self._scale, _SMALLEST)
+            return self._space.error(distances[:, self._kernel_rows] / self._scale, between / self._scale, _SMALLEST)
 
     def _as_given(self) -> Clustering:
         """Clusters of all scenarios, in the order in which these were given."""
-        order = np.argsort(self._spanning)
-        return replace(self._known, labels=self._known.labels[order], embedding=self._known.embedding[order])
+        order = np.argsort(self._kernel_rows)
+        return replace(
+            self._fitted_clustering,
+            labels=self._fitted_clustering.labels[order],
+            embedding=self._fitted_clustering.embedding[order],
+        )
 
     def _extended(self, matrix: FloatArray) -> Clustering:
         """Clusters of the landmarks, extended to all other scenarios."""
-        landmarks = self._spanning
+        landmarks = self._kernel_rows
         embedding = self._space.transform(matrix[:, landmarks] / self._scale)
-        embedding[landmarks] = self._known.embedding
-        labels = join_nearest(embedding, self._known)
-        labels[landmarks] = self._known.labels
+        embedding[landmarks] = self._fitted_clustering.embedding
+        labels = join_nearest(embedding, self._fitted_clustering)
+        labels[landmarks] = self._fitted_clustering.labels
         others = np.setdiff1d(np.arange(len(matrix)), landmarks)
         sample = others[:: math.ceil(len(others) / MOST_SCORED)]
         error = self._space.error(
@@ -290,8 +298,10 @@ class ScenarioClustering(ClusterMixin, BaseEstimator):  # type: ignore[misc]
         )
         labels = order_by_size(labels)
         # With all scenarios the order of sizes may differ; new ones are assigned to the final labels.
-        self._known = replace(self._known, labels=labels[landmarks])
-        return replace(self._known, labels=labels, embedding=embedding, landmarks=np.sort(landmarks), error=error)
+        self._fitted_clustering = replace(self._fitted_clustering, labels=labels[landmarks])
+        return replace(
+            self._fitted_clustering, labels=labels, embedding=embedding, landmarks=np.sort(landmarks), error=error
+        )
 
     def _landmark_count(self, n: int) -> int:
         if self.landmarks == "auto":

@@ -9,13 +9,11 @@ import numpy as np
 
 from cornercase._common.typing import FloatArray, IntArray
 from cornercase.clustering.analysis import Analysis, read_between, read_distances
-from cornercase.clustering.comparing import instants_within, make_aspect, require_same_channels, series_in
+from cornercase.clustering.comparing import instants_within, series_of, thinned
 from cornercase.clustering.density import join_nearest
 from cornercase.clustering.estimator import ScenarioClustering
 from cornercase.clustering.landmarks import Comparing
-from cornercase.clustering.thinning import thinned
 from cornercase.dtw import distance_matrix
-from cornercase.metrics import METRICS
 from cornercase.study import Study
 
 
@@ -42,12 +40,11 @@ def join_kinds(study: Study, analysis: Analysis, other: Study, ids: Sequence[int
     uses_landmarks = analysis.inexact is not None
     reference_ids = analysis.ids[analysis.clustering.landmarks] if uses_landmarks else analysis.fitted
     references = reference_ids.tolist()
-    series, times = [], []
+    series: list[FloatArray] = []
+    times: list[FloatArray] = []
     for source, scenarios in ((study, references), (other, list(ids))):
-        source_series, source_times = _read(source, analysis.by, scenarios, study.main_other())
-        require_same_channels(source, analysis.by, scenarios, source_series)
-        series += source_series
-        times += source_times
+        series += series_of(source, analysis.by, scenarios, study.main_other())
+        times += [source.recording(scenario).time for scenario in scenarios]
     series, times = ([thinned(values, analysis.every) for values in columns] for columns in (series, times))
     window = instants_within(times, analysis.window)
     rows, count = analysis.rows_of(references), len(references)
@@ -61,12 +58,3 @@ def join_kinds(study: Study, analysis: Analysis, other: Study, ids: Sequence[int
     distances = distance_matrix(series, window=window, dtype="float32").astype(np.float64)
     model = fit_again(analysis, read_distances(study, analysis.by)[np.ix_(rows, rows)])
     return model.predict(distances[count:, :count])
-
-
-def _read(study: Study, by: str, ids: Sequence[int], main: str) -> tuple[list[FloatArray], list[FloatArray]]:
-    times = [study.recording(scenario).time for scenario in ids]
-    if by in study.meta.metrics:
-        metric = METRICS.create(by)
-        return [metric.capped(study.course(scenario, by)) for scenario in ids], times
-    aspect = make_aspect(by)
-    return [series_in(study, scenario, study.recording(scenario), aspect, main) for scenario in ids], times

@@ -29,7 +29,7 @@ class KernelSpace:
         """Fit the components to distances, shape (n, n), divided by their scale."""
         kernel = self._kernel(distances)
         n = len(kernel)
-        self._known = kernel
+        self._fitted_kernel = kernel
         self.embedding, self.explained, self._pca = np.zeros((n, self._n_components)), 1.0, None
         centred = kernel - kernel.mean(axis=0)
         variance = float(np.trace(centred - centred.mean(axis=1)[:, None]))
@@ -56,7 +56,7 @@ class KernelSpace:
         Singular values below the share `smallest` of the largest one count as rounding.
         """
         cross, kernel = self._kernel(to_known), self._kernel(between)
-        weights = lstsq(self._known, cross.T, cond=smallest)[0]
+        weights = lstsq(self._fitted_kernel, cross.T, cond=smallest)[0]
         return float(np.linalg.norm(kernel - cross @ weights) / np.linalg.norm(kernel))
 
     def _kernel(self, distances: FloatArray) -> FloatArray:

@@ -212,7 +212,8 @@ class _Hierarchy:
             if not (settled and small_settled):
                 of_small = of_large = 0.0
                 if len(members[small]) >= self._least and length >= self._least_gap:
-                    of_small, of_large = self._strengths(members[small], members[large], length)
+                    of_small = self._neighbours(members[small], members[large], length)
+                    of_large = self._neighbours(members[large], members[small], length)
                     strengths.append(min(of_small, of_large))
                 is_split = (small_settled or of_small >= accepted) and of_large >= accepted
                 if not is_split:
@@ -227,10 +228,6 @@ class _Hierarchy:
             branches[tree_a] = np.concatenate((branches[tree_a], branches.pop(tree_b)))
         return label, strengths
 
-    def _strengths(self, small: IntArray, large: IntArray, length: float) -> tuple[float, float]:
-        """Neighbours within the length of a split, for the smaller group and for the other."""
-        return self._neighbours(small, large, length), self._neighbours(large, small, length)
-
     def _neighbours(self, members: IntArray, others: IntArray, length: float) -> float:
         """Number of members within `length` of a typical member, extrapolated if `length` exceeds their extent.
 
@@ -238,7 +235,7 @@ class _Hierarchy:
         points lie at a sparse edge, there is no gap between two clusters, though most members of one lie close
         together.
         """
-        distances = self._distances[np.ix_(_some(members), members)]
+        distances = self._distances[np.ix_(members[:: math.ceil(len(members) / _MOST_CENTRES)], members)]
         typical = float(np.median((distances <= length).sum(axis=1)))
         for count in {math.ceil(len(members) / 2), len(members)}:
             extent = float(np.median(np.partition(distances, count - 1, axis=1)[:, count - 1]))
@@ -251,7 +248,3 @@ class _Hierarchy:
         seam_members = members[np.argsort(to_others, kind="stable")[:seam]]
         at_seam = float(np.median((self._distances[np.ix_(seam_members, members)] <= length).sum(axis=1)))
         return typical if at_seam >= len(members) else min(typical, SEAM_SHARE * at_seam)
-
-
-def _some(members: IntArray) -> IntArray:
-    return members[:: math.ceil(len(members) / _MOST_CENTRES)]

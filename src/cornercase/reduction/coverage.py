@@ -11,7 +11,7 @@ from cornercase._common.errors import InputError
 from cornercase._common.typing import FloatArray, IntArray
 from cornercase.clustering import Distances, PlacedDistances
 from cornercase.reduction.draws import DRAWS, draw_choices, nearest, nearest_of
-from cornercase.reduction.held_out import HeldOut
+from cornercase.reduction.held_out import HeldOut, summarize
 from cornercase.reduction.medoids import choose_medoids
 
 
@@ -117,18 +117,12 @@ def measure_coverage(
     names = np.arange(n) if ids is None else np.asarray(ids, dtype=np.int64)
     extent = float(matrix.max())
     all_gaps = measure_gaps(matrix, indices, draws=draws, seed=seed) if gaps is None else gaps
-    distance_to_set, random, distance_to_medoids = all_gaps.kept, all_gaps.random, all_gaps.medoids
+    figures = summarize(all_gaps.kept, all_gaps.medoids, all_gaps.random)
     return Coverage(
         kept=len(indices),
-        largest=float(distance_to_set.max()),
-        mean=float(distance_to_set.mean()),
-        worst=int(names[distance_to_set.argmax()]),
-        largest_relative=float(distance_to_set.max()) / extent if extent else 0.0,
-        mean_relative=float(distance_to_set.mean()) / extent if extent else 0.0,
-        random_largest=float(np.median(random.max(axis=1))),
-        random_mean=float(np.median(random.mean(axis=1))),
-        better_largest=float(np.mean(random.max(axis=1) > distance_to_set.max())),
-        better_mean=float(np.mean(random.mean(axis=1) > distance_to_set.mean())),
-        medoids_largest=float(distance_to_medoids.max()),
-        medoids_mean=float(distance_to_medoids.mean()),
+        worst=int(names[all_gaps.kept.argmax()]),
+        largest_relative=figures["largest"] / extent if extent else 0.0,
+        mean_relative=figures["mean"] / extent if extent else 0.0,
+        held_out=None,
+        **figures,
     )

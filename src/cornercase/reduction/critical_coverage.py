@@ -13,7 +13,7 @@ from cornercase._common.errors import InputError
 from cornercase._common.typing import BoolArray, FloatArray, IntArray
 from cornercase.clustering import Distances, PlacedDistances
 from cornercase.evidence import CriticalSet, Estimate, encoded
-from cornercase.reduction.coverage import Gaps, measure_gaps
+from cornercase.reduction.coverage import Gaps
 from cornercase.reduction.held_out import HeldOutCritical, HeldOutGaps, judge_critical
 from cornercase.scenario import ParameterSpace
 
@@ -61,31 +61,6 @@ class CriticalCoverage:
     medoids_mean: float | None
     unlike: Estimate | None
     held_out: HeldOutCritical | None = None
-
-
-def measure_critical_coverage(
-    space: ParameterSpace,
-    points: FloatArray,
-    scores: FloatArray,
-    threshold: float,
-    distances: Distances,
-    kept: IntArray,
-    within: float,
-    *,
-    seed: int = 0,
-    critical_set: CriticalSet | None = None,
-    held_out: HeldOutGaps | None = None,
-) -> CriticalCoverage:
-    """Measure how well selected scenarios represent the critical ones.
-
-    Like `judge_gaps`, which see, but computes the distances to the selected scenarios `kept`.
-    """
-    if not len(kept):
-        raise InputError("No scenario is selected, so nothing is covered; select at least one.")
-    gaps = measure_gaps(distances, kept, seed=seed)
-    return judge_gaps(
-        space, points, scores, threshold, gaps, within, seed=seed, critical_set=critical_set, held_out=held_out
-    )
 
 
 def judge_gaps(

@@ -122,10 +122,8 @@ def measure_held_out_gaps(distances: Distances, trials: Sequence[Trial]) -> Held
         to_judging = part_of(distances, fold.chosen_from, fold.judging)
         within_training = part_of(distances, fold.chosen_from, fold.chosen_from)
         choices = draw_choices(len(fold.chosen_from), len(fold.kept), stream="grading", seed=k)
-        selected, medoid_indices = (
-            np.flatnonzero(np.isin(fold.chosen_from, fold.kept)),
-            choose_medoids(within_training, len(fold.kept)),
-        )
+        selected = np.flatnonzero(np.isin(fold.chosen_from, fold.kept))
+        medoid_indices = choose_medoids(within_training, len(fold.kept))
         kept.append(nearest_of(to_judging, selected[None])[0])
         medoids.append(nearest_of(to_judging, medoid_indices[None])[0])
         random.append(nearest_of(to_judging, choices))
@@ -137,22 +135,26 @@ def measure_held_out_gaps(distances: Distances, trials: Sequence[Trial]) -> Held
     )
 
 
+def summarize(kept: FloatArray, medoids: FloatArray, random: FloatArray) -> dict[str, float]:
+    """Return the figures that `HeldOut` and `Coverage` share, from distances of shape (m,), (m,) and (draws, m)."""
+    random_largest, random_mean = random.max(axis=1), random.mean(axis=1)
+    return {
+        "largest": float(kept.max()),
+        "mean": float(kept.mean()),
+        "random_largest": float(np.median(random_largest)),
+        "random_mean": float(np.median(random_mean)),
+        "better_largest": float(np.mean(random_largest > kept.max())),
+        "better_mean": float(np.mean(random_mean > kept.mean())),
+        "medoids_largest": float(medoids.max()),
+        "medoids_mean": float(medoids.mean()),
+    }
+
+
 def judge(gaps: HeldOutGaps | None) -> HeldOut | None:
     """Summarize the distances of held-out scenarios; None if there are none."""
     if gaps is None:
         return None
-    largest, mean = gaps.random.max(axis=1), gaps.random.mean(axis=1)
-    return HeldOut(
-        scenarios=len(gaps.judging),
-        largest=float(gaps.kept.max()),
-        mean=float(gaps.kept.mean()),
-        random_largest=float(np.median(largest)),
-        random_mean=float(np.median(mean)),
-        better_largest=float(np.mean(largest > gaps.kept.max())),
-        better_mean=float(np.mean(mean > gaps.kept.mean())),
-        medoids_largest=float(gaps.medoids.max()),
-        medoids_mean=float(gaps.medoids.mean()),
-    )
+    return HeldOut(scenarios=len(gaps.judging), **summarize(gaps.kept, gaps.medoids, gaps.random))
 
 
 def judge_critical(

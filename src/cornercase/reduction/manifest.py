@@ -56,7 +56,7 @@ def make_manifest(
             "run": reduced.run,
             "kept": len(reduced.kept),
             "graded": _GRADED,
-            "scenarios": [_of_kept(item) | {"kind": kinds.get(item.cluster, "")} for item in reduced.kept],
+            "scenarios": [asdict(item) | {"kind": kinds.get(item.cluster, "")} for item in reduced.kept],
             "shapes": [_of_shape(item) for item in reduced.shapes],
             "coverage": {name: asdict(item) for name, item in reduced.coverage.items()},
             "critical": {name: asdict(item) for name, item in reduced.critical.items()},
@@ -77,7 +77,7 @@ def save_reduction(study: Study, reduced: ReducedSet) -> None:
     info = {
         "by": reduced.by,
         "run": reduced.run,
-        "kept": [_of_kept(item) for item in reduced.kept],
+        "kept": [asdict(item) for item in reduced.kept],
         "shapes": [_of_shape(item) for item in reduced.shapes],
         "coverage": {name: asdict(item) for name, item in reduced.coverage.items()},
         "critical": {name: asdict(item) for name, item in reduced.critical.items()},
@@ -111,6 +111,7 @@ def read_reduction(study: Study) -> ReducedSet | None:
         return None
     with damage_told(study.path):
         ids = {row.id for row in study.done()}
+        threshold = info.get("critical_threshold", study.meta.critical)
         reduced = ReducedSet(
             by=str(info["by"]),
             run=int(info["run"]),
@@ -120,7 +121,7 @@ def read_reduction(study: Study) -> ReducedSet | None:
             critical={name: _critical(item) for name, item in info["critical"].items()},
             hulls={int(cluster): tuple(map(tuple, facets)) for cluster, facets in info["hulls"].items()},
             exposing=_exposing(info["exposing"]) if info.get("exposing") else None,
-            threshold=_number(info.get("critical_threshold", study.meta.critical)),
+            threshold=None if threshold is None else float(threshold),
         )
         corners = {corner for facets in reduced.hulls.values() for facet in facets for corner in facet}
         for scenario in reduced.kept:
@@ -145,22 +146,6 @@ def _kept(plain: Mapping[str, Any]) -> KeptScenario:
         all(isinstance(value, float | int) for value in scenario.scores.values()), "a selected scenario without scores"
     )
     return scenario
-
-
-def _number(plain: float | None) -> float | None:
-    return None if plain is None else float(plain)
-
-
-def _of_kept(one: KeptScenario) -> dict[str, Any]:
-    return {
-        "id": one.id,
-        "file": one.file,
-        "cluster": one.cluster,
-        "role": one.role,
-        "why": one.why,
-        "values": dict(one.values),
-        "scores": dict(one.scores),
-    }
 
 
 def _of_shape(one: ClusterShape) -> dict[str, Any]:
