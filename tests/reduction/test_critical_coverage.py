@@ -1,4 +1,4 @@
-"""Coverage of the critical set."""
+"""Coverage of the critical scenarios."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ def covered(points, scores, threshold, distances, kept, within, seed=0) -> Criti
 
 
 def disc(points):
-    """Score that is critical, up to 0.3, within a disc in the middle of the space."""
+    """Score that is critical (up to 0.3) within a disc in the middle of the space."""
     return np.linalg.norm(points - 0.5, axis=1)
 
 
@@ -60,7 +60,7 @@ def test_shares_of_what_was_run():
     gap = distances[:, kept[0]]
     assert found.within == 0.2
     assert found.critical == pytest.approx((gap[critical] <= 0.2).mean())
-    # On the rim of the disc, and the disc of what is alike does not reach it.
+    # The boundary is the rim of the disc, farther away than similar scenarios.
     assert found.boundary == 0.0
     assert found.largest == pytest.approx(gap[critical].max())
     assert found.mean == pytest.approx(gap[critical].mean())

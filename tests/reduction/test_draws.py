@@ -1,4 +1,4 @@
-"""What chose the reduced set does not grade it."""
+"""Random selections that influence the reduced set do not evaluate it."""
 
 from __future__ import annotations
 

@@ -271,12 +271,16 @@ def read_distances(study: Study, by: str) -> Distances:
     if study.analysis(by, "ids")[1].get("inexact") is not None:
         arrays, _ = study.analysis(by, "ids", "places")
         with damage_told(study.path):
-            places = arrays["places"]
+            coordinates = arrays["places"]
             require(
-                places.ndim == 2 and len(places) == len(arrays["ids"]), "an embedding that does not fit the scenarios"
+                coordinates.ndim == 2 and len(coordinates) == len(arrays["ids"]),
+                "an embedding that does not fit the scenarios",
             )
-            require(places.dtype.kind == "f" and bool(np.isfinite(places).all()), "coordinates that are not finite")
-            return PlacedDistances(places)
+            require(
+                coordinates.dtype.kind == "f" and bool(np.isfinite(coordinates).all()),
+                "coordinates that are not finite",
+            )
+            return PlacedDistances(coordinates)
     arrays, _ = study.analysis(by, "ids", "distances")
     distances: FloatArray = arrays["distances"]
     with damage_told(study.path):

@@ -141,7 +141,7 @@ def analyze(
         existing = set(aspects) & set(opened.analyses())
         if keep and existing and ({gamma, eps, min_samples} != {"auto"} or method is not None or window is not None):
             raise InputError(
-                "`keep`: kept clusters keep their settings;"
+                "`keep`: the settings of kept clusters cannot change;"
                 " leave out `gamma`, `eps`, `min_samples`, `method` and `window`."
             )
         with bars_wanted(progress), connected(cluster, workers, else_none=True) as client:
@@ -173,8 +173,8 @@ def _analyzed(
     ids = np.array([row.id for row in study.done()], dtype=np.int64)
     if len(ids) < 2:
         ran, failed = "1 scenario was" if len(ids) else "no scenario was", study.failed()
-        failures = f", {len(failed)} failed, the first one as {failed[0].error}" if failed else ""
-        raise InputError(f"{study.path}: {ran} run{failures}; at least 2 can be clustered.")
+        failures = f", {len(failed)} failed, the first one with: {failed[0].error}" if failed else ""
+        raise InputError(f"{study.path}: {ran} run{failures}; clustering needs at least 2.")
     start = time.monotonic()
     previous = {aspect: read_analysis(study, aspect) for aspect in aspects if keep and aspect in study.analyses()}
     stride = _instants_apart(study, ids)

@@ -167,8 +167,8 @@ def bounded_clauses(account: Account, wanted: BoolArray, needed: int, rivals: Bo
     for parameter in account.space.parameters:
         column_values = [parameter.read(row) for row in account.values]
         if parameter.choices:
-            chosen = np.array([str(value) for value in column_values])
-            clauses += [(2, Clause(_choice(parameter, choice), chosen == choice)) for choice in parameter.choices]
+            choices = np.array([str(value) for value in column_values])
+            clauses += [(2, Clause(_choice(parameter, choice), choices == choice)) for choice in parameter.choices]
         elif parameter.size != 1:
             unit = parameter.unit.replace("{", "{{").replace("}", "}}")
             texts = (f"{{other}} < {{}} {unit}".rstrip(), f"{{other}} > {{}} {unit}".rstrip())

@@ -47,7 +47,7 @@ def make_aspect(name: str) -> Aspect:
     except InputError:
         raise
     except Exception as error:
-        raise InputError(f"The aspect '{name}' cannot be made: {in_one_line(error)}.") from error
+        raise InputError(f"The aspect '{name}' cannot be created: {in_one_line(error)}.") from error
     if not isinstance(unit, str):
         raise InputError(f"The aspect '{name}' has {unit!r} as its unit; it has to be a string.")
     return aspect

@@ -105,7 +105,7 @@ def find_crossing(one: Way, other: Way) -> Crossing | None:
 
 def _far_apart(one: Way, other: Way) -> bool:
     reach = 0.5 * float(np.hypot(*one.size) + np.hypot(*other.size))
-    low, high = (np.stack([end(way.poses[:2], axis=1) for way in (one, other)]) for end in (np.min, np.max))
+    low, high = (np.stack([end(box_path.poses[:2], axis=1) for box_path in (one, other)]) for end in (np.min, np.max))
     return bool(((low[0] > high[1] + reach) | (low[1] > high[0] + reach)).any())
 
 

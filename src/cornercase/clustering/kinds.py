@@ -135,11 +135,11 @@ def _divided(distances: FloatArray, least_gap: float) -> IntArray:
     n = len(distances)
     if n >= 2 * LEAST_MEMBERS:
         dimension = _dimension(distances, _DIMENSION_NEIGHBOURS)
-        for needed in NEIGHBOURS:
-            if 4 * needed > n:
+        for n_neighbours in NEIGHBOURS:
+            if 4 * n_neighbours > n:
                 break
-            chance = _by_chance(n, needed, dimension)
-            hierarchy = _Hierarchy(distances, needed, least_gap)
+            chance = _by_chance(n, n_neighbours, dimension)
+            hierarchy = _Hierarchy(distances, n_neighbours, least_gap)
             required = CLEAR * chance
             groups, strengths = hierarchy.divide(required)
             relaxed = _standing_out(strengths, FAIR * chance, required)

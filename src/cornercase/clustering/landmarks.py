@@ -98,10 +98,12 @@ def draw_landmarks(count: int) -> IntArray:
 def find_by_landmarks(comparing: Comparing, model: ScenarioClustering) -> Compared:
     """Cluster the landmarks with the settings of `model`, and assign all other scenarios to their clusters."""
     landmarks = draw_landmarks(len(comparing.series))
-    between = comparing.between(landmarks)
-    fitted = ScenarioClustering(**{**model.get_params(), "landmarks": None}).fit(between)
-    clustering, coordinates, error = _joined(comparing, landmarks, between, fitted)
-    return Compared(replace(clustering, labels=order_by_size(clustering.labels)), coordinates, between, error)
+    landmark_distances = comparing.between(landmarks)
+    fitted = ScenarioClustering(**{**model.get_params(), "landmarks": None}).fit(landmark_distances)
+    clustering, coordinates, error = _joined(comparing, landmarks, landmark_distances, fitted)
+    return Compared(
+        replace(clustering, labels=order_by_size(clustering.labels)), coordinates, landmark_distances, error
+    )
 
 
 def join_landmarks(

@@ -98,23 +98,23 @@ def _named_by_ending(
     members = np.flatnonzero(mine).tolist()
     counts = Counter(said[k][-1] for k in members)
     general = sorted(counts, key=lambda text: (-counts[text], text))
-    chosen: list[str] = []
-    while sum(counts[text] for text in chosen) < needed:
-        chosen.append(general[len(chosen)])
-    covered = np.array([texts[-1] in chosen for texts in said])
+    selected_endings: list[str] = []
+    while sum(counts[text] for text in selected_endings) < needed:
+        selected_endings.append(general[len(selected_endings)])
+    covered = np.array([texts[-1] in selected_endings for texts in said])
     shares = [covered[mask].mean() for mask in others]
-    if len(chosen) > _MOST_ENDINGS or (len(chosen) > 1 and shares and np.mean(shares) >= _OF_ALL):
+    if len(selected_endings) > _MOST_ENDINGS or (len(selected_endings) > 1 and shares and np.mean(shares) >= _OF_ALL):
         return KindName(Clause("any ending", np.ones(len(said), dtype=np.bool_)))
-    for k, text in enumerate(chosen):
+    for k, text in enumerate(selected_endings):
         ladder = dict.fromkeys(detail for i in members if said[i][-1] == text for detail in said[i][:-1])
         # The most specific come first in each scenario's own order.
         for detail in sorted(ladder, key=lambda text: _true_of_all(said, mine, [text])):
-            candidate = [*chosen[:k], detail, *chosen[k + 1 :]]
+            candidate = [*selected_endings[:k], detail, *selected_endings[k + 1 :]]
             if _true_of_all(said, mine, candidate) >= needed:
-                chosen = candidate
+                selected_endings = candidate
                 break
-    holds = np.array([any(text in texts for text in chosen) for texts in said])
-    name = KindName(Clause(f"{ego} {' or '.join(chosen)}", holds))
+    holds = np.array([any(text in texts for text in selected_endings) for texts in said])
+    name = KindName(Clause(f"{ego} {' or '.join(selected_endings)}", holds))
     for clause in fixed:
         if clause.text in _HOW and int((clause.holds & name.holds & mine).sum()) >= needed:
             return name.with_qualifier(clause)
@@ -133,7 +133,7 @@ def _set_apart(
     label: int,
 ) -> KindName:
     """Add the predicate that best separates a cluster from those of the same name, or from all others."""
-    name, mine = names[label], kinds[label]
+    name, is_member = names[label], kinds[label]
     others = [other for other in kinds if other != label]
     same_name = [other for other in others if names[other].text == name.text]
     rivals = same_name or others
@@ -144,12 +144,12 @@ def _set_apart(
 
     if not rivals or (not same_name and bool((left(name.holds) <= _SAYS_LITTLE).all())):
         return name
-    needed = _needed(mine)
+    needed = _needed(is_member)
     competing = np.any([kinds[other] for other in rivals], axis=0) & name.holds
-    bounded = bounded_clauses(account, mine & name.holds, needed, competing)
-    best, least = name, (1.0 - _SETS_APART) * left(name.holds).mean()
+    bounded = bounded_clauses(account, is_member & name.holds, needed, competing)
+    best, lowest = name, (1.0 - _SETS_APART) * left(name.holds).mean()
     for rank, clause in [*((0, predicate) for predicate in fixed), *bounded]:
         holds = name.holds & clause.holds
-        if int(holds[mine].sum()) >= needed and left(holds).mean() + _PREFERENCE[rank] < least:
-            best, least = name.with_qualifier(clause), left(holds).mean() + _PREFERENCE[rank]
+        if int(holds[is_member].sum()) >= needed and left(holds).mean() + _PREFERENCE[rank] < lowest:
+            best, lowest = name.with_qualifier(clause), left(holds).mean() + _PREFERENCE[rank]
     return best

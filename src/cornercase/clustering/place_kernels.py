@@ -29,16 +29,16 @@ def nearest_chosen(products, row_norms, column_norms, chosen, near, found):
             distances[j] = max(distances[j] * -2.0 + row_norms[i] + column_norms[j], 0.0)
         _find_nearest(distances, smallest, nearest)
         for k in range(len(chosen)):
-            least = np.inf
+            nearest_distance = np.inf
             for rank in range(near):
                 if chosen[k, nearest[rank]]:
-                    least = smallest[rank]
+                    nearest_distance = smallest[rank]
                     break
-            if least == np.inf:
+            if nearest_distance == np.inf:
                 for j in range(columns):
-                    if chosen[k, j] and distances[j] < least:
-                        least = distances[j]
-            found[k, i] = least
+                    if chosen[k, j] and distances[j] < nearest_distance:
+                        nearest_distance = distances[j]
+            found[k, i] = nearest_distance
 
 
 @kernel(error_model="numpy", _nrt=False)

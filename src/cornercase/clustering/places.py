@@ -146,8 +146,8 @@ class PlacedDistances:
         squares = ((self._rows - model.cluster_centers_[groups]) ** 2).sum(axis=1)
         order = np.lexsort((squares, groups))
         selected = order[np.unique(groups[order], return_index=True)[1]]
-        rest = np.setdiff1d(np.arange(n), selected)[: count - len(selected)]
-        return np.sort(np.concatenate((selected, rest))).astype(np.int64)
+        remaining = np.setdiff1d(np.arange(n), selected)[: count - len(selected)]
+        return np.sort(np.concatenate((selected, remaining))).astype(np.int64)
 
 
 class Placing:

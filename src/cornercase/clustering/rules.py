@@ -86,7 +86,7 @@ def _prevailing(columns: FloatArray, members: BoolArray) -> list[_Part]:
         max_depth=_DEPTH, min_samples_leaf=min_leaf, class_weight="balanced", random_state=0
     ).fit(columns, members)
     parts = _parts(tree.tree_, columns, members, 0, np.ones(len(members), dtype=np.bool_), {})
-    return [(inside, bounds) for inside, bounds in parts if bounds and members[inside].mean() > members.mean()]
+    return [(is_inside, bounds) for is_inside, bounds in parts if bounds and members[is_inside].mean() > members.mean()]
 
 
 def _judged_by_others(columns: FloatArray, members: BoolArray, parts: Sequence[_Part]) -> IntArray:
@@ -96,13 +96,13 @@ def _judged_by_others(columns: FloatArray, members: BoolArray, parts: Sequence[_
     for k in range(int(fold.max()) + 1):
         training = fold != k
         for _, bounds in _prevailing(columns[training], members[training]):
-            inside = _within(columns, bounds)
+            is_inside = _within(columns, bounds)
             overlaps = [
-                float((inside & members_of_part)[training].sum() / (inside | members_of_part)[training].sum())
+                float((is_inside & members_of_part)[training].sum() / (is_inside | members_of_part)[training].sum())
                 for members_of_part, _ in parts
             ]
             if max(overlaps, default=0.0) > 0.0:
-                judged[inside & ~training] = int(np.argmax(overlaps))
+                judged[is_inside & ~training] = int(np.argmax(overlaps))
     return judged
 
 
@@ -116,10 +116,10 @@ def _folds(members: BoolArray) -> IntArray:
 
 
 def _within(columns: FloatArray, bounds: _Bounds) -> BoolArray:
-    inside = np.ones(len(columns), dtype=np.bool_)
+    is_inside = np.ones(len(columns), dtype=np.bool_)
     for column, (low, high) in bounds.items():
-        inside &= (columns[:, column] > low) & (columns[:, column] <= high)
-    return inside
+        is_inside &= (columns[:, column] > low) & (columns[:, column] <= high)
+    return is_inside
 
 
 def _columns(

@@ -57,11 +57,13 @@ def _agreement(one: IntArray, two: IntArray) -> float:
     """Adjusted Rand index of two labellings with values from -1 up; scikit-learn's checks take 30 times as long."""
     width = int(two.max()) + 2
     shared = np.bincount((one + 1) * width + two + 1, minlength=(int(one.max()) + 2) * width).reshape(-1, width)
-    both, first, second = (int((x**2).sum()) for x in (shared, shared.sum(axis=1), shared.sum(axis=0)))
+    pairs_in_both, first, second = (int((x**2).sum()) for x in (shared, shared.sum(axis=1), shared.sum(axis=0)))
     # Numbers of pairs that share a cluster in both, in the first only, in the second only, and in neither.
-    together, only_first, only_second = both - len(one), first - both, second - both
+    together_in_both, only_first, only_second = pairs_in_both - len(one), first - pairs_in_both, second - pairs_in_both
     neither = len(one) ** 2 - first - only_second
     if only_first == only_second == 0:
         return 1.0
-    expected = (together + only_first) * (only_first + neither) + (together + only_second) * (only_second + neither)
-    return 2.0 * (together * neither - only_first * only_second) / expected
+    expected = (together_in_both + only_first) * (only_first + neither) + (together_in_both + only_second) * (
+        only_second + neither
+    )
+    return 2.0 * (together_in_both * neither - only_first * only_second) / expected

@@ -47,9 +47,9 @@ def choose_by_cluster(
     clusters = find_shapes(points, label_array, method="hull") if shaped is None else shaped
     if archetypes == "auto":
         fewest = min(points.shape[1] + 1, MOST_ARCHETYPES)
-        most = int(np.clip(n // (PER_KEPT * max(1, len(clusters))) - 1, fewest, MOST_ARCHETYPES))
+        max_archetypes = int(np.clip(n // (PER_KEPT * max(1, len(clusters))) - 1, fewest, MOST_ARCHETYPES))
     elif isinstance(archetypes, (int, np.integer)) and not isinstance(archetypes, bool) and archetypes >= 1:
-        most = int(archetypes)
+        max_archetypes = int(archetypes)
     else:
         raise InputError(f"`archetypes` {archetypes!r}: give a whole number of at least 1, or 'auto'.")
 
@@ -61,6 +61,6 @@ def choose_by_cluster(
         others = [part[(points[part] != points[prototype]).any(axis=1)] for part in cluster.parts]
         remaining = replace(cluster, parts=tuple(part for part in others if len(part)))
         if remaining.parts:
-            corners = remaining.archetypes(points, distances, most)
+            corners = remaining.archetypes(points, distances, max_archetypes)
             selected.extend(Kept(index, cluster.shape.cluster, "archetype") for index in corners.tolist())
     return tuple(selected)

@@ -77,10 +77,8 @@ class Exposure:
         -------
         Grade
         """
-        chosen = self.scenarios if scenarios is None else scenarios
-        return Grade(
-            len(self.mutants), int(self.exposed.any(axis=0).sum()), int(self.rows_of(chosen).any(axis=0).sum())
-        )
+        ids = self.scenarios if scenarios is None else scenarios
+        return Grade(len(self.mutants), int(self.exposed.any(axis=0).sum()), int(self.rows_of(ids).any(axis=0).sum()))
 
     @property
     def by_mutation(self) -> dict[str, tuple[int, int]]:

@@ -45,11 +45,11 @@ class GapSums:
     def __init__(
         self, distances: Sequence[Distances], critical: BoolArray, composition: Composition, size: int
     ) -> None:
-        near = min(-(-len(critical) // size), len(critical) - 1)
+        n_neighbours = min(-(-len(critical) // size), len(critical) - 1)
         self._weights = np.where(critical, composition.critical, 1.0)
         self._power = composition.power
         self._distances = distances
-        self._usual = [_usual(matrix, near) for matrix in distances]
+        self._usual = [_usual(matrix, n_neighbours) for matrix in distances]
         self._heavy = [composition.first if k == 0 else 1.0 for k in range(len(distances))]
         self._placed = isinstance(distances[0], PlacedDistances)
         # All costs take as much memory as all distances.
@@ -78,8 +78,8 @@ class GapSums:
         left_costs = [np.full(len(self._weights), np.inf) for _ in self._distances]
         for first in range(0, len(kept), BLOCK):
             batch = np.asarray(kept[first : first + BLOCK], dtype=np.int64)
-            for least, costs in zip(left_costs, self._rows(batch), strict=True):
-                np.minimum(least, costs.min(axis=0), out=least)
+            for lowest, costs in zip(left_costs, self._rows(batch), strict=True):
+                np.minimum(lowest, costs.min(axis=0), out=lowest)
         return left_costs
 
     def gains(self, left: Sequence[FloatArray], candidates: IntArray) -> FloatArray:
@@ -109,8 +109,8 @@ class GapSums:
 
     def _cells(self, kept: Sequence[int]) -> CellSums:
         heavy = [self._weights * weight for weight in self._heavy]
-        places = [embedding.places for embedding in self._distances if isinstance(embedding, PlacedDistances)]
-        return CellSums(places, self._usual, heavy, self._power, kept)
+        embeddings = [embedding.places for embedding in self._distances if isinstance(embedding, PlacedDistances)]
+        return CellSums(embeddings, self._usual, heavy, self._power, kept)
 
     def exchanged(self, kept: list[int], fixed: int, selection: Selection) -> list[int]:
         """Exchange each scenario after the first `fixed` ones for another one if that lowers the sum; return all."""
@@ -118,17 +118,17 @@ class GapSums:
         everyone = np.arange(len(selection.gap))
         pair_distances = selection.apart(everyone)
         for _ in range(ROUNDS):
-            before = kept[:]
+            previous = kept[:]
             for j in range(fixed, len(kept)):
-                rest = kept[:j] + kept[j + 1 :]
-                if not rest:
+                others = kept[:j] + kept[j + 1 :]
+                if not others:
                     continue
-                gains = self.gains(self.left(rest), everyone)
-                gains[pair_distances[rest].min(axis=0) <= ALIKE] = -1.0
+                gains = self.gains(self.left(others), everyone)
+                gains[pair_distances[others].min(axis=0) <= ALIKE] = -1.0
                 best = int(gains.argmax())
                 if gains[best] > gains[kept[j]] * (1.0 + 1e-9):
                     kept[j] = best
-            if kept == before:
+            if kept == previous:
                 break
         return kept
 

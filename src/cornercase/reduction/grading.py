@@ -135,5 +135,5 @@ def grade_anew(study: Study, reduced: ReducedSet) -> ReducedSet:
     """
     if reduced.threshold == study.critical or not reduced.kept:
         return reduced
-    alike = {name: coverage.within for name, coverage in reduced.critical.items()}
-    return replace(reduced, critical=grade_critical(read_ran(study), reduced.ids, {}, WITHIN, alike=alike))
+    similar_distances = {name: coverage.within for name, coverage in reduced.critical.items()}
+    return replace(reduced, critical=grade_critical(read_ran(study), reduced.ids, {}, WITHIN, alike=similar_distances))

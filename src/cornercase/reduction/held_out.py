@@ -114,7 +114,7 @@ def divide(count: int) -> list[IntArray]:
 
 def measure_held_out_gaps(distances: Distances, trials: Sequence[Trial]) -> HeldOutGaps | None:
     """Measure the distances of held-out scenarios to their fold's set and baselines; None if there are no folds."""
-    kept, medoids, random = [], [], []
+    to_selected, medoids, random = [], [], []
     folds = [fold for fold in trials if len(fold.kept) and len(fold.judging)]
     if not folds:
         return None
@@ -124,12 +124,12 @@ def measure_held_out_gaps(distances: Distances, trials: Sequence[Trial]) -> Held
         choices = draw_choices(len(fold.chosen_from), len(fold.kept), stream="grading", seed=k)
         selected = np.flatnonzero(np.isin(fold.chosen_from, fold.kept))
         medoid_indices = choose_medoids(within_training, len(fold.kept))
-        kept.append(nearest_of(to_judging, selected[None])[0])
+        to_selected.append(nearest_of(to_judging, selected[None])[0])
         medoids.append(nearest_of(to_judging, medoid_indices[None])[0])
         random.append(nearest_of(to_judging, choices))
     return HeldOutGaps(
         np.concatenate([fold.judging for fold in folds]),
-        np.concatenate(kept),
+        np.concatenate(to_selected),
         np.concatenate(medoids),
         np.concatenate(random, axis=1),
     )

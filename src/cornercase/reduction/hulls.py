@@ -69,7 +69,7 @@ def find_hull_archetypes(points: npt.ArrayLike, k: int | None = None) -> IntArra
     vertex farthest from the mean, then always the one farthest from all taken; at a tie the first.
     """
     if k is not None and k < 1:
-        raise InputError(f"`k` {k}: keep at least 1 archetype.")
+        raise InputError(f"`k` {k}: give at least 1.")
     array = np.asarray(points, dtype=np.float64)
     vertices = find_hull(array).vertices
     if k is None or len(vertices) <= k:

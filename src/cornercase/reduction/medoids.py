@@ -33,21 +33,21 @@ def choose_medoids(distances: Distances, k: int, rounds: int = 50) -> IntArray:
     """
     if isinstance(distances, PlacedDistances):
         return distances.medoids(k)
-    chosen = [int(distances.sum(axis=1).argmin())]
-    gap = distances[chosen[0]].copy()
+    selected = [int(distances.sum(axis=1).argmin())]
+    gap = distances[selected[0]].copy()
     # Gains can only fall as others are chosen, so only the largest one is computed again.
-    gains = ((float(np.maximum(gap - row, 0.0).sum()), j) for j, row in enumerate(distances) if j != chosen[0])
+    gains = ((float(np.maximum(gap - row, 0.0).sum()), j) for j, row in enumerate(distances) if j != selected[0])
     queue = [(-gain, j) for gain, j in gains]
     heapq.heapify(queue)
-    while len(chosen) < k:
+    while len(selected) < k:
         _, best = heapq.heappop(queue)
         gain = float(np.maximum(gap - distances[best], 0.0).sum())
         if queue and (-gain, best) > queue[0]:
             heapq.heappush(queue, (-gain, best))
             continue
-        chosen.append(best)
+        selected.append(best)
         gap = np.minimum(gap, distances[best])
-    medoids = np.array(chosen, dtype=np.int64)
+    medoids = np.array(selected, dtype=np.int64)
     for _ in range(rounds):
         nearest = distances[medoids].argmin(axis=0)
         nearest[medoids] = np.arange(k)

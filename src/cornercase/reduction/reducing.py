@@ -271,8 +271,8 @@ def _write(
     with replaced_set(folder) as set_folder:
         for selected in reduced.kept if scenario is not None else ():
             assert scenario is not None
-            why = f"Scenario {selected.id} of the logical scenario {study.meta.title}: {selected.why}"
-            concrete = fill_concrete(scenario, selected.values, folder / selected.file, drivers, why)
+            comment = f"Scenario {selected.id} of the logical scenario {study.meta.title}: {selected.why}"
+            concrete = fill_concrete(scenario, selected.values, folder / selected.file, drivers, comment)
             for source, path, root in concrete.beside:
                 if source not in dependencies:
                     dependencies[source] = read_beside(source, root)

@@ -86,12 +86,12 @@ def choose_scenarios(
     shapes = {cluster.shape.cluster: cluster for cluster in (find_shapes(points, labels) if shaped is None else shaped)}
     task = _Task(points, distances, labels, critical, clusters, shapes, size)
     baselines = Rivals(distances, labels, critical, size) if len(labels) <= _MOST_EXCHANGED else None
-    best, least = base.kept, np.inf
+    best, smallest_shortfall = base.kept, np.inf
     for composition in _COMPOSITIONS:
         completed = task.completed(base, composition)
         shortfall = baselines.shortfall(completed.indices) if baselines else 0.0
-        if shortfall < least:
-            best, least = completed.kept, shortfall
+        if shortfall < smallest_shortfall:
+            best, smallest_shortfall = completed.kept, shortfall
         if shortfall == 0.0:
             break
     return tuple(best)

@@ -158,14 +158,14 @@ def finish_set(folder: Path) -> None:
     try:
         # The files below would belong to no set if the manifest were lost.
         force_folder(folder)
-        for place in new_files:
-            source, target = _within(hidden, place), _within(folder, place)
+        for path in new_files:
+            source, target = _within(hidden, path), _within(folder, path)
             # Another process may be completing it, too.
             if source.is_file():
                 target.parent.mkdir(parents=True, exist_ok=True)
                 with suppress(FileNotFoundError):
                     replace_file(source, target)
-        for parent in {(folder / place).parent for place in new_files} | {folder}:
+        for parent in {(folder / path).parent for path in new_files} | {folder}:
             force_folder(parent)
         _remove_earlier(folder, earlier, new_files)
         shutil.rmtree(hidden, ignore_errors=True)
@@ -178,13 +178,13 @@ def finish_set(folder: Path) -> None:
 
 def _remove_earlier(folder: Path, earlier: Mapping[str, Any], new: Mapping[str, str]) -> None:
     """Remove scenario files of the earlier set, unless they have been changed since."""
-    digests, new_files = _files_of(earlier), {place.casefold() for place in new}
-    for place in [str(scenario["file"]) for scenario in earlier["scenarios"]] if digests else ():
-        if place not in digests or place.casefold() in new_files:
+    digests, new_files = _files_of(earlier), {path.casefold() for path in new}
+    for path in [str(scenario["file"]) for scenario in earlier["scenarios"]] if digests else ():
+        if path not in digests or path.casefold() in new_files:
             continue
-        file = _within(folder, place)
+        file = _within(folder, path)
         with suppress(FileNotFoundError):
-            if file.is_file() and hashlib.sha256(read_file(file)).hexdigest() == digests[place]:
+            if file.is_file() and hashlib.sha256(read_file(file)).hexdigest() == digests[path]:
                 file.unlink()
 
 
@@ -229,7 +229,7 @@ def _files_of(manifest: Mapping[str, Any]) -> dict[str, str]:
     """SHA-256 of each file of a set by its path; empty for scenarios of an early version."""
     try:
         files = {str(scenario["file"]): "" for scenario in manifest["scenarios"]}
-        return files | {str(place): str(digest) for place, digest in manifest.get("files", {}).items()}
+        return files | {str(path): str(digest) for path, digest in manifest.get("files", {}).items()}
     except _BROKEN:
         return {}
 
@@ -241,7 +241,9 @@ def _within(folder: Path, place: str) -> Path:
     if any(
         part in ("", ".", "..") or ":" in part or "\0" in part for part in parts
     ) or not file.parent.resolve().is_relative_to(folder.resolve()):
-        raise InputError(f"{folder}: names {place[:100]}, which is not a file in it; run `reduce` again.")
+        raise InputError(
+            f"{folder}: the manifest lists {place[:100]}, not a file in the folder; run `reduce` again."
+        )
     return file
 
 
