@@ -188,8 +188,8 @@ def test_one_group_and_noise_alone_have_no_stability(path, eps):
 @pytest.mark.parametrize(
     ("budget", "survives", "words"),
     [
-        (0, 0, "no scenario was run; at least 2"),
-        (1, 1, "1 scenario was run; at least 2"),
+        (0, 0, "no scenario was run; clustering needs at least 2"),
+        (1, 1, "1 scenario was run; clustering needs at least 2"),
         (9, 1, "1 scenario was run, 8 failed, the first one with: too slow; clustering needs at least 2"),
         (9, 0, "no scenario was run, 9 failed, the first one with: too slow; clustering needs at least 2"),
     ],
