@@ -133,7 +133,7 @@ def test_stumble_06_fewer_than_asked_for_is_said(tmp_path, notices):
         assert cornercase(*command).returncode == 0
     done = cornercase("reduce", tmp_path / "study.db", "--size", "5000", "--scenario", X, "-o", tmp_path / "reduced")
     assert done.returncode == 0
-    assert "5000 scenarios were asked for, and " in done.stderr
+    assert "5000 scenarios were asked for, but " in done.stderr
     assert (
         "asked for" not in cornercase("reduce", tmp_path / "study.db", "--scenario", X, "-o", tmp_path / "two").stderr
     )

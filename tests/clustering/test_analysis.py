@@ -104,7 +104,7 @@ def test_the_study_tells_how_each_scenario_ended(path):
     with Study.open(path, readonly=True) as study:
         ends = study.outcomes()
         assert list(ends) == [row.id for row in study.done()]
-        # Both stand, the one in front of the other.
+        # Both stand, one in front of the other.
         assert set(ends.values()) == {"B ahead"}
 
 
@@ -134,15 +134,15 @@ def test_what_is_no_study_is_refused(wrong):
 @pytest.mark.parametrize(
     ("change", "words"),
     [
-        (lambda told: told[0].update(cluster=77), "profiles of other clusters"),
-        (lambda told: told[0].update(size=1), "profiles of other clusters"),
-        (lambda told: told.pop(), "profiles of other clusters"),
-        (lambda told: told.append(told[0]), "profiles of other clusters"),
+        (lambda told: told[0].update(cluster=77), "profiles that do not fit the clusters"),
+        (lambda told: told[0].update(size=1), "profiles that do not fit the clusters"),
+        (lambda told: told.pop(), "profiles that do not fit the clusters"),
+        (lambda told: told.append(told[0]), "profiles that do not fit the clusters"),
         (lambda told: told[0].update(name=None), "Profile has 'None' as its name"),
         (lambda told: told[0].update(name=["Ego"]), r"Profile has .* as its name"),
         (lambda told: told[0].update(true_of="all"), "Profile has 'all' as its true_of"),
-        (lambda told: told[0].update(example=0), "an example of no scenario"),
-        (lambda told: told[0].update(outcomes={"Ego first": -1}), "fewer than no scenarios"),
+        (lambda told: told[0].update(example=0), "a profile whose example is not a scenario"),
+        (lambda told: told[0].update(outcomes={"Ego first": -1}), "a negative number of scenarios"),
         (lambda told: told[0].update(more=1), "unexpected keyword argument 'more'"),
     ],
 )
@@ -170,7 +170,7 @@ def test_kept_clusters_keep_their_settings(path, setting, method):
     for given in (setting, {"method": "hdbscan"}, {"method": "dbscan"}):
         with pytest.raises(InputError, match=f"leave out .*`{next(iter(given))}`"):
             analyze(path, "distance", **given, keep=True)
-    # Of what is clustered for the first time all settings count.
+    # All settings apply to aspects that are clustered for the first time.
     assert analyze(path, "wttc", method="hdbscan", keep=True)["wttc"].clustering.method == "hdbscan"
 
 
@@ -179,7 +179,7 @@ def test_one_group_and_noise_alone_have_no_stability(path, eps):
     found = analyze(path, "distance", gamma=0.25, eps=eps, min_samples=3)["distance"].clustering
     assert len(np.unique(found.labels)) == 1
     tried = Candidate(found.gamma, found.eps, found.n_clusters, found.noise, np.nan, np.nan, 1.0, 1.0)
-    # Each part of them is one group, or noise, too.
+    # Every part is one group, or noise, too.
     assert replace(found, candidates=(tried,)).stability is None
     labels = np.arange(len(found.labels)) % 2 - 1
     assert replace(found, candidates=(tried,), labels=labels).stability == 1.0
@@ -188,10 +188,10 @@ def test_one_group_and_noise_alone_have_no_stability(path, eps):
 @pytest.mark.parametrize(
     ("budget", "survives", "words"),
     [
-        (0, 0, "no scenario was run; at least 2"),
-        (1, 1, "1 scenario was run; at least 2"),
-        (9, 1, "1 scenario was run, 8 failed, the first one as too slow; at least 2"),
-        (9, 0, "no scenario was run, 9 failed, the first one as too slow; at least 2"),
+        (0, 0, "no scenario was run; clustering needs at least 2"),
+        (1, 1, "1 scenario was run; clustering needs at least 2"),
+        (9, 1, "1 scenario was run, 8 failed, the first one with: too slow; clustering needs at least 2"),
+        (9, 0, "no scenario was run, 9 failed, the first one with: too slow; clustering needs at least 2"),
     ],
 )
 def test_too_few_scenarios_are_refused_with_the_reason(tmp_path, budget, survives, words):

@@ -1,4 +1,4 @@
-"""What of two scenarios is compared, against recordings whose distances follow from how they were made."""
+"""Aspects, tested with recordings whose distances are known by construction."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ NAMES = ("bearing", "behaviour", "ego-motion", "ego-speed", "ego-trajectory", "i
 
 
 def of(ego, other, time=TIME):
-    """A recording of two points, from their places (T, 2); headings and speeds as they move."""
+    """A recording of two points, from their positions (T, 2); headings and speeds follow from the motion."""
     places = np.stack([ego, other])
     steps = np.diff(places, axis=1, append=2 * places[:, -1:] - places[:, -2:-1])
     one = np.zeros(2)
@@ -42,7 +42,7 @@ def of(ego, other, time=TIME):
 
 
 def crossing(wait, first):
-    """The ego goes east along y = 0, the other north along x = 0; one waits for so long before the crossing."""
+    """The ego goes east along y = 0, the other north along x = 0; one waits before the crossing."""
     way = np.minimum(8.0 * TIME, np.maximum(40.0, 8.0 * (TIME - wait)))
     late, early = np.column_stack((way - 50.0, 0.0 * way)), np.column_stack((8.0 * TIME - 50.0, 0.0 * TIME))
     return of(early if first else late, (late if first else early)[:, ::-1])
@@ -83,7 +83,7 @@ def test_what_does_not_say_where_does_not_depend_on_it(name, dx, dy, turn):
 
 def test_waiting_costs_nothing_by_the_trajectory_and_so_much_by_behaviour():
     short, long = crossing(2.0, first=False), crossing(5.0, first=False)
-    # The same places, but for those at the end, that the longer wait does not reach.
+    # The same positions, except at the end, which the longer wait does not reach.
     reached = short.x[0, -1] - long.x[0, -1]
     assert reached == pytest.approx(24.0)
     ends = np.arange(1, 30).sum() * 0.8 + reached
@@ -160,7 +160,7 @@ def test_a_study_is_analysed_by_any_of_them(path):
     with Study.open(path, readonly=True) as study:
         assert study.analyses() == ["ego-trajectory", *sorted(set(NAMES) - {"ego-trajectory"}), "distance"]
         for name, one in found.items():
-            # A study is compared in single precision.
+            # Studies are compared in single precision.
             expected = distance_matrix(series_of(study, name))
             np.testing.assert_allclose(read_distances(study, name), expected, rtol=1e-5, atol=1e-5)
             again = read_analysis(study, name)
@@ -202,7 +202,7 @@ def test_refuses_what_is_no_aspect(path):
 
 def test_refuses_an_aspect_that_gives_something_else(path, monkeypatch):
     monkeypatch.setitem(ASPECTS._factories, "odd", (Odd, {}))
-    with pytest.raises(InputError, match=r"The aspect 'odd' gives shape \(3, 1\) for scenario"):
+    with pytest.raises(InputError, match=r"The aspect 'odd' returns shape \(3, 1\) for scenario"):
         analyze(path, "odd")
 
 
@@ -223,7 +223,7 @@ class Writes(Aspect):
 
 def test_refuses_an_aspect_that_gives_no_numbers(path, monkeypatch):
     monkeypatch.setitem(ASPECTS._factories, "odd", (Texts, {}))
-    with pytest.raises(InputError, match=r"The aspect 'odd' gives no numbers for scenario 1"):
+    with pytest.raises(InputError, match=r"The aspect 'odd' returns no numbers for scenario 1"):
         analyze(path, "odd")
 
 
@@ -276,15 +276,15 @@ class NumberForUnit(Aspect):
         (Fails, r"^The aspect 'odd' fails for scenario \d+ of .*s\.db: KeyError: 'no such\\nthing'\.$"),
         (
             Widens,
-            r"^The aspect 'odd' gives [12] numbers for each instant of scenario \d+ of .*, and [12] for scenario 1;",
+            r"^The aspect 'odd' returns [12] channels for scenario \d+ of .*, and [12] for scenario 1;",
         ),
         (
             Refuses,
             r"^The aspect 'odd' failed when it was created: RuntimeError: not today \(test_aspects\.py line .*; fix it\.$",
         ),
-        (WithoutUnit, r"^The aspect 'odd' cannot be made: AttributeError: .*unit"),
+        (WithoutUnit, r"^The aspect 'odd' cannot be created: AttributeError: .*unit"),
         (WithoutSeries, r"^The aspect 'odd' failed when it was created: TypeError: .*series"),
-        (NumberForUnit, r"^The aspect 'odd' has 3 as its unit; it has to be a text\.$"),
+        (NumberForUnit, r"^The aspect 'odd' has 3 as its unit; it has to be a string\.$"),
     ],
 )
 def test_an_aspect_that_fails_is_named_in_one_sentence(path, monkeypatch, aspect, words):

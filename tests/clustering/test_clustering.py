@@ -51,7 +51,7 @@ def test_accidents_are_a_cluster_of_their_own():
 
 
 def test_courses_of_criticality_separate_high_from_low():
-    # Time to collision in the worst case of two that meet closely, or with a margin that keeps them out of reach.
+    # Worst-time-to-collision of two entities that meet closely, or with a large margin.
     rng = np.random.default_rng(1)
     margin = np.concatenate((rng.normal(0, 0.6, 150), rng.choice([-1.0, 1.0], 150) * rng.uniform(4, 6, 150)))
     when = rng.uniform(4, 6, 300)
@@ -69,7 +69,7 @@ def test_courses_of_criticality_separate_high_from_low():
 
 
 def blobs_with_bridges(seed):
-    """Three blobs, and six scenarios on the way between two of them, twice; -1 is who belongs to none."""
+    """Three blobs with six scenarios between two of them, twice; -1 belongs to none."""
     rng = np.random.default_rng(seed)
     centres = np.array([[0.0, 0.0], [8.0, 0.0], [4.0, 7.0]])
     points = [centre + 0.7 * rng.normal(size=(80, 2)) for centre in centres]
@@ -88,7 +88,7 @@ def horseshoe_around_a_blob(seed):
 
 def known_sets(seed):
     shoe, of_shoe = horseshoe_around_a_blob(seed)
-    # Somebody who stands there for twenty instants: the distances in time are those of the places, twenty times.
+    # An entity that stands for twenty instants: DTW distances are twenty times the distances of the positions.
     return {
         "moons": (between(make_moons(300, noise=0.05, random_state=seed)[0]), make_moons(300, random_state=seed)[1]),
         "rings": (
@@ -328,8 +328,8 @@ def test_refuses_in_one_sentence(distances, options, words):
 
 
 def test_last_digits_of_distances_do_not_decide():
-    # Where a radius is just the distance to a neighbour; of 61 scenarios most of the radii are. A factor that is
-    # not a power of two, taken away again by the scale, moves the last digits only, as another machine does.
+    # A radius may equal the distance to a neighbour; for 61 scenarios most radii do. A factor that is not a power of
+    # two, removed again by the scale, changes only the last digits, as another machine does.
     for seed in range(3):
         distances = between(np.random.default_rng(seed).gamma(2.0, size=(61, 2)))
         held, found = cluster(distances), cluster(distances * 1.1)

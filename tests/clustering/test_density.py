@@ -1,4 +1,4 @@
-"""Compiled parts of the search for clusters, against scikit-learn and scipy."""
+"""Compiled DBSCAN, spanning tree and Rand index, compared with scikit-learn and SciPy."""
 
 import numpy as np
 import pytest
@@ -17,7 +17,7 @@ def test_dense_regions_are_those_of_scikit_learn(seed):
     rng = np.random.default_rng(seed)
     count = int(rng.integers(1, 200))
     points = rng.normal(size=(count, 3)) * rng.uniform(0.1, 2.0)
-    # On a grid, points lie exactly as far apart as the radius, and some are the same.
+    # On a grid, distances equal the radius exactly, and some points are identical.
     points = np.round(points, 1) if seed % 2 else points
     for eps in (0.1, 0.3, 1.0):
         for needed in (1, 3, 8):

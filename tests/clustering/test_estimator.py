@@ -1,4 +1,4 @@
-"""The clustering as an estimator of scikit-learn's kind."""
+"""`ScenarioClustering` as a scikit-learn estimator."""
 
 from __future__ import annotations
 
@@ -55,7 +55,7 @@ def test_who_was_clustered_is_placed_where_it_is():
     model = ScenarioClustering().fit(distances)
     np.testing.assert_allclose(model.transform(distances), model.embedding_, atol=1e-9)
     kept = model.labels_ >= 0
-    # At the border of two clusters DBSCAN takes the one that it comes to first.
+    # A border point of two clusters belongs to the one that DBSCAN finds first.
     assert (model.predict(distances)[kept] == model.labels_[kept]).mean() > 0.97
 
 

@@ -1,4 +1,4 @@
-"""Whether the automatic settings find the kinds that there are, and none where there are none."""
+"""Automatic settings find the clusters that exist, and none in data without structure."""
 
 import numpy as np
 import pytest
@@ -17,14 +17,14 @@ def between(points):
 
 
 def staged(name, count, seed, aspect):
-    """Distances of a set that is drawn afresh, and its kinds."""
+    """Distances and true clusters of a newly drawn set."""
     recordings, truth = {**SETS, **WITHOUT}[name](count, np.random.default_rng(seed))
     chosen = ASPECTS.create(aspect)
     return distance_matrix([chosen.series(one, "Ego", "Other") for one in recordings]), truth
 
 
 def apart(kinds, each, seed, dimensions=3, step=8.0):
-    """So many kinds of one size, on a lattice of a step in standard deviations."""
+    """Clusters of equal size on a lattice; the step is in standard deviations."""
     rng = np.random.default_rng(seed)
     places = np.stack(np.meshgrid(*[np.arange(4)] * dimensions), axis=-1).reshape(-1, dimensions)
     centres = step * rng.permutation(places)[:kinds]
@@ -70,7 +70,7 @@ def test_kinds_of_ten_are_found_among_twelve():
 
 
 def test_a_step_of_density_is_no_gap():
-    # Evenly spread scenarios, of which those on one side lie closer together; nothing is between the two.
+    # Evenly spread scenarios, denser on one side, without a gap.
     for seed in range(5):
         rng = np.random.default_rng(seed)
         sparse, dense = rng.random((150, 3)) * [6.0, 3.0, 3.0], rng.random((100, 3)) * [1.0, 1.5, 1.5]
@@ -78,7 +78,7 @@ def test_a_step_of_density_is_no_gap():
 
 
 def test_a_kernel_that_is_not_positive_ends_no_clustering():
-    # As those of warped distances can be; a triangle inequality does not hold there either.
+    # Like DTW distances, which violate the triangle inequality, too.
     rng = np.random.default_rng(0)
     apart = np.abs(rng.normal(size=(40, 40))) + 3.0
     distances = np.triu(apart, 1) + np.triu(apart, 1).T
@@ -88,7 +88,7 @@ def test_a_kernel_that_is_not_positive_ends_no_clustering():
 
 
 def test_scenarios_alike_but_for_the_last_digits_are_no_kinds():
-    # Collisions at one of a few instants: groups of identical scenarios a hair apart, and those that pass, far off.
+    # Collisions at one of a few instants: groups of identical scenarios with tiny gaps; those that pass are far off.
     rng = np.random.default_rng(0)
     collide = np.repeat(np.arange(6) * 0.01, 25)[:, None] * [1.0, 0.0] + [10.0, 0.0]
     distances = between(np.concatenate((rng.normal(size=(150, 2)), collide)))
@@ -115,7 +115,7 @@ BY_DAY = {"lane changes", "5 % crashes"}
 
 @pytest.mark.parametrize("name", at_night(sorted(SETS), SETS.keys() - BY_DAY))
 def test_kinds_of_scenarios_are_found(name):
-    # Seeds that no constant was chosen with; benchmarks/kinds.py draws more of them.
+    # Seeds with which no constant was calibrated; benchmarks/kinds.py draws more of them.
     found = []
     for seed in (1000, 1002):
         distances, truth = staged(name, 240, seed, ASPECTS_OF[name][0])
@@ -125,7 +125,7 @@ def test_kinds_of_scenarios_are_found(name):
 
 @pytest.mark.parametrize("name", at_night(["5 % crashes", "ten kinds", "unequal"], {"ten kinds", "unequal"}))
 def test_kinds_of_three_to_six_scenarios_are_found_among_sixty(name):
-    # No gap between them is clear by itself.
+    # No single gap between them is clear.
     found = []
     for seed in range(1000, 1010, 2):
         distances, truth = staged(name, 60, seed, "ego-motion")
@@ -138,7 +138,7 @@ def test_gaps_that_are_judged_together_are_the_same_in_any_order():
     kinds, order = find_kinds(distances), np.random.default_rng(0).permutation(60)
     assert kinds.max() == 9
     assert adjusted_rand_score(find_kinds(distances[np.ix_(order, order)])[np.argsort(order)], kinds) == 1.0
-    # Of whole numbers, where many distances are equal.
+    # Integers, so that many distances are equal.
     places = np.repeat([0.0, 40.0, 80.0], 20) + np.tile(np.arange(20), 3)
     kinds, shuffled = find_kinds(between(places[:, None])), find_kinds(between(places[order, None]))
     assert adjusted_rand_score(kinds[order], shuffled) == 1.0
@@ -146,7 +146,7 @@ def test_gaps_that_are_judged_together_are_the_same_in_any_order():
 
 @pytest.mark.parametrize("count", [3, 4])
 def test_a_wide_gap_makes_no_others(count):
-    # Kinds that vary along a line have gaps by chance; one that is far away must not lend them its width.
+    # Clusters along a line have gaps by chance; the gap to a distant one must not count for them.
     kinds = []
     for seed in range(10):
         places = np.random.default_rng(seed).random((60, 1)) + 50.0 * (np.arange(60) % count)[:, None]

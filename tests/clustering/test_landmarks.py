@@ -1,4 +1,4 @@
-"""Many scenarios, compared with a few of them only."""
+"""Analysis of many scenarios with landmarks."""
 
 from __future__ import annotations
 
@@ -19,9 +19,9 @@ from cornercase.clustering import (
     read_distances,
     series_of,
 )
+from cornercase.clustering.comparing import instants_apart, thinned
 from cornercase.clustering.landmarks import Comparing, find_by_landmarks
 from cornercase.clustering.places import Placing
-from cornercase.clustering.thinning import instants_apart, thinned
 from cornercase.dtw import distance_matrix
 from cornercase.reduction import measure_gaps
 from cornercase.study import Study
@@ -29,7 +29,7 @@ from synthetic import explorer, opened
 
 
 def courses(count, rng):
-    """Courses of two kinds, that fall early or late, with the kind of each."""
+    """Courses of two clusters, falling early or late, with true labels."""
     late = rng.random(count) < 0.3
     at = np.where(late, 40.0, 15.0) + rng.normal(0.0, 2.0, count)
     deep = rng.uniform(3.0, 5.0, count)
@@ -72,7 +72,7 @@ def test_what_is_asked_of_places_is_what_the_matrix_says():
     drawn = [
         np.array([np.random.default_rng(k).choice(400, size, replace=False) for k in range(7)]) for size in (5, 60)
     ]
-    # Of most scenarios none of the nearest ones is in this choice.
+    # For most scenarios, this choice has none of the nearest ones.
     for choices in (*drawn, places[:, 0].argsort()[None, -60:]):
         expected = np.array([matrix[one].min(axis=0) for one in choices])
         np.testing.assert_allclose(placed.nearest_of(choices), expected, atol=1e-12)
@@ -95,7 +95,7 @@ def test_clusters_by_landmarks_are_those_of_all_pairs():
     series, late = courses(700, np.random.default_rng(4))
     found = find_by_landmarks(Comparing(series, 1, None), ScenarioClustering())
     assert adjusted_rand_score(late, found.clustering.labels) > 0.98
-    # Of 200 other scenarios, by distances that nothing was found from.
+    # Distances of 200 other scenarios, which were not used to find anything.
     assert found.error < 0.05
     true = distance_matrix(series[:100])
     told = PlacedDistances(found.places[:100])[:]

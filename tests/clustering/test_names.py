@@ -1,4 +1,4 @@
-"""Names of kinds are true, and no two are the same: read anew from the recordings by `kind_names`."""
+"""Names of clusters are true and distinct, as derived independently from the recordings by `kind_names`."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ SIZE = 120
 
 @dataclass(frozen=True, eq=False)
 class Told:
-    """Scenarios, what is known of them, and what an onlooker sees."""
+    """Scenarios, the facts for naming them, and what an observer sees."""
 
     account: Account
     scenes: list[Scene]
@@ -51,7 +51,7 @@ class Told:
 
     @cached_property
     def columns(self):
-        """What scenarios can be clustered by here: how they go, and where they lie."""
+        """Columns by which scenarios are clustered here: features and parameters."""
         traits = np.nan_to_num(np.array(list(self.account.traits.values())).T, nan=-1.0)
         spread = np.where(traits.std(axis=0) > 0, traits.std(axis=0), 1.0)
         return (traits - traits.mean(axis=0)) / spread
@@ -105,7 +105,7 @@ def test_names_are_true_whatever_is_clustered_and_however_many_kinds_there_are(t
     tree = linkage(told.columns, "ward")
     for kinds in (1, 2, 3, 5, 8):
         require_true(told, fcluster(tree, kinds, "maxclust") - 1)
-    # By one thing alone, as an aspect has it; with noise; and by nothing.
+    # By a single column, as by an aspect; with noise; and by nothing.
     for name in ("nearest", "lowest speed", "duration"):
         column = np.nan_to_num(told.account.traits[name], nan=-1.0)[:, None]
         require_true(told, fcluster(linkage(pdist(column), "average"), 4, "maxclust") - 1)
@@ -284,7 +284,7 @@ def test_no_name_of_an_entity_is_read_as_something_else(named):
     for kind, name in names_of(told, labels).items():
         assert written(other) in name, name
         assert name.startswith(f"{written(ego)} "), name
-        # Nothing else is said than with plain names.
+        # The rest is the same as with plain names.
         plain = names_of(hand_made(*kinds)[0], labels)[kind]
         assert name.replace(written(other), "P").replace(written(ego), "Ego", 1) == plain
     for one in told.account.outcomes:

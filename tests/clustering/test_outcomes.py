@@ -1,4 +1,4 @@
-"""How a scenario ends, on recordings that are written by hand."""
+"""Endings of hand-written recordings."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ def test_one_that_slows_down_for_another_yields():
     assert (outcome.text, outcome.first, outcome.collision) == ("P first", "P", None)
     assert (outcome.yields, outcome.waits, outcome.stops) == (True, False, False)
     assert endings(outcome) == ("yields to P", "passes after P", "comes after P")
-    # P leaves the ego's 2 m with the rear when its centre is 1.3 m beyond the middle.
+    # P's rear leaves the ego's 2 m when its centre is 1.3 m beyond the middle.
     assert outcome.encounter.leaves == pytest.approx(7.3 / 1.5, abs=0.01)
     # The front of the ego meets the side of P, which is 0.3 m wide to each side.
     way = 50.0 - 0.3 - 2.0
@@ -32,7 +32,7 @@ def test_one_that_slows_down_for_another_yields():
 
 
 def test_one_that_brakes_for_a_bend_and_comes_later_does_not_yield():
-    # It gets slower and slower until it is over the crossing, as before a bend.
+    # It slows down until it has passed the crossing, as before a bend.
     ego = entity(0.0, 0.0, 0.0, (0, 11), (9, 2), (10, 11))
     outcome = find_outcome(recording(Ego=ego, P=CROSSES), "Ego", "P")
     assert outcome.first == "P"
@@ -76,10 +76,10 @@ def test_one_that_waits_before_the_crossing_until_the_end_lets_the_other_cross_a
     assert (outcome.text, outcome.first) == ("only P crosses", "P")
     assert endings(outcome) == ("stops for P", "yields to P", "comes after P")
     assert math.isnan(outcome.encounter.enters)
-    # The same with the two of them changed.
+    # The same with both exchanged.
     turned = find_outcome(told, "P", "Ego")
     assert (turned.text, endings(turned)[0]) == ("only P crosses", "passes while Ego waits")
-    # 40 m before it, nobody knows where it would have gone.
+    # 40 m before the crossing, its further path is unknown.
     far = entity(-22.0, 0.0, 0.0, (0, 12), (2, 12), (4.2, 0))
     assert find_outcome(recording(Ego=far, P=CROSSES, until=9.0), "Ego", "P").text == "ways do not cross"
 
@@ -102,7 +102,7 @@ def test_ways_that_do_not_meet():
     ],
 )
 def test_times_at_a_crossing_are_those_of_the_conflict_area_of_metrics(angle, speeds, aside):
-    """Post-encroachment time finds the area in a way of its own, exactly."""
+    """Post-encroachment time finds the area independently and exactly."""
     way = 40.0 + aside
     other = entity(50.0 - way * math.cos(angle), -way * math.sin(angle), angle, *speeds, length=4.4, width=1.8)
     told = recording(Ego=entity(0.0, 0.3, 0.05, (0, 9), (5, 7), (20, 9)), P=other)
@@ -134,7 +134,7 @@ def test_in_lanes_it_counts_who_is_ahead(ego, other, text, ending):
 @pytest.mark.parametrize(
     ("collision", "ego", "other", "ending", "speed"),
     [
-        # 10 m/s into the rear of one that goes 4 m/s, 20 m ahead.
+        # 10 m/s into the rear of an entity at 4 m/s, 20 m ahead.
         (("Ego", "C"), entity(0, 0, 0, (0, 10)), entity(24, 0, 0, (0, 4)), "runs into the rear of C", 6.0),
         (("C", "Ego"), entity(24, 0, 0, (0, 4)), entity(0, 0, 0, (0, 10)), "is hit from behind by C", 6.0),
         (("C", "Ego"), entity(24, 0, 0, (0, 0)), entity(0, 0, 0, (0, 10)), "is hit by C while it stands", 10.0),
@@ -174,7 +174,7 @@ def test_further_entities_that_move_are_met_too():
 
 
 def test_one_that_is_there_only_at_times():
-    # It is gone before it would have crossed.
+    # It vanishes before it would have crossed.
     gone = walker((0.0, 1.0))
     assert find_outcome(recording(Ego=PASSES, P=gone), "Ego", "P").text == "ways do not cross"
     # It appears after a second, and crosses.

@@ -1,4 +1,4 @@
-"""What is alike within a cluster, in words."""
+"""Profiles of clusters: names, rules, and agreement of clusterings."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ def test_a_box_in_the_parameter_space_is_told_by_its_bounds():
     assert float(low) == pytest.approx(3.0, abs=0.1)
     assert float(high) == pytest.approx(7.0, abs=0.1)
     assert float(wait.removesuffix(" s")) == pytest.approx(2.0, abs=0.05)
-    # Found from nine tenths, its bounds miss one or two of the others.
+    # Bounds found from nine tenths miss one or two of the others.
     assert rule.covers == pytest.approx(0.98, abs=0.02)
     assert rule.purity == pytest.approx(0.98, abs=0.02)
 
@@ -103,12 +103,12 @@ def test_a_rule_holds_as_often_as_it_says_for_scenarios_that_did_not_find_it(mix
             told.append((rule.covers, rule.purity))
             held.append((members[200:][there].sum() / members[200:].sum(), members[200:][there].mean()))
     assert len(told) >= 15
-    # Their mean: what is told of one rule is off by chance, but not to one side.
+    # Their mean: the figures of a single rule are off by chance, but unbiased.
     assert np.mean(told, axis=0) == pytest.approx(np.mean(held, axis=0), abs=0.04)
 
 
 def follows(text, values):
-    """Whether a scenario follows a rule, by its words."""
+    """Whether a scenario satisfies a rule, parsed from its text."""
     for part in text.split(" and "):
         words = [word for word in part.split() if word not in ("m", "s")]
         if "is" in words:

@@ -39,7 +39,7 @@ def test_corners_of_a_cube():
 @settings(max_examples=examples(30), deadline=None)
 @given(n=st.integers(1, 25), d=st.integers(1, 4), flat=st.integers(0, 4), seed=st.integers(0, 10**6))
 def test_every_scenario_lies_between_the_archetypes(n, d, flat, seed):
-    # Points of any rank: in a flat of `flat` dimensions through the cube, turned and moved.
+    # Points of any rank: in a subspace of `flat` dimensions through the cube, rotated and shifted.
     rng = np.random.default_rng(seed)
     points = rng.uniform(-1, 1, (n, min(flat, d))) @ rng.uniform(-1, 1, (min(flat, d), d)) + rng.random(d)
     vertices = find_hull_archetypes(points)
@@ -138,7 +138,7 @@ def test_coverage_of_points_on_a_line():
     assert found.largest_relative == pytest.approx(0.5)
     assert found.mean_relative == pytest.approx(found.mean / 10)
     assert measure_coverage(distances, range(11)).largest == 0.0
-    # All subsets of one: the farthest is 5 to 10 away, by symmetry 8 in the middle.
+    # All subsets of one: the farthest is 5 to 10 away, by symmetry 8 in the median.
     assert measure_coverage(distances, [5], draws=2000).random_largest == 8.0
     assert measure_coverage(np.zeros((4, 4)), [1]).largest_relative == 0.0
 
@@ -161,7 +161,7 @@ def test_archetypes_cover_the_extremes_better_than_chance():
         (lambda: find_prototype(np.zeros((2, 2)), []), "has no prototype"),
         (lambda: choose_by_cluster(np.zeros((3, 1)), np.zeros((2, 2)), [0, 0]), "same scenarios"),
         (lambda: choose_by_cluster(np.zeros((1, 1)), [[0.0]], [0], archetypes=0), "`archetypes` 0"),
-        (lambda: measure_coverage(np.zeros((2, 2)), []), "No scenario is kept"),
+        (lambda: measure_coverage(np.zeros((2, 2)), []), "No scenario is selected"),
         (lambda: measure_coverage(np.zeros((2, 2)), [2]), "not among the 2"),
         (lambda: measure_coverage(np.zeros((2, 2)), [-1]), "not among the 2"),
         (lambda: measure_coverage(np.zeros((2, 3)), [0]), "is not square"),

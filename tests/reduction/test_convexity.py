@@ -1,4 +1,4 @@
-"""Clusters that are not convex, and their archetypes."""
+"""Archetypes of clusters that are not convex."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ def horseshoe(count, seed, legs=2.0):
 
 
 def standing(places):
-    """Trajectories, of unequal lengths, of somebody who stands there for 20 instants."""
+    """Trajectories of unequal length of an entity that stands for 20 instants."""
     return [np.repeat(place[None], 20, axis=0) for place in places]
 
 
@@ -115,7 +115,7 @@ def test_the_shape_decides(seed):
     assert [one.shape.method for one in found] == ["parts", "hull"]
     assert len(found[0].parts) > 1
     assert found[0].shape.convexity < CONVEX <= found[1].shape.convexity
-    # The same region, but bent in kernel space, as the distances are those of the horseshoe.
+    # The same region, but bent in kernel space, since the distances are those of the horseshoe.
     clustered = cluster(distance_matrix(standing(points)))
     flat = np.concatenate([rng.random((200, 2)), 2.0 + rng.random((100, 2))])
     assert find_shapes(flat, labels, clustered.embedding)[0].shape.method == "kernel"

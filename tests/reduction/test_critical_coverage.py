@@ -1,4 +1,4 @@
-"""Coverage of the critical set."""
+"""Coverage of the critical scenarios."""
 
 from __future__ import annotations
 
@@ -10,14 +10,20 @@ from scipy.stats import qmc
 from conftest import at_night
 from cornercase._common.errors import InputError
 from cornercase.evidence import CriticalSet
-from cornercase.reduction.critical_coverage import distance_alike, measure_critical_coverage
+from cornercase.reduction.coverage import measure_gaps
+from cornercase.reduction.critical_coverage import CriticalCoverage, distance_alike, judge_gaps
 from cornercase.scenario import ParameterSpace
 
 SPACE = ParameterSpace.from_ranges(["a=0:1", "b=0:1"])
 
 
+def covered(points, scores, threshold, distances, kept, within, seed=0) -> CriticalCoverage:
+    """How well the scenarios `kept` represent the critical ones."""
+    return judge_gaps(SPACE, points, scores, threshold, measure_gaps(distances, kept, seed=seed), within, seed=seed)
+
+
 def disc(points):
-    """Score that is critical, up to 0.3, within a disc in the middle of the space."""
+    """Score that is critical (up to 0.3) within a disc in the middle of the space."""
     return np.linalg.norm(points - 0.5, axis=1)
 
 
@@ -36,7 +42,7 @@ def nearest(points, *places):
 def test_the_space_is_as_unlike_as_a_dense_sample_says(places, seed):
     points, scores, distances = explored(seed=seed)
     kept = nearest(points, *places)
-    found = measure_critical_coverage(SPACE, points, scores, 0.3, distances, kept, 0.2, seed=seed)
+    found = covered(points, scores, 0.3, distances, kept, 0.2, seed=seed)
     dense = np.random.default_rng(99).random((20_000, 2))
     dense = dense[disc(dense) <= 0.3]
     truth = float((cdist(dense, points[kept]).min(axis=1) > 0.2).mean())
@@ -49,18 +55,18 @@ def test_the_space_is_as_unlike_as_a_dense_sample_says(places, seed):
 def test_shares_of_what_was_run():
     points, scores, distances = explored()
     kept = nearest(points, (0.5, 0.5))
-    found = measure_critical_coverage(SPACE, points, scores, 0.3, distances, kept, 0.2)
+    found = covered(points, scores, 0.3, distances, kept, 0.2)
     critical = scores <= 0.3
     gap = distances[:, kept[0]]
     assert found.within == 0.2
     assert found.critical == pytest.approx((gap[critical] <= 0.2).mean())
-    # On the rim of the disc, and the disc of what is alike does not reach it.
+    # The boundary is the rim of the disc, farther away than similar scenarios.
     assert found.boundary == 0.0
     assert found.largest == pytest.approx(gap[critical].max())
     assert found.mean == pytest.approx(gap[critical].mean())
-    everything = measure_critical_coverage(SPACE, points, scores, 0.3, distances, np.flatnonzero(critical), 0.2)
+    everything = covered(points, scores, 0.3, distances, np.flatnonzero(critical), 0.2)
     assert (everything.critical, everything.boundary, everything.largest) == (1.0, 1.0, 0.0)
-    half = measure_critical_coverage(SPACE, points, scores, 0.3, distances, np.flatnonzero(critical)[::2], 0.2)
+    half = covered(points, scores, 0.3, distances, np.flatnonzero(critical)[::2], 0.2)
     assert half.unlike is not None
     assert half.unlike.value < 0.02
     assert half.medoids is not None
@@ -71,7 +77,7 @@ def test_shares_of_what_was_run():
 @pytest.mark.filterwarnings("ignore:The balance properties")
 def test_without_critical_scenarios_nothing_is_said():
     points, scores, distances = explored()
-    found = measure_critical_coverage(SPACE, points, scores, -1.0, distances, np.array([0]), 0.2)
+    found = covered(points, scores, -1.0, distances, np.array([0]), 0.2)
     assert (found.critical, found.boundary, found.random, found.medoids, found.unlike) == (None,) * 5
 
 
@@ -94,5 +100,3 @@ def test_alike_is_half_of_what_is_usual_within_clusters():
     for share in (0.0, -1.0, np.inf, np.nan):
         with pytest.raises(InputError, match="give a number above 0"):
             distance_alike(distances, labels, share)
-    with pytest.raises(InputError, match="keep at least one"):
-        measure_critical_coverage(SPACE, np.zeros((7, 2)), places, 1.0, distances, np.zeros(0, dtype=np.int64), 1.0)

@@ -1,4 +1,4 @@
-"""What chose the reduced set does not grade it."""
+"""Random selections that influence the reduced set do not evaluate it."""
 
 from __future__ import annotations
 
@@ -10,8 +10,8 @@ from scipy.spatial.distance import cdist
 
 from cornercase._common.errors import InputError
 from cornercase.reduction import coverage, rivals
-from cornercase.reduction.coverage import measure_coverage
-from cornercase.reduction.critical_coverage import measure_critical_coverage
+from cornercase.reduction.coverage import measure_coverage, measure_gaps
+from cornercase.reduction.critical_coverage import judge_gaps
 from cornercase.reduction.draws import draw_choices, nearest_of
 from cornercase.reduction.selection import choose_scenarios
 from cornercase.scenario import ParameterSpace
@@ -39,7 +39,7 @@ def test_a_set_is_graded_by_draws_that_it_was_not_chosen_with(seed, monkeypatch)
     kept = np.array([one.index for one in choose_scenarios(points, [distances], labels, size=6)])
     measure_coverage(distances, kept, seed=seed)
     measure_coverage(distances, kept)
-    measure_critical_coverage(SPACE, points, points[:, 0], 0.1, distances, kept, 0.2, seed=seed)
+    judge_gaps(SPACE, points, points[:, 0], 0.1, measure_gaps(distances, kept, seed=seed), 0.2, seed=seed)
     assert len(drawn[rivals]) >= 100
     assert len(drawn[coverage]) >= 100
     assert not drawn[rivals] & drawn[coverage]

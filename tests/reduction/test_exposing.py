@@ -1,4 +1,4 @@
-"""Scenarios that mutants choose."""
+"""Selection of scenarios that kill mutants."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ def exposure(exposed):
 
 
 def test_what_is_chosen_is_near_the_best_of_all_choices():
-    """Against all choices of three: the sum of halves reaches 63 % of the largest, and here 95 % on average."""
+    """Compared with all choices of three: the sum of halves reaches 63 % of the maximum, here 95 % on average."""
     rng = np.random.default_rng(0)
     reached = []
     for _ in range(20):
@@ -48,7 +48,7 @@ def test_what_is_chosen_is_near_the_best_of_all_choices():
 def test_a_rare_mutant_is_preferred_to_one_more_of_a_common_one():
     exposed = np.array([[1, 1, 0], [1, 1, 0], [0, 0, 1], [0, 0, 0]], dtype=bool)
     assert choose_exposing(exposed, apart_on_a_line(4), 2) == [0, 2]
-    # Nothing is chosen that exposes nothing.
+    # Scenarios that kill nothing are not selected.
     assert sorted(choose_exposing(exposed, apart_on_a_line(4), 4)) == [0, 1, 2]
 
 
@@ -64,7 +64,7 @@ def test_grades_count_what_can_be_exposed():
     assert (grade.mutants, grade.possible, grade.exposed) == (4, 3, 2)
     assert grade.interval == pytest.approx(tuple(binomtest(2, 3).proportion_ci(0.95, "exact")))
     assert found.grade().share == 1.0
-    # A scenario that was not run with mutants exposes none.
+    # A scenario that was not run with mutants kills none.
     assert found.grade([99]).exposed == 0
     assert found.unexposed == ("normal:horizon=6.7",)
     assert found.by_mutation == {"foresees less": (3, 4)}

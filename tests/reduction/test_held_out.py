@@ -1,4 +1,4 @@
-"""What is said of a reduced set holds for scenarios that did not choose it."""
+"""Cross-validated coverage holds for further scenarios."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ TWENTY = Wish(20, None, None, "auto")
 
 
 def drawn(count, rng):
-    """Scenarios of two kinds, and three odd ones."""
+    """Scenarios of two clusters, and three outliers."""
     half = (count - 3) // 2
     points = np.concatenate([0.3 * rng.random((half, 3)), 0.7 + 0.3 * rng.random((half, 3)), rng.random((3, 3))])
     return points, np.repeat([0, 1, -1], [half, half, 3])
@@ -53,9 +53,9 @@ def test_what_is_said_of_others_is_what_further_scenarios_find():
         told.append(held_out.mean)
         alike.append(measure_coverage(found.distances[0], kept).mean)
         further.append(cdist(others, found.points[kept]).min(axis=1).mean())
-    # The others' sets come from four fifths, so they leave a little more.
+    # Sets of folds come from four fifths, so they leave a little more.
     assert 1.0 <= np.mean(told) / np.mean(further) < 1.1
-    # Of those that chose it a set leaves less, which is said of these alone.
+    # In-sample distances are smaller.
     assert np.mean(alike) / np.mean(further) < 0.9
 
 
@@ -67,7 +67,7 @@ def test_a_set_leaves_less_of_further_scenarios_than_random_choices_do_in_the_me
         others, _ = drawn(2003, rng)
         away = cdist(found.points, others)
         random = nearest_of(away, draw_choices(303, 30, stream="grading", draws=200, seed=seed)).mean(axis=1)
-        # Not the largest: what is odd among further scenarios, no choice can know.
+        # Not the largest: no selection can know outliers among further scenarios.
         assert (random > away[kept].min(axis=0).mean()).mean() >= 0.9
 
 
@@ -89,7 +89,7 @@ def test_critical_scenarios_are_like_a_kept_one_as_often_as_is_said_of_others():
         itself.append((distances[critical][:, kept].min(axis=1) <= 0.08).mean())
         further.append((cdist(others, points[kept]).min(axis=1) <= 0.08).mean())
     assert np.mean(told) == pytest.approx(np.mean(further), abs=0.1)
-    # A kept scenario is like itself.
+    # A selected scenario is similar to itself.
     assert np.mean(itself) > np.mean(further) + 0.1
 
 

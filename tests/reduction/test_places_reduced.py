@@ -1,4 +1,4 @@
-"""Reduced sets of scenarios whose distances are made of places."""
+"""Reduced sets of scenarios with embedded distances."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ def test_the_choice_by_places_is_that_by_the_matrix(scenarios):
 @pytest.mark.parametrize("size", at_night([20, 60, 400], {60, 400}))
 def test_the_choice_by_cells_is_that_by_the_matrix(scenarios, monkeypatch, size):
     points, places, _, labels = scenarios
-    # Of 300 scenarios all distances are in memory; these are made to be too many, and do not fill the last cell.
+    # Distances of 300 scenarios would be kept in memory; the patch prevents that. The last cell is not full.
     monkeypatch.setattr(gap_sums, "_MOST_WHOLE", 10)
     doubled = [np.concatenate((one, one[:7])) for one in places]
     points, labels = (np.concatenate((one, one[:7])) for one in (points, labels))
@@ -75,7 +75,7 @@ def test_grades_by_places_are_those_by_the_matrix(scenarios):
     one, two = (measure_coverage(each, np.arange(0, 300, 10)) for each in (placed, matrix))
     names = ("largest", "mean", "worst", "largest_relative", "random_largest", "random_mean", "better_mean")
     assert [getattr(one, name) for name in names] == pytest.approx([getattr(two, name) for name in names])
-    # Each by its own way; neither is the best there is.
+    # Two heuristics; neither is optimal.
     assert one.medoids_mean == pytest.approx(two.medoids_mean, rel=0.15)
     everyone = np.arange(300)
     trials = [Trial(everyone[60:], everyone[60:90], everyone[:60])]

@@ -1,4 +1,4 @@
-"""Reduced sets of a wanted size or coverage."""
+"""Reduced sets of a given size or coverage."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ from cornercase.study import Study
 
 
 def two_clusters(count=120, seed=0):
-    """Points of two clusters of one size and three odd ones, with distances by place and by one coordinate."""
+    """Points of two equally large clusters and three outliers, with distances by position and by one coordinate."""
     rng = np.random.default_rng(seed)
     half = (count - 3) // 2
     points = np.concatenate([0.3 * rng.random((half, 3)), 0.7 + 0.3 * rng.random((half, 3)), rng.random((3, 3))])
@@ -80,7 +80,7 @@ def test_a_coverage_is_reached_in_every_clustering_and_noise_counts(cover):
     kept = [one.index for one in choose_scenarios(points, distances, labels, cover=cover)]
     for matrix in distances:
         assert matrix[:, kept].min(axis=1).max() <= cover * matrix.max() + 1e-12
-    # One less, and something is like none of them by both.
+    # With one less, some scenario is similar to none by both.
     apart = np.maximum(*(m / m.max() for m in distances))
     assert apart[:, kept[:-1]].min(axis=1).max() > cover
 
@@ -110,7 +110,7 @@ def test_medoids_leave_nearly_the_smallest_mean_there_is():
     [
         ({}, "give one of them"),
         ({"size": 3, "cover": 0.1}, "give one of them"),
-        ({"size": 0}, "keeps nothing"),
+        ({"size": 0}, "selects nothing"),
         ({"cover": 2.0}, "`cover` 2: give a number"),
     ],
 )
@@ -193,7 +193,7 @@ def test_a_tenth_is_kept_and_leaves_less_of_others_than_random_choices(explored)
             found = measure_coverage(read_distances(study, name), kept, ids=analysis.ids)
             told = manifest["coverage"][name]
             assert (told["worst"], told["largest"]) == (found.worst, pytest.approx(found.largest))
-            # Of scenarios that had no part in the choice, it leaves more, and still less than random choices do.
+            # Held-out distances are larger, and still smaller than for random selections.
             held_out = told["held_out"]
             assert held_out["scenarios"] == 120
             assert held_out["mean"] > 1.1 * told["mean"]
@@ -286,7 +286,7 @@ def test_the_page_and_the_summary_tell_it_too(explored):
     shown = cornercase("show", folder / "s.db", "--json")
     summary = json.loads(shown.stdout)
     told = summary["coverage"]["wttc"]
-    # Not what the set leaves of those that chose it.
+    # Not the in-sample figures.
     assert "random subsets with a larger mean" not in told
     assert told["held_out"]["scenarios"] == 120
     assert told["held_out"]["random_subsets_with_a_larger_mean"] >= 0.9

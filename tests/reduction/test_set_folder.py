@@ -1,4 +1,4 @@
-"""The folder of a reduced set is replaced as a whole, whatever happens meanwhile."""
+"""The folder of a reduced set is replaced atomically, whatever happens meanwhile."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from cornercase.reduction.set_folder import MANIFEST, finish_set, replaced_set
 
 OLD = {"s-00001.xosc": b"one", "s-00002.xosc": b"two", "s-00003.xosc": b"three", "road.xodr": b"road"}
 NEW = {"s-00002.xosc": b"two again", "s-00004.xosc": b"four", "catalogs/c/c.xosc": b"catalog", "road.xodr": b"new road"}
-# What the system is asked for to write files, give them names and remove them.
+# System calls that write, rename and remove files.
 ORDERS = ("open", "replace", "mkdir", "rmdir", "unlink", "fsync", "chmod")
 
 
@@ -40,7 +40,7 @@ def content(folder: Path) -> dict[str, bytes]:
 
 
 def sets(folder: Path) -> dict[str, bytes]:
-    """Files of the set that counts, each as the manifest says."""
+    """Files of the current set, each with the checksum in the manifest."""
     manifest = json.loads((folder / MANIFEST).read_bytes())
     found = {place: (folder / place).read_bytes() for place in manifest["files"]}
     assert {place: hashlib.sha256(one).hexdigest() for place, one in found.items()} == manifest["files"]
@@ -49,7 +49,7 @@ def sets(folder: Path) -> dict[str, bytes]:
 
 @contextmanager
 def orders(monkeypatch, fails):
-    """Count the orders to the system, and let those fail that are said to."""
+    """Count system calls, and let the given ones fail."""
     given: list[str] = []
 
     def counted(name, real):
@@ -107,7 +107,7 @@ def test_killed_at_any_order_it_leaves_the_earlier_set_or_the_new_one(tmp_path, 
         folder = tmp_path / f"{last}"
         if earlier is not None:
             write(folder, earlier)
-        # The dead give no further orders, not even to clear up.
+        # A killed process makes no further calls, not even to clean up.
         with orders(monkeypatch, lambda k, last=last: KilledError() if k > last else None):
             try:
                 write(folder, NEW)
@@ -116,7 +116,7 @@ def test_killed_at_any_order_it_leaves_the_earlier_set_or_the_new_one(tmp_path, 
                 ended = False
         if ended:
             break
-        # Whoever does not know how to end it is told that files are missing or others, or finds one set.
+        # A reader that cannot complete it reports missing or changed files, or finds one set.
         if (folder / MANIFEST).exists():
             finish_set(folder)
             found = sets(folder)
@@ -172,7 +172,7 @@ def test_a_folder_of_a_stranger_reaches_nothing_outside_of_it(tmp_path):
         (hidden / "outside.txt").write_text("worse")
         if not (folder / "away").is_symlink():
             (folder / "away").symlink_to(tmp_path)
-        with pytest.raises(InputError, match="not a file in it"):
+        with pytest.raises(InputError, match="not a file in the folder"):
             finish_set(folder)
         assert outside.read_text() == "mine"
         (folder / "away").unlink()

@@ -267,7 +267,7 @@ def test_an_analysis_of_no_scenario_is_refused(sent):
     for one in (("show", sent), ("report", sent, "-o", sent.parent / "r.html")):
         result = cornercase(*one)
         assert (result.returncode, len(result.stderr.strip().splitlines())) == (2, 1)
-        assert "an analysis of no scenario" in result.stderr
+        assert "an analysis without scenarios" in result.stderr
 
 
 def test_a_course_that_is_longer_than_its_recording_is_refused(sent):
@@ -330,9 +330,9 @@ def test_names_that_xml_cannot_hold_are_refused_or_written_out(whole, sent, valu
 @pytest.mark.parametrize(
     ("name", "made_up", "words"),
     [
-        ("ttc", lambda info: info.update(method="another"), "in no known way"),
+        ("ttc", lambda info: info.update(method="another"), "an unknown clustering method"),
         ("reduction", lambda info: info["kept"][0].update(values={}), "KeyError"),
-        ("reduction", lambda info: info["kept"][0]["values"].update(v="x"), "a kept scenario with another v"),
+        ("reduction", lambda info: info["kept"][0]["values"].update(v="x"), "a selected scenario with a v of another type"),
     ],
 )
 def test_an_analysis_that_was_made_up_is_refused(sent, name, made_up, words):

@@ -1,4 +1,4 @@
-"""An analysis: how the scenarios of a study cluster by one aspect, as it is stored and read back."""
+"""Analysis: the clusters of a study's scenarios by one aspect, as stored and read back."""
 
 from __future__ import annotations
 
@@ -20,34 +20,32 @@ from cornercase.study import Study, damage_told, made, require
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Analysis:
-    """Clusters of a study's scenarios by one aspect.
-
-    The distances are not among it, as there are many; `read_distances` gives them.
+    """Clusters of a study's scenarios by one aspect; `read_distances` returns the distances.
 
     Attributes
     ----------
     by : str
         The aspect: one of `cornercase.clustering.ASPECTS`, or the name of a metric.
     unit : str
-        Of the distances; ``"1"`` for none.
+        Unit of the distances; ``"1"`` for none.
     window : float or None
-        s; how far apart in time two instants may be that were matched; None for any.
+        s; largest difference in time of two instants that were matched; None for any.
     ids : ndarray of int64, shape (n,)
         Scenarios.
     clustering : Clustering
         Their clusters, in the order of `ids`.
     fitted : ndarray of int64, shape (m,)
-        Scenarios that the clusters were found from; the others have joined them since.
+        Ids of the scenarios in which the clusters were found; the others were assigned later.
     profiles : tuple of Profile
         What the scenarios of each cluster have in common, noise last; empty in a study of an early version.
     tells : mapping of str to float
-        How much the clusters say of what happened: by fact the adjusted mutual information, as in
-        `cornercase.clustering.agreement.agree_with_facts`; empty in a study of an early version.
+        Adjusted mutual information of the clusters and facts about the scenarios, by fact; empty in a study of an early
+        version.
     every : int
-        Of so many instants one was compared.
+        Stride: one of `every` instants was compared.
     inexact : float or None
-        Mean error of the distances between scenarios that are no landmarks, as a share of the mean distance, where
-        they follow from places; None where all pairs were compared.
+        Mean error of the distances between scenarios that are no landmarks, as a share of the mean distance; None if
+        all pairs were compared.
     """
 
     by: str
@@ -73,7 +71,7 @@ class Analysis:
         return [int(count) for count in counts]
 
     def rows_of(self, scenarios: IntArray | list[int]) -> IntArray:
-        """Rows of some scenarios in `ids`.
+        """Return the rows of some scenarios in `ids`.
 
         Parameters
         ----------
@@ -85,63 +83,49 @@ class Analysis:
         ndarray of int64, shape (k,)
             Rows, in the order of the ids.
         """
-        place = {scenario: row for row, scenario in enumerate(self.ids.tolist())}
-        return np.array([place[int(one)] for one in scenarios if int(one) in place], dtype=np.int64)
+        row_of = {scenario: row for row, scenario in enumerate(self.ids.tolist())}
+        return np.array([row_of[int(i)] for i in scenarios if int(i) in row_of], dtype=np.int64)
 
     def __repr__(self) -> str:
-        found = self.clustering
+        clustering = self.clustering
         return (
-            f"Analysis(by {self.by}: {len(self.ids)} scenarios, clusters of {self.sizes}, {found.noise:.0%} noise,"
-            f" {found.method}, gamma={found.gamma:.4g}, eps={found.eps:.4g}, min_samples={found.min_samples})"
+            f"Analysis(by {self.by}: {len(self.ids)} scenarios, clusters of {self.sizes}, {clustering.noise:.0%} noise,"
+            f" {clustering.method}, gamma={clustering.gamma:.4g}, eps={clustering.eps:.4g},"
+            f" min_samples={clustering.min_samples})"
         )
 
 
 def stored_analysis(
     study: Study, analysis: Analysis, compared: FloatArray, distances: Distances
 ) -> tuple[dict[str, npt.ArrayLike], dict[str, Any]]:
-    """Give what a study stores of an analysis.
+    """Return the arrays and the info that `Study.save_analysis` stores of an analysis.
 
-    Parameters
-    ----------
-    study : Study
-        That it is of.
-    analysis : Analysis
-        What was found.
-    compared : ndarray of float64, shape (n, n) or (m, m)
-        Distances that the clusters were found by: between all scenarios, or the landmarks.
-    distances : ndarray of float64, shape (n, n), or PlacedDistances
-        Between all scenarios.
-
-    Returns
-    -------
-    arrays : dict of str to array_like
-    info : dict
-        As `save_analysis` of a study's writer takes them.
+    `compared` are the DTW distances between all scenarios or the landmarks, `distances` those between all scenarios.
     """
-    found = analysis.clustering
+    clustering = analysis.clustering
     arrays: dict[str, npt.ArrayLike] = {"ids": analysis.ids, "distances": compared}
     if isinstance(distances, PlacedDistances):
         arrays = {"ids": analysis.ids, "between": compared, "places": distances.places}
     arrays |= {
-        "labels": found.labels,
-        "embedding": found.embedding,
-        "landmarks": found.landmarks,
+        "labels": clustering.labels,
+        "embedding": clustering.embedding,
+        "landmarks": clustering.landmarks,
     }
     info = {
         "unit": analysis.unit,
         "window": analysis.window,
-        "gamma": found.gamma,
-        "eps": found.eps,
-        "min_samples": found.min_samples,
-        "scale": found.scale,
-        "explained": found.explained,
-        "method": found.method,
-        "stability": found.stability,
-        "landmarks": len(found.landmarks),
-        "error": found.error,
-        "candidates": [asdict(one) for one in found.candidates],
+        "gamma": clustering.gamma,
+        "eps": clustering.eps,
+        "min_samples": clustering.min_samples,
+        "scale": clustering.scale,
+        "explained": clustering.explained,
+        "method": clustering.method,
+        "stability": clustering.stability,
+        "landmarks": len(clustering.landmarks),
+        "error": clustering.error,
+        "candidates": [asdict(item) for item in clustering.candidates],
         "fitted": analysis.fitted.tolist(),
-        "profiles": [asdict(one) for one in analysis.profiles],
+        "profiles": [asdict(item) for item in analysis.profiles],
         "tells": dict(analysis.tells),
     }
     if analysis.inexact is not None:
@@ -152,7 +136,7 @@ def stored_analysis(
 
 
 def read_analysis(study: Study, by: str) -> Analysis:
-    """Read back what `analyze` found.
+    """Read back what `analyze` found by one aspect.
 
     Parameters
     ----------
@@ -164,37 +148,53 @@ def read_analysis(study: Study, by: str) -> Analysis:
     Returns
     -------
     Analysis
-        As `analyze` gave it.
+        As `analyze` returned it.
 
     Raises
     ------
     InputError
-        The study was not analysed by it.
+        The study was not analysed by it, or what it holds is damaged.
     """
     run = {row.id for row in study.done()}
     arrays, info = study.analysis(by, "ids", "labels", "embedding", "landmarks")
     with damage_told(study.path):
         ids, labels, embedding = arrays["ids"], arrays["labels"], arrays["embedding"]
         n = len(ids)
-        require(all(one.dtype.kind == "i" for one in (ids, labels, arrays["landmarks"])), "numbers that are not whole")
         require(
-            ids.ndim == 1 and set(ids.tolist()) <= run and len(set(ids.tolist())) == n, "scenarios that were not run"
+            all(array.dtype.kind == "i" for array in (ids, labels, arrays["landmarks"])),
+            "ids or labels that are not integers",
         )
-        require(n > 0, "an analysis of no scenario")
-        require(labels.shape == (n,) and bool((labels >= -1).all()) and labels.max(initial=-1) < n, "labels of others")
-        require(embedding.ndim == 2 and len(embedding) == n and embedding.dtype.kind == "f", "an embedding of others")
+        require(
+            ids.ndim == 1 and set(ids.tolist()) <= run and len(set(ids.tolist())) == n,
+            "an analysis of scenarios that were not run",
+        )
+        require(n > 0, "an analysis without scenarios")
+        require(
+            labels.shape == (n,) and bool((labels >= -1).all()) and labels.max(initial=-1) < n,
+            "labels that do not fit the scenarios",
+        )
+        require(
+            embedding.ndim == 2 and len(embedding) == n and embedding.dtype.kind == "f",
+            "an embedding that does not fit the scenarios",
+        )
         window = None if info["window"] is None else float(info["window"])
         tells = {str(fact): float(mutual) for fact, mutual in info["tells"].items()}
-        found, fitted, profiles = _clustering(arrays, info), _numbers(info["fitted"]), _profiles(info)
-        kinds, sizes = np.unique(labels, return_counts=True)
-        described = sorted((one.cluster, one.size) for one in profiles)
-        require(described in ([], list(zip(kinds.tolist(), sizes.tolist(), strict=True))), "profiles of other clusters")
-        require({one.example for one in profiles} <= {None, *ids.tolist()}, "an example of no scenario")
-        require(isinstance(info["unit"], str), "a unit that is no text")
-        every, inexact = int(info.get("every", 1)), info.get("inexact")
-        require(every >= 1, "no instants that were compared")
-        inexact = None if inexact is None else float(inexact)
-        analysis = Analysis(by, info["unit"], window, ids, found, fitted, profiles, tells, every, inexact)
+        clustering, fitted, profiles = _clustering(arrays, info), _numbers(info["fitted"]), _profiles(info)
+        clusters, sizes = np.unique(labels, return_counts=True)
+        described = sorted((profile.cluster, profile.size) for profile in profiles)
+        require(
+            described in ([], list(zip(clusters.tolist(), sizes.tolist(), strict=True))),
+            "profiles that do not fit the clusters",
+        )
+        require(
+            {profile.example for profile in profiles} <= {None, *ids.tolist()},
+            "a profile whose example is not a scenario",
+        )
+        require(isinstance(info["unit"], str), "a unit that is not a string")
+        stride, embedding_error = int(info.get("every", 1)), info.get("inexact")
+        require(stride >= 1, "a stride below 1")
+        embedding_error = None if embedding_error is None else float(embedding_error)
+        analysis = Analysis(by, info["unit"], window, ids, clustering, fitted, profiles, tells, stride, embedding_error)
         threshold = info.get("critical_threshold", study.meta.critical)
     if not tells or threshold == study.critical:
         return analysis
@@ -203,17 +203,17 @@ def read_analysis(study: Study, by: str) -> Analysis:
 
 
 def _numbers(plain: list[int]) -> IntArray:
-    return np.array([int(one) for one in plain], dtype=np.int64)
+    return np.array([int(value) for value in plain], dtype=np.int64)
 
 
 def _clustering(arrays: Mapping[str, Any], info: Mapping[str, Any]) -> Clustering:
     numbers = {name: float(info[name]) for name in ("gamma", "eps", "scale", "explained", "error")}
-    require(info["method"] in ("dbscan", "hdbscan"), "clusters that were found in no known way")
+    require(info["method"] in ("dbscan", "hdbscan"), "an unknown clustering method")
     return Clustering(
         labels=arrays["labels"],
         embedding=arrays["embedding"],
         min_samples=int(info["min_samples"]),
-        candidates=tuple(made(Candidate, one) for one in info["candidates"]),
+        candidates=tuple(made(Candidate, item) for item in info["candidates"]),
         method=info["method"],
         landmarks=arrays["landmarks"],
         **numbers,
@@ -221,14 +221,14 @@ def _clustering(arrays: Mapping[str, Any], info: Mapping[str, Any]) -> Clusterin
 
 
 def _profiles(info: Mapping[str, Any]) -> tuple[Profile, ...]:
-    found = []
-    for one in info["profiles"]:
-        scores = {name: (float(low), float(mid), float(high)) for name, (low, mid, high) in one["scores"].items()}
-        outcomes = {outcome: int(count) for outcome, count in one["outcomes"].items()}
-        require(min(outcomes.values(), default=0) >= 0, "fewer than no scenarios")
-        rules = tuple(made(Rule, rule) for rule in one["rules"])
-        found.append(made(Profile, {**one, "scores": scores, "outcomes": outcomes, "rules": rules}))
-    return tuple(found)
+    profiles = []
+    for item in info["profiles"]:
+        scores = {name: (float(low), float(mid), float(high)) for name, (low, mid, high) in item["scores"].items()}
+        outcomes = {outcome: int(count) for outcome, count in item["outcomes"].items()}
+        require(min(outcomes.values(), default=0) >= 0, "a negative number of scenarios")
+        rules = tuple(made(Rule, rule) for rule in item["rules"])
+        profiles.append(made(Profile, {**item, "scores": scores, "outcomes": outcomes, "rules": rules}))
+    return tuple(profiles)
 
 
 def read_analyses(study: Study) -> dict[str, Analysis]:
@@ -248,7 +248,7 @@ def read_analyses(study: Study) -> dict[str, Analysis]:
 
 
 def read_distances(study: Study, by: str) -> Distances:
-    """Read the distances that scenarios were clustered by.
+    """Read the distances by which scenarios were clustered.
 
     Parameters
     ----------
@@ -260,21 +260,27 @@ def read_distances(study: Study, by: str) -> Distances:
     Returns
     -------
     ndarray of float64, shape (n, n), or PlacedDistances
-        Dynamic Time Warping between the scenarios in `Analysis.ids`, in the unit of the aspect. Where scenarios were
-        compared with landmarks only, they are made of the places of the scenarios when they are asked for.
+        Dynamic Time Warping between the scenarios in `Analysis.ids`, in the unit of the aspect. If scenarios were
+        compared with landmarks only, they are computed on demand from an embedding; index them like a matrix.
 
     Raises
     ------
     InputError
-        The study was not analysed by it.
+        The study was not analysed by it, or what it holds is damaged.
     """
-    if is_placed(study, by):
+    if study.analysis(by, "ids")[1].get("inexact") is not None:
         arrays, _ = study.analysis(by, "ids", "places")
         with damage_told(study.path):
-            places = arrays["places"]
-            require(places.ndim == 2 and len(places) == len(arrays["ids"]), "places of other scenarios")
-            require(places.dtype.kind == "f" and bool(np.isfinite(places).all()), "places that are none")
-            return PlacedDistances(places)
+            coordinates = arrays["places"]
+            require(
+                coordinates.ndim == 2 and len(coordinates) == len(arrays["ids"]),
+                "an embedding that does not fit the scenarios",
+            )
+            require(
+                coordinates.dtype.kind == "f" and bool(np.isfinite(coordinates).all()),
+                "coordinates that are not finite",
+            )
+            return PlacedDistances(coordinates)
     arrays, _ = study.analysis(by, "ids", "distances")
     distances: FloatArray = arrays["distances"]
     with damage_told(study.path):
@@ -283,25 +289,7 @@ def read_distances(study: Study, by: str) -> Distances:
 
 
 def read_between(study: Study, by: str) -> FloatArray:
-    """Read the distances of the scenarios that the others were compared with.
-
-    Parameters
-    ----------
-    study : Study
-        Analysed before, with landmarks.
-    by : str
-        Aspect.
-
-    Returns
-    -------
-    ndarray of float64, shape (m, m)
-        Between the landmarks.
-
-    Raises
-    ------
-    InputError
-        The study was not analysed by it, or without landmarks.
-    """
+    """Read the distances between the landmarks of an analysis, shape (m, m)."""
     arrays, _ = study.analysis(by, "landmarks", "between")
     distances: FloatArray = arrays["between"]
     with damage_told(study.path):
@@ -309,28 +297,9 @@ def read_between(study: Study, by: str) -> FloatArray:
     return distances
 
 
-def is_placed(study: Study, by: str) -> bool:
-    """Say whether the scenarios of an analysis were compared with landmarks only.
-
-    Parameters
-    ----------
-    study : Study
-        Analysed before.
-    by : str
-        Aspect.
-
-    Returns
-    -------
-    bool
-
-    Raises
-    ------
-    InputError
-        The study was not analysed by it.
-    """
-    return study.analysis(by, "ids")[1].get("inexact") is not None
-
-
 def _require_distances(distances: FloatArray, n: int) -> None:
-    require(distances.shape == (n, n) and distances.dtype.kind == "f", "distances of other scenarios")
-    require(bool(np.isfinite(distances).all()) and bool((distances >= 0.0).all()), "distances that are none")
+    require(distances.shape == (n, n) and distances.dtype.kind == "f", "distances that do not fit the scenarios")
+    require(
+        bool(np.isfinite(distances).all()) and bool((distances >= 0.0).all()),
+        "distances that are negative or not finite",
+    )

@@ -1,4 +1,4 @@
-"""Aspects: what of two scenarios is compared, by name."""
+"""Aspects: what is compared between two scenarios, by name."""
 
 from __future__ import annotations
 
@@ -12,26 +12,26 @@ from cornercase._common.typing import FloatArray
 from cornercase.recordings import Recording
 
 EGO_TRAJECTORY: Final = "ego-trajectory"
-"""Name of the aspect of the paper: where the ego goes."""
+"""Name of the aspect of the paper: the ego's trajectory."""
 
-# Fixed, so that two scenarios are as far apart in every study, and chosen without data: a difference of speed counts as
-# the way that it makes in the time that drivers look ahead, a second of waiting as the way of a slow vehicle.
+# Fixed, so that distances mean the same in every study, and chosen without data: a speed difference counts as the
+# distance that it makes in a driver's look-ahead time (s), a second of waiting as the distance of a slow vehicle (m/s).
 _LOOK_AHEAD: Final = 3.0
 _SLOW: Final = 5.0
 
 
 class Aspect(ABC):
-    """What of a scenario is compared with other scenarios.
+    """An aspect defines what is compared between two scenarios.
 
-    A subclass names itself, says its unit, and defines `series`. Scenarios are then compared by Dynamic Time Warping.
+    A subclass sets `name` and `unit`, and defines `series`. Scenarios are then compared by Dynamic Time Warping.
 
     Attributes
     ----------
     name : str
         As on the command line: ``"ego-speed"``.
     unit : str
-        Of all channels of the series, and so of the distance of two scenarios, which is a sum along the best path;
-        ``"1"`` for none.
+        Unit of all channels of the series, and so of the distance of two scenarios, which is a sum along the warping
+        path; ``"1"`` for none.
 
     See Also
     --------
@@ -53,7 +53,7 @@ class Aspect(ABC):
 
     @abstractmethod
     def series(self, recording: Recording, ego: str, other: str) -> FloatArray:
-        """Give what is compared.
+        """Return the time series that is compared.
 
         Parameters
         ----------
@@ -74,99 +74,99 @@ class Aspect(ABC):
 
 
 class EgoTrajectory(Aspect):
-    """The place of the ego, as in the paper: the centre of its box, x and y in m.
+    """Position of the ego, as in the paper: the centre of its box, x and y in m.
 
-    Dynamic Time Warping matches places whenever they were reached, so that waiting costs nothing.
+    Dynamic Time Warping matches positions at any time, so waiting costs nothing.
     """
 
     name, unit = EGO_TRAJECTORY, "m"
 
     def series(self, recording: Recording, ego: str, other: str) -> FloatArray:
-        """Give the ego's place, shape (T, 2)."""
+        """Return the ego's position, shape (T, 2)."""
         return _place(recording, ego)
 
 
 class EgoSpeed(Aspect):
-    """The speed of the ego in m/s, wherever it is."""
+    """Speed of the ego in m/s, wherever it is."""
 
     name, unit = "ego-speed", "m/s"
 
     def series(self, recording: Recording, ego: str, other: str) -> FloatArray:
-        """Give the ego's speed, shape (T, 1)."""
+        """Return the ego's speed, shape (T, 1)."""
         return _speed(recording, ego)
 
 
 class EgoMotion(Aspect):
-    """Place and speed of the ego on one scale: x, y, and the way that its speed makes in 3 s, in m."""
+    """Position and speed of the ego on one scale: x, y, and the distance that it travels in 3 s, in m."""
 
     name, unit = "ego-motion", "m"
 
     def series(self, recording: Recording, ego: str, other: str) -> FloatArray:
-        """Give the ego's place and scaled speed, shape (T, 3)."""
+        """Return the ego's position and scaled speed, shape (T, 3)."""
         return np.hstack((_place(recording, ego), _LOOK_AHEAD * _speed(recording, ego)))
 
 
 class Interaction(Aspect):
-    """The places of ego and other at the same time, jointly: x, y, x, y in m."""
+    """Positions of ego and other at the same time, jointly: x, y, x, y in m."""
 
     name, unit = "interaction", "m"
 
     def series(self, recording: Recording, ego: str, other: str) -> FloatArray:
-        """Give both places, shape (T, 4)."""
+        """Return both positions, shape (T, 4)."""
         return np.hstack((_place(recording, ego), _place(recording, other, ego)))
 
 
 class Relative(Aspect):
-    """Where the other is as the ego sees it: ahead and to the left, in m."""
+    """Position of the other as seen from the ego: ahead and to the left, in m."""
 
     name, unit = "relative", "m"
 
     def series(self, recording: Recording, ego: str, other: str) -> FloatArray:
-        """Give the other's place in the ego's frame, shape (T, 2)."""
+        """Return the other's position in the ego's frame, shape (T, 2)."""
         return _seen(recording, ego, other)
 
 
 class Bearing(Aspect):
-    """The direction in which the ego sees the other, as a unit vector ahead and to the left, however far it is.
+    """Direction in which the ego sees the other, as a unit vector ahead and to the left, at any distance.
 
-    When the two pass each other it turns one way or the other, so that it tells who was first; before and after, it
-    hardly changes. Where they are in one place, or the other never exists, it is the null vector.
+    When the two pass each other it turns one way or the other, so it shows who was first; before and after, it hardly
+    changes. If they are at the same point, or the other never exists, it is the null vector.
     """
 
     name, unit = "bearing", "1"
 
     def series(self, recording: Recording, ego: str, other: str) -> FloatArray:
-        """Give the direction, shape (T, 2)."""
-        seen = _seen(recording, ego, other)
-        away = np.hypot(seen[:, :1], seen[:, 1:])
-        return np.divide(seen, away, out=np.zeros_like(seen), where=away > 0.0)
+        """Return the direction, shape (T, 2)."""
+        relative = _seen(recording, ego, other)
+        distance = np.hypot(relative[:, :1], relative[:, 1:])
+        return np.divide(relative, distance, out=np.zeros_like(relative), where=distance > 0.0)
 
 
 class Behaviour(Aspect):
-    """The place of the ego on its own path over time: the way that it has made, and 5 m for each second, in m.
+    """Distance travelled by the ego along its own path, and time scaled by 5 m/s, in m.
 
-    What is matched at different times costs so much for each second between, so that waiting counts, and where the
-    path lies does not.
+    Matching different times has a cost per second between them, so waiting counts, and the location of the path does
+    not.
     """
 
     name, unit = "behaviour", "m"
 
     def series(self, recording: Recording, ego: str, other: str) -> FloatArray:
-        """Give the ego's way and the scaled time, shape (T, 2)."""
-        place = _place(recording, ego)
-        steps = np.hypot(*np.diff(place, axis=0).T)
+        """Return the distance travelled and the scaled time, shape (T, 2)."""
+        position = _place(recording, ego)
+        steps = np.hypot(*np.diff(position, axis=0).T)
         return np.column_stack((np.r_[0.0, np.cumsum(steps)], _SLOW * (recording.time - recording.time[0])))
 
 
 ASPECTS: Final[Registry[Aspect]] = Registry("aspect", "cornercase.aspects", Aspect)
-"""Aspects by name; the course of each metric of a study is one, too."""
+"""Aspects by name; the course of each metric of a study can be compared, too."""
 
 for _class in (EgoTrajectory, EgoSpeed, EgoMotion, Interaction, Relative, Bearing, Behaviour):
     ASPECTS.register(_class.name, _class)
 
 
 def _place(recording: Recording, entity: str, instead: str | None = None) -> FloatArray:
-    """Centre of an entity's box, shape (T, 2); that of another one if it never exists."""
+    """Centre of an entity's box, shape (T, 2); of `instead` if it never exists."""
     center = recording.center(entity)
     if instead is not None and not np.isfinite(center).all(axis=1).any():
         return _place(recording, instead)
@@ -178,7 +178,7 @@ def _speed(recording: Recording, entity: str) -> FloatArray:
 
 
 def _seen(recording: Recording, ego: str, other: str) -> FloatArray:
-    """Place of the other in the ego's frame, shape (T, 2)."""
+    """Position of the other in the ego's frame, shape (T, 2)."""
     x, y = (_place(recording, other, ego) - _place(recording, ego)).T
     heading = _held(recording.heading[recording.index(ego)][:, None])[:, 0]
     cos, sin = np.cos(heading), np.sin(heading)
@@ -186,7 +186,7 @@ def _seen(recording: Recording, ego: str, other: str) -> FloatArray:
 
 
 def _held(values: FloatArray) -> FloatArray:
-    """Fill instants at which an entity does not exist: it stays as it was last, and begins as it will first be."""
+    """Fill instants at which an entity does not exist with its last values, or its first ones before it appears."""
     exists = np.isfinite(values).all(axis=1)
     if not exists.any():
         return np.nan_to_num(values)

@@ -1,4 +1,4 @@
-"""Clusters of scenarios, and the settings that they were found with."""
+"""Clusters of scenarios, and the settings with which they were found."""
 
 from __future__ import annotations
 
@@ -14,34 +14,34 @@ NOISE: Final = -1
 """Label of a scenario that is in no cluster."""
 
 ClusteringMethod = Literal["dbscan", "hdbscan"]
-"""How clusters are found in the kernel space."""
+"""Algorithm that finds the clusters in kernel space."""
 
 
 @dataclass(frozen=True)
 class Candidate:
-    """One setting that was tried.
+    """Settings that the search tried, and how good the clusters are.
 
     Attributes
     ----------
     gamma, eps : float
-        Kernel width and neighbourhood.
+        Kernel width and neighbourhood radius.
     clusters : int
-        Number of clusters found.
+        Number of clusters.
     noise : float
-        Share of the scenarios in none.
+        Share of the scenarios in no cluster.
     dbcv, silhouette : float
-        Validity on the given distances, -1 to 1; NaN where it was not computed.
+        Validity on the given distances, -1 to 1; NaN if not computed.
     stability : float
-        Mean adjusted Rand index of these clusters with those found in ten random parts of 80 %; 1 by construction where
-        all scenarios are one group, or noise. As validity, it is computed for those that could be the best and for the
-        best of a few numbers of clusters, and NaN for others.
+        Mean adjusted Rand index of these clusters and those of ten random parts of 80 %; 1 by construction if all
+        scenarios are one group, or noise. Like validity it is computed for the best candidates, and for the best of a
+        few numbers of clusters; NaN for others.
     score : float
-        What ``"auto"`` maximises; -inf where nothing was searched. Without stability an upper bound of it.
+        Objective of ``"auto"``; -inf without a search. An upper bound if the stability is NaN.
     n_components, min_samples : int
         Dimensions of the embedding, and scenarios in a dense neighbourhood; 0 in a study of an early version.
     agreement : float
-        How well these clusters match the kinds that the distances show, 0 to 1: the mean F-measure over kinds, or over
-        clusters where that is less, so that small ones count as large ones. NaN where none were looked for.
+        Match of these clusters and those that the distances show, 0 to 1: the mean F-measure over the latter, or over
+        the former if that is less, so that small clusters count as much as large ones. NaN without a search.
     """
 
     gamma: float
@@ -66,24 +66,23 @@ class Clustering:
     labels : ndarray of int64, shape (n,)
         Cluster of each scenario, the largest cluster is 0; -1 is noise.
     embedding : ndarray of float64, shape (n, n_components)
-        Coordinates in kernel space. The sign of an axis is such that its entry of largest magnitude is
-        positive.
+        Coordinates in kernel space. Each axis is signed so that its entry of largest magnitude is positive.
     gamma, eps : float
         Given or found.
     min_samples : int
         Given or found.
     scale : float
-        Divisor of the distances; 0 where all distances are 0.
+        Divisor of the distances; 0 if all distances are 0.
     explained : float
         Share of the variance in kernel space that the embedding keeps, 0 to 1.
     candidates : tuple of Candidate
         All settings that were tried.
     method : {"dbscan", "hdbscan"}
     landmarks : ndarray of int64, shape (m,)
-        Scenarios that span the kernel space; empty where all do.
+        Scenarios that span the kernel space; empty if all do.
     error : float
-        Of the approximation by landmarks: the root of the mean squared difference of kernel and approximated kernel
-        over that of the kernel, between scenarios that are no landmarks; 0 without landmarks.
+        Relative error of the kernel approximated by landmarks, between other scenarios: root mean square of the
+        difference over that of the kernel; 0 without landmarks.
     """
 
     labels: IntArray
@@ -100,20 +99,19 @@ class Clustering:
 
     @property
     def stability(self) -> float | None:
-        """Mean adjusted Rand index with the clusters of random parts; None where it was not computed, or says nothing.
+        """Mean adjusted Rand index with the clusters of random parts; None if not computed or all are one cluster.
 
-        Of settings by which all scenarios are one group, or noise, so are those of every part: that is 1 by
-        construction. It also helps to choose among settings, so that it is no evidence of its own.
+        It also helps to choose the settings, so it is not independent evidence.
         """
         if len(np.unique(self.labels)) < 2:
             return None
-        for one in self.candidates:
-            chosen = (one.gamma, one.eps) == (self.gamma, self.eps)
-            # A study of an early version does not say with how many each was tried.
-            chosen = chosen and one.min_samples in (0, self.min_samples)
-            chosen = chosen and one.n_components in (0, self.embedding.shape[1])
-            if chosen and not math.isnan(one.stability):
-                return one.stability
+        for candidate in self.candidates:
+            is_chosen = (candidate.gamma, candidate.eps) == (self.gamma, self.eps)
+            # Studies of early versions store 0 for both.
+            is_chosen = is_chosen and candidate.min_samples in (0, self.min_samples)
+            is_chosen = is_chosen and candidate.n_components in (0, self.embedding.shape[1])
+            if is_chosen and not math.isnan(candidate.stability):
+                return candidate.stability
         return None
 
     @property

@@ -1,4 +1,4 @@
-"""Compiled overlaps of boxes along two ways."""
+"""Compiled overlap tests of boxes along two paths."""
 
 # Compiled functions have no static types.
 # mypy: disable-error-code="no-untyped-def, untyped-decorator"
@@ -13,18 +13,18 @@ from cornercase._common.box_tree import next_near, node_after, with_run
 from cornercase._common.compiling import kernel
 
 _MARGIN = 1e-3
-"""m by which bounds are wider than the circles of boxes, far more than rounding."""
+"""Margin of the bounding circles in m, far more than rounding."""
 
 _HALVINGS = 20
-"""So often a step is halved to find the instant of a touch: a millionth of it."""
+"""Number of bisections of a step to find the instant of contact, to a millionth of the step."""
 
 
 @kernel(error_model="numpy")
 def find_overlaps(a, size_a, b, size_b, tree):
-    """Which boxes of `a` overlap which of `b`, as `Meetings.runs`.
+    """Return which boxes of `a` overlap which of `b`, as runs for `OverlapRuns`.
 
-    `a`, (4, n), and `b`, (4, m), have rows of x, y, and the cosine and sine of the heading; sizes are length and width.
-    `tree` is the `box_tree` of the centres of `b`.
+    `a`, shape (4, n), and `b`, shape (4, m), have rows x, y, cosine and sine of the heading; sizes are length and
+    width; `tree` is the AABB tree of the centres of `b`.
     """
     reach = 0.5 * (math.hypot(size_a[0], size_a[1]) + math.hypot(size_b[0], size_b[1]))
     wide = reach + _MARGIN
@@ -48,7 +48,7 @@ def find_overlaps(a, size_a, b, size_b, tree):
 
 @kernel(error_model="numpy", _nrt=False)
 def touching_share(a, size_a, before, after, b, size_b, meets):
-    """Share of the step from box `before` to box `after` of `a` at which it first touches one of `b` that is met."""
+    """Return the fraction of a step of `a` at which it first touches a box of `b` marked in `meets`."""
     low, high = 0.0, 1.0
     for _ in range(_HALVINGS):
         share = 0.5 * (low + high)
@@ -73,7 +73,7 @@ def touching_share(a, size_a, before, after, b, size_b, meets):
 
 @kernel(error_model="numpy", _nrt=False)
 def _overlap(x, y, cos_a, sin_a, size_a, cos_b, sin_b, size_b):
-    """Whether two boxes overlap whose centres are (x, y) apart (separating axes)."""
+    """Separating-axis test of two boxes whose centres differ by (x, y)."""
     cos, sin = abs(cos_a * cos_b + sin_a * sin_b), abs(cos_a * sin_b - sin_a * cos_b)
     length_a, width_a, length_b, width_b = 0.5 * size_a[0], 0.5 * size_a[1], 0.5 * size_b[0], 0.5 * size_b[1]
     return (

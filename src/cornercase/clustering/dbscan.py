@@ -1,4 +1,4 @@
-"""Compiled DBSCAN: all pairs of some hundred points take less time than the checks and the tree of a library."""
+"""Compiled DBSCAN; for some hundred points faster than the input checks and the tree of a library."""
 
 # Compiled functions have no static types.
 # mypy: disable-error-code="no-untyped-def, untyped-decorator"
@@ -14,35 +14,35 @@ _NOISE = -1
 
 @kernel(error_model="numpy")
 def find_clusters(points, reach, needed, labels):
-    """Label points, (n, k), of which `needed` lie within `reach` of each other, and their neighbours.
+    """Fill `labels`, shape (n,), with DBSCAN clusters of points, shape (n, k); -1 is noise.
 
-    Dense points that are neighbours are of one cluster. Clusters are numbered in the order of their first dense points;
-    another point belongs to the first of the clusters that it has a dense neighbour in, or to none.
+    Clusters are numbered in the order of their first dense points. A border point belongs to the first cluster in which
+    it has a dense neighbour.
     """
     count = len(points)
     square = reach * reach
     dense = np.empty(count, dtype=np.bool_)
     for i in range(count):
-        near = 0
+        n_near = 0
         for j in range(count):
-            near += _square(points, i, j) <= square
-        dense[i] = near >= needed
+            n_near += _square(points, i, j) <= square
+        dense[i] = n_near >= needed
     labels[:] = _NOISE
-    ahead = np.empty(count, dtype=np.int64)
+    waiting = np.empty(count, dtype=np.int64)
     number = 0
     for first in range(count):
         if not dense[first] or labels[first] != _NOISE:
             continue
-        labels[first], ahead[0], left = number, first, 1
-        while left > 0:
-            left -= 1
-            i = ahead[left]
+        labels[first], waiting[0], n_waiting = number, first, 1
+        while n_waiting > 0:
+            n_waiting -= 1
+            i = waiting[n_waiting]
             for j in range(count):
                 if labels[j] == _NOISE and _square(points, i, j) <= square:
                     labels[j] = number
                     if dense[j]:
-                        ahead[left] = j
-                        left += 1
+                        waiting[n_waiting] = j
+                        n_waiting += 1
         number += 1
 
 
@@ -50,6 +50,6 @@ def find_clusters(points, reach, needed, labels):
 def _square(points, i, j):
     total = 0.0
     for k in range(points.shape[1]):
-        away = points[i, k] - points[j, k]
-        total += away * away
+        difference = points[i, k] - points[j, k]
+        total += difference * difference
     return total

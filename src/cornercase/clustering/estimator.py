@@ -1,4 +1,4 @@
-"""Kinds of scenario: kernel PCA and DBSCAN on a distance matrix, as an estimator like those of scikit-learn."""
+"""Clustering of scenarios by kernel PCA and DBSCAN on a distance matrix, as a scikit-learn estimator."""
 
 from __future__ import annotations
 
@@ -18,39 +18,39 @@ from cornercase.clustering.density import join_nearest, order_by_size
 from cornercase.clustering.kernel_space import KernelSpace
 from cornercase.clustering.search import MOST_SCORED, canonical_order, search_settings
 
-# Beyond so many scenarios the kernel space is that of so many landmarks.
+# With more than MOST_EXACT scenarios, LANDMARKS of them span the kernel space.
 MOST_EXACT: Final = 5000
 LANDMARKS: Final = 2000
-# Singular values of a kernel of distances in single precision that are rounding, as a share of the largest.
+# Singular values below this share of the largest are rounding errors of single-precision distances.
 _SMALLEST: Final = 1e-7
 
 
 class ScenarioClustering(ClusterMixin, BaseEstimator):  # type: ignore[misc]
-    """Cluster scenarios by their distances, and assign new ones to the clusters that are there.
+    """Cluster scenarios by their distances, and assign new ones to the existing clusters.
 
     As in [1]_, the distances d become a Gaussian kernel ``exp(-gamma * (d / scale)**2)``, kernel PCA [2]_ projects it
-    to a few dimensions, and DBSCAN [3]_ finds the dense regions there. `scale` is the median distance of two
-    scenarios that differ. So `gamma` has no unit and means the same for trajectories in metres and courses in seconds:
-    at 1 the kernel has fallen to 1/e at the typical distance.
+    to a few dimensions, and DBSCAN [3]_ finds the dense regions there. `scale` is the median distance of two scenarios
+    that differ. So `gamma` has no unit and means the same for trajectories in metres and courses in seconds: at 1 the
+    kernel has fallen to 1/e at the typical distance.
 
     Parameters
     ----------
     gamma : float or "auto", default "auto"
         Kernel width, without unit.
     eps : float or "auto", default "auto"
-        Radius of DBSCAN's neighbourhood in the embedding, without unit; of HDBSCAN the distance below which clusters
+        Radius of DBSCAN's neighbourhood in the embedding, without unit; for HDBSCAN the distance below which clusters
         are not divided.
     min_samples : int or "auto", default "auto"
         Scenarios in a neighbourhood, itself included, that make it dense. ``"auto"`` is ``ln(n)``, rounded up and at
-        least 3 [4]_; 3, or twice as many, where that shows the kinds better.
+        least 3 [4]_; 3, or twice as many, if that shows the clusters better.
     n_components : int or "auto", default "auto"
-        Dimensions of the embedding; the paper takes 3. ``"auto"`` is 3, or 6, 12 or 24 where more kinds than fit into
-        three dimensions show better there.
+        Dimensions of the embedding; the paper takes 3. ``"auto"`` is 3, or 6, 12 or 24 if there are more clusters than
+        three dimensions can separate.
     method : {"dbscan", "hdbscan"}, default "dbscan"
-        Algorithm that finds the clusters in the embedding. HDBSCAN [5]_ takes regions of different density.
+        Algorithm that finds the clusters in the embedding. HDBSCAN [5]_ allows clusters of different density.
     landmarks : int, "auto" or None, default "auto"
         Number of scenarios that span the kernel space; the others are projected on it [10]_ and join the cluster of the
-        nearest dense landmark. None for all; ``"auto"`` is 2,000 where there are more than 5,000 scenarios.
+        nearest dense landmark. None for all; ``"auto"`` is 2,000 if there are more than 5,000 scenarios.
 
     Attributes
     ----------
@@ -63,7 +63,7 @@ class ScenarioClustering(ClusterMixin, BaseEstimator):  # type: ignore[misc]
     candidates_ : tuple of Candidate
         All settings that were tried.
     landmarks_ : ndarray of int64, shape (m,)
-        Scenarios that span the kernel space; empty where all do.
+        Scenarios that span the kernel space; empty if all do.
     result_ : Clustering
         All of these, and how well the embedding keeps the kernel.
     n_features_in_ : int
@@ -76,23 +76,23 @@ class ScenarioClustering(ClusterMixin, BaseEstimator):  # type: ignore[misc]
 
     Notes
     -----
-    What a person does by looking, ``"auto"`` does in two steps.
+    ``"auto"`` has two steps.
 
-    First, which kinds there are, is judged on the given distances, split by split (`cornercase.clustering.kinds`): the
-    hierarchy of mutual reachability [5]_ merges scenarios from the nearest on, and two groups stay apart where the gap
-    between them would hold clearly more neighbours of each group's members than chance lets a gap hold in scenarios of
-    one kind. Chance depends on the number of scenarios and on their intrinsic dimension [7]_. A gap of less than 5 % of
-    the median distance is no difference in kind. So one kind is the rule, and each further one needs evidence; four
-    scenarios can be one if they are far enough from the others. Of up to a hundred scenarios, all gaps are judged
-    together first, as none of several may be clear by itself; there three can be a kind.
+    First, the number of clusters is estimated on the given distances: the hierarchy of mutual reachability [5]_ merges
+    scenarios, the nearest first, and two groups stay apart if the gap between them would hold clearly more neighbours
+    of each group's members than a gap within a single cluster holds by chance. Chance depends on the number of
+    scenarios and on their intrinsic dimension [7]_. A gap of less than 5 % of the median distance does not separate
+    clusters. So a single cluster is the default, and each further one needs evidence; four scenarios can be one if they
+    are far enough from the others. For up to a hundred scenarios all gaps are first tested together, since none of
+    several may be clear by itself; then three can be a cluster.
 
-    Then the settings are searched with which the paper's chain shows these kinds: `gamma` on a fixed grid, `eps`
-    between the steps within kinds and those across. A candidate scores the mean F-measure of its clusters and the
-    kinds, less the share of noise, less up to 0.1 where other clusters are found in random parts of 80 % of the
-    scenarios with the same settings [9]_, and a little more where the gap is wide in the embedding. The best score
-    wins. Where its clusters are found again with an adjusted Rand index of less than 0.5 only, all are one cluster; so
-    they are with fewer than 5 scenarios. Each candidate's agreement with the kinds says how well it shows them. DBCV
-    [6]_ and silhouette [8]_ are told for comparison; they choose nothing.
+    Second, settings are searched with which kernel PCA and DBSCAN find these clusters: `gamma` on a fixed grid, `eps`
+    between the edges within clusters and those across. The score of a candidate is the mean F-measure of its clusters
+    and the expected ones, less the share of noise, less up to 0.1 if the same settings find other clusters in random
+    parts of 80 % of the scenarios [9]_, plus a small term for a wide gap in the embedding. The best score wins. If its
+    clusters are found again only with an adjusted Rand index below 0.5, or if there are fewer than 5 scenarios, all are
+    one cluster. `Candidate.agreement` is how well each candidate matches the expected clusters. DBCV [6]_ and
+    silhouette [8]_ are given for comparison and decide nothing.
 
     References
     ----------
@@ -113,10 +113,10 @@ class ScenarioClustering(ClusterMixin, BaseEstimator):  # type: ignore[misc]
     --------
     >>> import numpy as np
     >>> from cornercase import ScenarioClustering
-    >>> place = np.r_[np.linspace(0, 1, 20), np.linspace(9, 10, 20)]
-    >>> distances = abs(place[:, None] - place)
+    >>> x = np.r_[np.linspace(0, 1, 20), np.linspace(9, 10, 20)]
+    >>> distances = abs(x[:, None] - x)
     >>> model = ScenarioClustering().fit(distances)
-    >>> model.predict(abs(np.array([0.5, 9.5])[:, None] - place)).tolist() == [model.labels_[0], model.labels_[-1]]
+    >>> model.predict(abs(np.array([0.5, 9.5])[:, None] - x)).tolist() == [model.labels_[0], model.labels_[-1]]
     True
     """
 
@@ -154,13 +154,15 @@ class ScenarioClustering(ClusterMixin, BaseEstimator):  # type: ignore[misc]
         """
         self.require_settings()
         matrix = _checked(distances)
-        # A scenario that two clusters touch joins the one that is found first: no order but this one may decide it.
-        self._spanning = canonical_order(matrix)
+        # The canonical order decides to which of two touching clusters a border point belongs.
+        self._kernel_rows = canonical_order(matrix)
         count = self._landmark_count(len(matrix))
         if count < len(matrix):
-            self._spanning = self._spanning[np.sort(np.random.default_rng(0).choice(len(matrix), count, replace=False))]
-        within = matrix[np.ix_(self._spanning, self._spanning)]
-        self._known = search_settings(
+            self._kernel_rows = self._kernel_rows[
+                np.sort(np.random.default_rng(0).choice(len(matrix), count, replace=False))
+            ]
+        within = matrix[np.ix_(self._kernel_rows, self._kernel_rows)]
+        self._fitted_clustering = search_settings(
             within,
             gamma=self.gamma if self.gamma == "auto" else float(self.gamma),
             eps=self.eps if self.eps == "auto" else float(self.eps),
@@ -168,34 +170,36 @@ class ScenarioClustering(ClusterMixin, BaseEstimator):  # type: ignore[misc]
             n_components=self.n_components if self.n_components == "auto" else int(self.n_components),
             method=self.method,
         )
-        self._scale = self._known.scale or 1.0
+        self._scale = self._fitted_clustering.scale or 1.0
         with threadpool_limits(limits=1):
-            self._space = KernelSpace(self._known.gamma, self._known.embedding.shape[1]).fit(within / self._scale)
-            found = self._extended(matrix) if count < len(matrix) else self._as_given()
-        self.result_: Clustering = found
-        self.labels_, self.embedding_, self.candidates_ = found.labels, found.embedding, found.candidates
-        self.gamma_, self.eps_, self.min_samples_ = found.gamma, found.eps, found.min_samples
-        self.landmarks_, self.n_features_in_ = found.landmarks, len(matrix)
+            self._space = KernelSpace(self._fitted_clustering.gamma, self._fitted_clustering.embedding.shape[1]).fit(
+                within / self._scale
+            )
+            result = self._extended(matrix) if count < len(matrix) else self._as_given()
+        self.result_: Clustering = result
+        self.labels_, self.embedding_, self.candidates_ = result.labels, result.embedding, result.candidates
+        self.gamma_, self.eps_, self.min_samples_ = result.gamma, result.eps, result.min_samples
+        self.landmarks_, self.n_features_in_ = result.landmarks, len(matrix)
         return self
 
     def require_settings(self) -> None:
-        """Refuse settings that are out of range; `fit` does it too.
+        """Check the settings; `fit` does it too.
 
         Raises
         ------
         InputError
-            One is.
+            A setting is out of range.
         """
         if self.method not in get_args(ClusteringMethod):
             raise InputError(f"`method` {self.method}: {suggestion(str(self.method), get_args(ClusteringMethod))}")
         if not _whole(self.n_components, 1) and self.n_components != "auto":
             raise InputError(f"`n_components` {self.n_components!r}: give a whole number of at least 1, or 'auto'.")
-        # HDBSCAN takes a radius of 0: then it merges no clusters.
-        for name, value, least in (("gamma", self.gamma, False), ("eps", self.eps, self.method == "hdbscan")):
+        # For HDBSCAN a radius of 0 is valid: then it merges no clusters.
+        for name, value, zero_allowed in (("gamma", self.gamma, False), ("eps", self.eps, self.method == "hdbscan")):
             if isinstance(value, str) and value == "auto":
                 continue
-            number = isinstance(value, (int, float, np.number)) and not isinstance(value, bool)
-            if not number or not (0 < value < math.inf or (least and value == 0)):
+            is_number = isinstance(value, (int, float, np.number)) and not isinstance(value, bool)
+            if not is_number or not (0 < value < math.inf or (zero_allowed and value == 0)):
                 raise InputError(f"`{name}` {value!r}: give a number above 0, or 'auto'.")
         if not _whole(self.min_samples, 1) and self.min_samples != "auto":
             raise InputError(f"`min_samples` {self.min_samples!r}: give a whole number of at least 1, or 'auto'.")
@@ -203,7 +207,7 @@ class ScenarioClustering(ClusterMixin, BaseEstimator):  # type: ignore[misc]
             raise InputError(f"`landmarks` {self.landmarks!r}: give a whole number of at least 2, None or 'auto'.")
 
     def transform(self, distances: npt.ArrayLike) -> FloatArray:
-        """Place new scenarios in the kernel space.
+        """Embed new scenarios in the kernel space.
 
         Parameters
         ----------
@@ -218,7 +222,7 @@ class ScenarioClustering(ClusterMixin, BaseEstimator):  # type: ignore[misc]
         Raises
         ------
         InputError
-            There are not n distances of each, or one is not finite or negative.
+            The shape is not (m, n), or a distance is negative or not finite.
         """
         matrix = np.asarray(distances, dtype=np.float64)
         if matrix.ndim != 2 or matrix.shape[1] != self.n_features_in_:
@@ -228,13 +232,13 @@ class ScenarioClustering(ClusterMixin, BaseEstimator):  # type: ignore[misc]
         if not np.isfinite(matrix).all() or (matrix < 0.0).any():
             raise InputError("A distance is negative or not finite; give finite distances of at least 0.")
         with threadpool_limits(limits=1):
-            return self._space.transform(matrix[:, self._spanning] / self._scale)
+            return self._space.transform(matrix[:, self._kernel_rows] / self._scale)
 
     def predict(self, distances: npt.ArrayLike) -> IntArray:
-        """Assign new scenarios to the clusters that are there, without changing these.
+        """Assign new scenarios to the existing clusters, without changing these.
 
-        As DBSCAN would, each goes to the cluster of the nearest dense scenario within its neighbourhood, and is noise
-        where there is none.
+        As in DBSCAN, each goes to the cluster of the nearest dense scenario within its neighbourhood, and is noise if
+        there is none.
 
         Parameters
         ----------
@@ -251,10 +255,10 @@ class ScenarioClustering(ClusterMixin, BaseEstimator):  # type: ignore[misc]
         InputError
             As `transform`.
         """
-        return join_nearest(self.transform(distances), self._known)
+        return join_nearest(self.transform(distances), self._fitted_clustering)
 
     def kernel_lost(self, distances: FloatArray, between: FloatArray) -> float:
-        """Measure how much of the kernel of new scenarios is lost when it is rebuilt from that of those clustered.
+        """Return the relative error of the kernel of new scenarios, approximated from the clustered ones.
 
         Parameters
         ----------
@@ -269,29 +273,35 @@ class ScenarioClustering(ClusterMixin, BaseEstimator):  # type: ignore[misc]
             As `Clustering.error`.
         """
         with threadpool_limits(limits=1):
-            return self._space.error(distances[:, self._spanning] / self._scale, between / self._scale, _SMALLEST)
+            return self._space.error(distances[:, self._kernel_rows] / self._scale, between / self._scale, _SMALLEST)
 
     def _as_given(self) -> Clustering:
         """Clusters of all scenarios, in the order in which these were given."""
-        place = np.argsort(self._spanning)
-        return replace(self._known, labels=self._known.labels[place], embedding=self._known.embedding[place])
+        order = np.argsort(self._kernel_rows)
+        return replace(
+            self._fitted_clustering,
+            labels=self._fitted_clustering.labels[order],
+            embedding=self._fitted_clustering.embedding[order],
+        )
 
     def _extended(self, matrix: FloatArray) -> Clustering:
-        """Clusters of the landmarks, joined by all others."""
-        landmarks = self._spanning
+        """Clusters of the landmarks, extended to all other scenarios."""
+        landmarks = self._kernel_rows
         embedding = self._space.transform(matrix[:, landmarks] / self._scale)
-        embedding[landmarks] = self._known.embedding
-        labels = join_nearest(embedding, self._known)
-        labels[landmarks] = self._known.labels
+        embedding[landmarks] = self._fitted_clustering.embedding
+        labels = join_nearest(embedding, self._fitted_clustering)
+        labels[landmarks] = self._fitted_clustering.labels
         others = np.setdiff1d(np.arange(len(matrix)), landmarks)
-        some = others[:: math.ceil(len(others) / MOST_SCORED)]
+        sample = others[:: math.ceil(len(others) / MOST_SCORED)]
         error = self._space.error(
-            matrix[np.ix_(some, landmarks)] / self._scale, matrix[np.ix_(some, some)] / self._scale
+            matrix[np.ix_(sample, landmarks)] / self._scale, matrix[np.ix_(sample, sample)] / self._scale
         )
         labels = order_by_size(labels)
-        # The order of sizes may be another with all scenarios; new ones join under the final labels.
-        self._known = replace(self._known, labels=labels[landmarks])
-        return replace(self._known, labels=labels, embedding=embedding, landmarks=np.sort(landmarks), error=error)
+        # With all scenarios the order of sizes may differ; new ones are assigned to the final labels.
+        self._fitted_clustering = replace(self._fitted_clustering, labels=labels[landmarks])
+        return replace(
+            self._fitted_clustering, labels=labels, embedding=embedding, landmarks=np.sort(landmarks), error=error
+        )
 
     def _landmark_count(self, n: int) -> int:
         if self.landmarks == "auto":
@@ -329,7 +339,7 @@ def cluster(
     Returns
     -------
     Clustering
-        The clusters, and the settings that they were found with.
+        The clusters, and the settings with which they were found.
 
     Raises
     ------
@@ -356,12 +366,12 @@ def _whole(value: object, least: int) -> bool:
 
 
 def _checked(distances: npt.ArrayLike) -> FloatArray:
-    matrix = np.asarray(distances, dtype=np.float64)
-    if matrix.ndim != 2 or matrix.shape[0] != matrix.shape[1] or not len(matrix):
-        raise InputError(f"A distance matrix of shape {matrix.shape} is not square; give shape (n, n), n >= 1.")
-    if not np.isfinite(matrix).all() or (matrix < 0).any():
-        i, j = np.argwhere(~np.isfinite(matrix) | (matrix < 0))[0]
-        raise InputError(f"The distance of {i} and {j} is {matrix[i, j]}; give finite distances of at least 0.")
-    if not np.array_equal(matrix, matrix.T) or matrix.diagonal().any():
+    array = np.asarray(distances, dtype=np.float64)
+    if array.ndim != 2 or array.shape[0] != array.shape[1] or not len(array):
+        raise InputError(f"A distance matrix of shape {array.shape} is not square; give shape (n, n), n >= 1.")
+    if not np.isfinite(array).all() or (array < 0).any():
+        i, j = np.argwhere(~np.isfinite(array) | (array < 0))[0]
+        raise InputError(f"The distance of {i} and {j} is {array[i, j]}; give finite distances of at least 0.")
+    if not np.array_equal(array, array.T) or array.diagonal().any():
         raise InputError("The distance matrix is not symmetric with a zero diagonal; give distances both ways.")
-    return matrix
+    return array

@@ -1,4 +1,4 @@
-"""The space of a Gaussian kernel of distances, and where scenarios lie in it."""
+"""Kernel PCA of a Gaussian kernel of distances, with projection of new scenarios."""
 
 from __future__ import annotations
 
@@ -14,24 +14,10 @@ from cornercase._common.typing import FloatArray
 class KernelSpace:
     """Leading components of the kernel ``exp(-gamma * d**2)``, by kernel PCA.
 
-    Parameters
-    ----------
-    gamma : float
-        The larger, the narrower is the kernel.
-    n_components : int
-        Axes beyond the rank of the kernel are 0.
-
-    Attributes
-    ----------
-    embedding : ndarray of float64, shape (n, n_components)
-        Coordinates of the scenarios that it was fitted to.
-    explained : float
-        Share of the variance in kernel space that the components keep, 0 to 1.
-
-    Notes
-    -----
-    S. Mika et al., "Kernel PCA and de-noising in feature spaces", 1998. New scenarios are placed as C. Williams, M.
-    Seeger, "Using the Nyström method to speed up kernel machines", 2001, say.
+    After `fit`, `embedding`, shape (n, n_components), has the coordinates (0 on axes beyond the rank of the kernel),
+    and `explained` the share of the variance that the components keep. S. Mika et al., "Kernel PCA and de-noising in
+    feature spaces", 1998; new scenarios are projected as in C. Williams, M. Seeger, "Using the Nyström method to speed
+    up kernel machines", 2001.
     """
 
     def __init__(self, gamma: float, n_components: int) -> None:
@@ -40,84 +26,52 @@ class KernelSpace:
         self.explained = 1.0
 
     def fit(self, distances: FloatArray) -> Self:
-        """Find the components.
-
-        Parameters
-        ----------
-        distances : ndarray of float64, shape (n, n)
-            Divided by their scale.
-
-        Returns
-        -------
-        KernelSpace
-            Itself.
-        """
+        """Fit the components to distances, shape (n, n), divided by their scale."""
         kernel = self._kernel(distances)
         n = len(kernel)
-        self._known = kernel
+        self._fitted_kernel = kernel
         self.embedding, self.explained, self._pca = np.zeros((n, self._n_components)), 1.0, None
         centred = kernel - kernel.mean(axis=0)
         variance = float(np.trace(centred - centred.mean(axis=1)[:, None]))
-        # Without variance there is nothing to project on.
+        # Without variance there is no component.
         if n >= 2 and variance > 1e-12 * n:
-            self._pca, found = _fitted(kernel, centred - centred.mean(axis=1)[:, None], min(self._n_components, n))
-            self.embedding[:, : found.shape[1]] = found
+            self._pca, coordinates = _fitted(
+                kernel, centred - centred.mean(axis=1)[:, None], min(self._n_components, n)
+            )
+            self.embedding[:, : coordinates.shape[1]] = coordinates
             self.explained = float(min(1.0, self._pca.eigenvalues_.sum() / variance))
         return self
 
     def transform(self, distances: FloatArray) -> FloatArray:
-        """Place further scenarios.
-
-        Parameters
-        ----------
-        distances : ndarray of float64, shape (m, n)
-            From each of them to those that were fitted, divided by the same scale.
-
-        Returns
-        -------
-        ndarray of float64, shape (m, n_components)
-            Coordinates in kernel space.
-        """
-        placed = np.zeros((len(distances), self._n_components))
+        """Project further scenarios by their distances to the fitted ones, shape (m, n), divided by the same scale."""
+        embedding = np.zeros((len(distances), self._n_components))
         if self._pca is not None and len(distances):
-            found = self._pca.transform(self._kernel(distances))
-            placed[:, : found.shape[1]] = found
-        return placed
+            coordinates = self._pca.transform(self._kernel(distances))
+            embedding[:, : coordinates.shape[1]] = coordinates
+        return embedding
 
     def error(self, to_known: FloatArray, between: FloatArray, smallest: float = 1e-10) -> float:
-        """How much of the kernel of further scenarios is lost when it is rebuilt from the fitted ones.
+        """Return the relative error (Frobenius norm) of the kernel of further scenarios, rebuilt from the fitted ones.
 
-        Parameters
-        ----------
-        to_known : ndarray of float64, shape (m, n)
-            Distances from the further scenarios to the fitted ones.
-        between : ndarray of float64, shape (m, m)
-            Distances of the further scenarios from each other.
-        smallest : float, default 1e-10
-            Singular values of the kernel that are less than this share of the largest one count as rounding.
-
-        Returns
-        -------
-        float
-            Frobenius norm of the difference over that of the kernel.
+        Singular values below the share `smallest` of the largest one count as rounding.
         """
         cross, kernel = self._kernel(to_known), self._kernel(between)
-        weights = lstsq(self._known, cross.T, cond=smallest)[0]
+        weights = lstsq(self._fitted_kernel, cross.T, cond=smallest)[0]
         return float(np.linalg.norm(kernel - cross @ weights) / np.linalg.norm(kernel))
 
     def _kernel(self, distances: FloatArray) -> FloatArray:
-        # As far apart as that is as good as infinitely far.
+        # The kernel of a distance whose square overflows is 0.
         with np.errstate(over="ignore"):
             return np.asarray(np.exp(-self._gamma * distances**2))
 
 
 def _fitted(kernel: FloatArray, centred: FloatArray, count: int) -> tuple[KernelPCA, FloatArray]:
-    """Kernel PCA with so many components, or with as many as there are."""
+    """Kernel PCA with `count` components, or with as many as have a positive eigenvalue."""
     model = KernelPCA(count, kernel="precomputed", random_state=0)
     try:
         return model, model.fit_transform(kernel)
     except ValueError:
-        # A kernel of warped distances need not be positive: beyond its positive axes there are none to project on.
+        # A kernel of DTW distances need not be positive definite; only axes with positive eigenvalues are usable.
         values = eigvalsh(centred)
         model = KernelPCA(max(1, int((values > 1e-9 * values[-1]).sum())), kernel="precomputed", random_state=0)
         return model, model.fit_transform(kernel)

@@ -1,4 +1,4 @@
-"""Kinds that distances show: groups farther apart than chance puts scenarios of one kind."""
+"""Estimate of the number of clusters: groups that are farther apart than random samples of a single cluster."""
 
 from __future__ import annotations
 
@@ -15,66 +15,65 @@ from cornercase._common.typing import BoolArray, FloatArray, IntArray
 from cornercase.clustering.spanning_tree import find_tree
 
 LEAST_MEMBERS: Final = 4
-# Scenarios that a gap may hold: few show small kinds that stand clear, many show kinds with some on the way between.
+# Scenarios that a gap may contain: few reveal small separate clusters, many reveal clusters with points between them.
 NEIGHBOURS: Final = (3, 6, 12, 24)
-# A gap below this share of the median distance is no difference in kind, however clear: scenarios that are alike but
-# for an instant of the simulation make such gaps. Set by looking at the T-intersection (0.02 and less between
-# instants, 0.37 between outcomes) and at the twelve kinds of benchmarks/kinds.py (0.11).
+# A gap below this share of the median distance separates no clusters, however clear: scenarios that differ by one time
+# step have such gaps. Calibrated on the T-intersection (at most 0.02 between time steps, 0.37 between outcomes) and on
+# the twelve clusters of benchmarks/kinds.py (0.11).
 LEAST_GAP: Final = 0.05
-# Strength that one split in ten sets without structure exceeds, of one, two and three dimensions: factor of ln(n),
-# constant, and for each neighbour beyond six. Set by looking at uniform and normal points, n from 60 to 1,000.
+# Strength that one of ten data sets without structure exceeds, for 1, 2 and 3 dimensions: factor of ln(n), constant,
+# and increase per neighbour beyond six. Calibrated on uniform and normal points, n from 60 to 1,000.
 CHANCE: Final = ((4.5, -3.0, 1.0), (1.6, 1.5, 0.5), (1.2, 1.0, 0.4))
-# Smooth families of trajectories are not as even as such points; a split must be stronger by CLEAR, or by FAIR where
-# it is STANDS_OUT times as strong as the next. Set by looking at sets of benchmarks/kinds.py with odd seeds.
+# Families of trajectories are less even than such points: a split must be stronger by the factor CLEAR, or by FAIR if
+# it is STANDS_OUT times as strong as the next one. Calibrated on benchmarks/kinds.py with odd seeds.
 CLEAR, FAIR, STANDS_OUT = 1.4, 1.15, 2.0
-# Members nearest to the other group that are asked, at least, and what their neighbours count. Set by looking at the
-# T-intersection, and at braking of benchmarks/kinds.py with odd seeds.
+# Smallest number of members at the seam to the other group, and the factor of their neighbours. Calibrated on the
+# T-intersection and on braking of benchmarks/kinds.py with odd seeds.
 LEAST_AT_SEAM, SEAM_SHARE = 10, 1.15
-# Splits are judged together of so many scenarios at most, and leave no smaller groups: among more, each kind of some
-# size shows by itself, and three that lie together by accident are frequent. Set by looking at two rings of 300 points.
+# Splits are tested together for at most FEW scenarios, with groups of at least FEWEST: with more, large clusters show
+# by themselves, and three points that are close by accident are frequent. Calibrated on two rings of 300 points.
 FEW, FEWEST = 100, 3
-# Probability below which gaps are no accident. Set by looking at smooth families and kinds of sixty scenarios, drawn by
-# benchmarks/kinds.py with odd seeds.
+# Significance level of the joint test. Calibrated on families and clusters of sixty scenarios of benchmarks/kinds.py
+# with odd seeds.
 RARE: Final = 0.001
 _MOST_CENTRES: Final = 300
 _DIMENSION_NEIGHBOURS: Final = 6
-# Where kinds have a handful of members, the sixth neighbour would be one of another kind.
+# Two, since in clusters of a handful of members the sixth neighbour belongs to another cluster.
 _NEAREST_NEIGHBOURS: Final = 2
 
 
 def find_kinds(distances: FloatArray) -> IntArray:
-    """Divide scenarios into kinds where there is evidence for it.
+    """Divide scenarios into clusters if there is evidence for more than one.
 
     Parameters
     ----------
     distances : ndarray of float64, shape (n, n)
-        Symmetric, zero on the diagonal, in any unit. Where several distances are equal, the order of the scenarios
-        may matter.
+        Symmetric, zero on the diagonal, in any unit. At equal distances the order of the scenarios may matter.
 
     Returns
     -------
     ndarray of int64, shape (n,)
-        Kind of each scenario; all 0 where there is no structure.
+        Cluster of each scenario; all 0 if there is no structure.
 
     Notes
     -----
-    The minimum spanning tree of mutual reachability (Campello et al. 2013) merges scenarios from the nearest on. Where
-    two groups merge at a length r, the split between them has a strength: how many neighbours a typical member has
-    within r, of the group that has fewer. A place between the groups has hardly more than the `k` scenarios that
-    mutual reachability allows. So the strength over `k` is the ratio of densities, in any number of dimensions. Where r
-    reaches all members, as in a small group that is far away, the strength goes on growing with r over the extent of
-    the group. If a split is not stronger than chance makes it, the weaker group becomes part of the other.
+    The minimum spanning tree of mutual reachability (Campello et al. 2013) merges scenarios, the nearest first. If two
+    groups merge at length r, the strength of the split is the number of neighbours that a typical member has within r,
+    in the group that has fewer. A point between the groups has hardly more than the `k` neighbours that mutual
+    reachability allows, so strength over `k` is a ratio of densities, in any number of dimensions. If r exceeds the
+    extent of a group, as for a small group far away, the strength grows with r over the extent. Splits that are no
+    stronger than chance are merged: the weaker group becomes part of the other.
 
-    How strong chance makes the strongest of all splits depends on the number of scenarios and on their dimension,
-    which is estimated from distances to neighbours (Levina and Bickel 2005). Kinds are divided again until none
+    The strength of the strongest split by chance depends on the number of scenarios and their intrinsic dimension,
+    which is estimated from distances to neighbours (Levina and Bickel 2005). Clusters are divided again until none
     divides.
 
-    Among few scenarios no split may be clear by itself, though together they are: nine gaps of about one length, with
-    nothing between these and the steps within ten groups. So the gaps of up to a hundred scenarios are judged together
-    first. Gaps between points on a line that come by chance are exponential, and in `d` dimensions so is the gap to the
+    Among few scenarios no single split may be clear, though all of them together are: nine gaps of about one length,
+    with nothing between these and the steps within ten groups. So for up to a hundred scenarios all gaps are first
+    tested together. Random gaps between points on a line are exponential, and in `d` dimensions so is the gap to the
     power of `d`. For each number of groups, the sum of the logarithms of the gaps, as multiples of the longest step
-    within a group, then follows a gamma distribution at most. Where one of these sums is too rare to be chance, that
-    number is taken for which the sum times the silhouette is largest.
+    within a group, then follows at most a gamma distribution. If one of these sums is too large for chance, the number
+    of groups is taken for which the sum times the silhouette is largest.
     """
     n = len(distances)
     labels = np.zeros(n, dtype=np.int64)
@@ -82,13 +81,13 @@ def find_kinds(distances: FloatArray) -> IntArray:
     if not len(positive):
         return labels
     least_gap = LEAST_GAP * float(np.median(positive))
-    together = _judged_together(distances, least_gap)
-    waiting, count = [np.flatnonzero(together == group) for group in range(int(together.max()), -1, -1)], 0
-    while waiting:
-        members = waiting.pop()
+    initial = _judged_together(distances, least_gap)
+    queue, count = [np.flatnonzero(initial == group) for group in range(int(initial.max()), -1, -1)], 0
+    while queue:
+        members = queue.pop()
         parts = _divided(distances[np.ix_(members, members)] if len(members) < n else distances, least_gap)
         if parts.max() > 0:
-            waiting.extend(members[parts == part] for part in range(int(parts.max()), -1, -1))
+            queue.extend(members[parts == part] for part in range(int(parts.max()), -1, -1))
         else:
             labels[members] = count
             count += 1
@@ -96,26 +95,26 @@ def find_kinds(distances: FloatArray) -> IntArray:
 
 
 def _judged_together(distances: FloatArray, least_gap: float) -> IntArray:
-    """Groups of all scenarios between which the gaps, taken together, are longer than chance makes them."""
+    """Groups of up to a hundred scenarios between which the gaps, taken together, are longer than by chance."""
     n = len(distances)
-    whole = found = np.zeros(n, dtype=np.int64)
+    undivided = best = np.zeros(n, dtype=np.int64)
     if not 2 * FEWEST <= n <= FEW:
-        return whole
-    # Scikit-learn takes as long to import as many a command does: who does not need it does not wait for it.
+        return undivided
+    # Imported here, since importing scikit-learn takes as long as many commands.
     from sklearn.metrics import silhouette_score
 
     dimension = min(max(_dimension(distances, _NEAREST_NEIGHBOURS), 1.0), float(len(CHANCE)))
     ends, lengths = np.empty((2, n - 1), dtype=np.int64), np.empty(n - 1)
     find_tree(distances, ends, lengths)
-    falling = np.argsort(-lengths, kind="stable")
-    # The steps between scenarios that are the same have no logarithm.
-    ends, lengths = ends[:, falling], np.maximum(lengths[falling], 1e-12 * lengths.max())
-    most, rarest = 0.0, 1.0
+    order = np.argsort(-lengths, kind="stable")
+    # Steps between identical scenarios have no logarithm.
+    ends, lengths = ends[:, order], np.maximum(lengths[order], 1e-12 * lengths.max())
+    best_worth, p_value = 0.0, 1.0
     for count in range(2, n // FEWEST + 1):
         gaps, longest = lengths[: count - 1], lengths[count - 1]
         if gaps[-1] < least_gap:
             break
-        # Where two lengths are the same, nothing but their order would divide here.
+        # A split between two equal lengths would depend only on their order.
         if longest >= (1.0 - 1e-9) * gaps[-1]:
             continue
         within = coo_matrix((np.ones(n - count), ends[:, count - 1 :]), shape=(n, n))
@@ -123,133 +122,129 @@ def _judged_together(distances: FloatArray, least_gap: float) -> IntArray:
         if np.bincount(groups).min() < FEWEST:
             continue
         evidence = dimension * math.log(n / count) * float(np.log(gaps / longest).sum())
-        rarest = min(rarest, float(gamma.sf(evidence, count - 1)))
-        # One wide gap lends its evidence to any further division, but not its silhouette.
-        worth = evidence * float(silhouette_score(distances, groups, metric="precomputed"))
-        if worth > most:
-            found, most = groups, worth
-    return found if rarest < RARE else whole
+        p_value = min(p_value, float(gamma.sf(evidence, count - 1)))
+        # One wide gap counts as evidence for every further division, but does not improve its silhouette.
+        quality = evidence * float(silhouette_score(distances, groups, metric="precomputed"))
+        if quality > best_worth:
+            best, best_worth = groups, quality
+    return best if p_value < RARE else undivided
 
 
 def _divided(distances: FloatArray, least_gap: float) -> IntArray:
-    """Parts that some scenarios divide into with the fewest neighbours that divide them, from 0 on."""
+    """Split scenarios with the smallest number of neighbours that divides them; parts are numbered from 0."""
     n = len(distances)
     if n >= 2 * LEAST_MEMBERS:
         dimension = _dimension(distances, _DIMENSION_NEIGHBOURS)
-        for needed in NEIGHBOURS:
-            if 4 * needed > n:
+        for n_neighbours in NEIGHBOURS:
+            if 4 * n_neighbours > n:
                 break
-            chance = _by_chance(n, needed, dimension)
-            hierarchy = _Hierarchy(distances, needed, least_gap)
-            clear = CLEAR * chance
-            found, strengths = hierarchy.divide(clear)
-            fair = _standing_out(strengths, FAIR * chance, clear)
-            if fair < clear:
-                found, _ = hierarchy.divide(fair)
-            names, parts = np.unique(found, return_inverse=True)
+            chance = _by_chance(n, n_neighbours, dimension)
+            hierarchy = _Hierarchy(distances, n_neighbours, least_gap)
+            required = CLEAR * chance
+            groups, strengths = hierarchy.divide(required)
+            relaxed = _standing_out(strengths, FAIR * chance, required)
+            if relaxed < required:
+                groups, _ = hierarchy.divide(relaxed)
+            names, parts = np.unique(groups, return_inverse=True)
             if len(names) > 1:
                 return parts.astype(np.int64)
     return np.zeros(n, dtype=np.int64)
 
 
 def _by_chance(n: int, needed: int, dimension: float) -> float:
-    """Strength of the strongest split of scenarios that are of one kind, at least that of twice the density."""
-    strengths = [a * math.log(n) + b + c * max(needed - 6, 0) for a, b, c in CHANCE]
-    return max(float(np.exp(np.interp(dimension, [1.0, 2.0, 3.0], np.log(strengths)))), 2.0 * needed)
+    """Strength of the strongest split within a single cluster, at least that of twice the density."""
+    by_dimension = [a * math.log(n) + b + c * max(needed - 6, 0) for a, b, c in CHANCE]
+    return max(float(np.exp(np.interp(dimension, [1.0, 2.0, 3.0], np.log(by_dimension)))), 2.0 * needed)
 
 
 def _standing_out(strengths: list[float], fair: float, clear: float) -> float:
-    """Least strength that is accepted: below `clear` where a split stands out from all that are weaker."""
+    """Smallest accepted strength: below `clear` if a split is much stronger than all weaker ones."""
     accepted = clear
-    falling = [*sorted(strengths, reverse=True), 0.0]
-    for strength, weaker in itertools.pairwise(falling):
+    descending = [*sorted(strengths, reverse=True), 0.0]
+    for strength, weaker in itertools.pairwise(descending):
         if fair <= strength < clear and strength >= STANDS_OUT * weaker:
             accepted = strength
     return accepted
 
 
 def _dimension(distances: FloatArray, neighbours: int) -> float:
-    """Intrinsic dimension after Levina and Bickel; that of a line where scenarios are the same."""
+    """Intrinsic dimension (Levina and Bickel 2005); 1 if scenarios are identical."""
     k = min(neighbours, len(distances) - 2)
-    near = np.sort(np.partition(distances, k, axis=1)[:, : k + 1], axis=1)[:, 1:]
-    near = near[near[:, 0] > 0.0]
-    growth = np.log(near[:, -1:] / near[:, :-1]).mean() if len(near) else 0.0
+    neighbour_distances = np.sort(np.partition(distances, k, axis=1)[:, : k + 1], axis=1)[:, 1:]
+    neighbour_distances = neighbour_distances[neighbour_distances[:, 0] > 0.0]
+    growth = (
+        np.log(neighbour_distances[:, -1:] / neighbour_distances[:, :-1]).mean() if len(neighbour_distances) else 0.0
+    )
     return float(1.0 / growth) if growth > 0.0 else 1.0
 
 
 class _Hierarchy:
-    """Scenarios that merge from the nearest on, by mutual reachability with `needed` neighbours."""
+    """Single-linkage hierarchy of scenarios by mutual reachability with `needed` neighbours."""
 
     def __init__(self, distances: FloatArray, needed: int, least_gap: float) -> None:
         n = len(distances)
         core = np.partition(distances, needed - 1, axis=1)[:, needed - 1]
-        # Many reaches are equal where one core distance decides them. The small term lets the nearer merge first.
-        reach = np.maximum(distances, np.maximum(core[:, None], core)) + 1e-6 * distances
-        ends, lengths = np.empty((2, n - 1), dtype=np.int64), np.empty(n - 1)
-        find_tree(reach, ends, lengths)
-        rising = np.argsort(lengths, kind="stable")
-        self._edges = list(zip(*ends[:, rising].tolist(), lengths[rising].tolist(), strict=True))
+        # One core distance makes many values equal; the small term lets the nearer pair merge first.
+        reachability = np.maximum(distances, np.maximum(core[:, None], core)) + 1e-6 * distances
+        edges, lengths = np.empty((2, n - 1), dtype=np.int64), np.empty(n - 1)
+        find_tree(reachability, edges, lengths)
+        order = np.argsort(lengths, kind="stable")
+        self._edges = list(zip(*edges[:, order].tolist(), lengths[order].tolist(), strict=True))
         self._distances, self._least_gap = distances, least_gap
         self._least = max(LEAST_MEMBERS, needed)
 
     def divide(self, accepted: float) -> tuple[IntArray, list[float]]:
-        """Groups between which all splits are of a strength, and the strengths of all splits that were judged."""
+        """Return groups separated by splits of at least the accepted strength, and the strengths of all splits."""
         n = len(self._distances)
         label, tree = np.arange(n), np.arange(n)
         members = {i: np.array([i]) for i in range(n)}
         branches = {i: np.array([i]) for i in range(n)}
-        # Trees that hold several groups: what these are is settled, since they only grow.
+        # Trees that contain several groups; these are final, since they only grow.
         divided: BoolArray = np.zeros(n, dtype=np.bool_)
         strengths: list[float] = []
         for a, b, length in self._edges:
-            one, two = int(tree[a]), int(tree[b])
+            tree_a, tree_b = int(tree[a]), int(tree[b])
             large, small = int(label[a]), int(label[b])
-            settled, small_settled = bool(divided[one]), bool(divided[two])
+            settled, small_settled = bool(divided[tree_a]), bool(divided[tree_b])
             if len(members[large]) < len(members[small]):
                 large, small, settled, small_settled = small, large, small_settled, settled
-            apart = length >= self._least_gap and settled and small_settled
+            is_split = length >= self._least_gap and settled and small_settled
             if not (settled and small_settled):
                 of_small = of_large = 0.0
                 if len(members[small]) >= self._least and length >= self._least_gap:
-                    of_small, of_large = self._strengths(members[small], members[large], length)
+                    of_small = self._neighbours(members[small], members[large], length)
+                    of_large = self._neighbours(members[large], members[small], length)
                     strengths.append(min(of_small, of_large))
-                apart = (small_settled or of_small >= accepted) and of_large >= accepted
-                if not apart:
+                is_split = (small_settled or of_small >= accepted) and of_large >= accepted
+                if not is_split:
                     if small_settled or (not settled and of_small >= accepted):
                         large, small = small, large
                     label[members[small]] = large
                     members[large] = np.concatenate((members[large], members.pop(small)))
-            if len(branches[one]) < len(branches[two]):
-                one, two = two, one
-            tree[branches[two]] = one
-            divided[one] = divided[one] or divided[two] or apart
-            branches[one] = np.concatenate((branches[one], branches.pop(two)))
+            if len(branches[tree_a]) < len(branches[tree_b]):
+                tree_a, tree_b = tree_b, tree_a
+            tree[branches[tree_b]] = tree_a
+            divided[tree_a] = divided[tree_a] or divided[tree_b] or is_split
+            branches[tree_a] = np.concatenate((branches[tree_a], branches.pop(tree_b)))
         return label, strengths
 
-    def _strengths(self, small: IntArray, large: IntArray, length: float) -> tuple[float, float]:
-        """Neighbours within the length of a split, of the smaller group and of the other."""
-        return self._neighbours(small, large, length), self._neighbours(large, small, length)
-
     def _neighbours(self, members: IntArray, others: IntArray, length: float) -> float:
-        """Members within a length of a typical one; beyond the extent of all or half of them as if there were more.
+        """Number of members within `length` of a typical member, extrapolated if `length` exceeds their extent.
 
-        And of those nearest to the others: where a dense part meets a sparse one, or a few lie apart at a sparse edge,
-        there is no gap between two kinds, though most members of one lie close together.
+        Limited by the number at the members nearest to the others: where a dense part meets a sparse one, or a few
+        points lie at a sparse edge, there is no gap between two clusters, though most members of one lie close
+        together.
         """
-        between = self._distances[np.ix_(_some(members), members)]
-        around = float(np.median((between <= length).sum(axis=1)))
+        distances = self._distances[np.ix_(members[:: math.ceil(len(members) / _MOST_CENTRES)], members)]
+        typical = float(np.median((distances <= length).sum(axis=1)))
         for count in {math.ceil(len(members) / 2), len(members)}:
-            extent = float(np.median(np.partition(between, count - 1, axis=1)[:, count - 1]))
+            extent = float(np.median(np.partition(distances, count - 1, axis=1)[:, count - 1]))
             if extent <= length:
-                around = max(around, count * length / max(extent, 1e-12 * length))
+                typical = max(typical, count * length / max(extent, 1e-12 * length))
         seam = max(LEAST_AT_SEAM, min(2 * len(others), len(members) // 10))
         if seam >= len(members):
-            return around
-        away = self._distances[np.ix_(members, others)].min(axis=1)
-        near = members[np.argsort(away, kind="stable")[:seam]]
-        at_seam = float(np.median((self._distances[np.ix_(near, members)] <= length).sum(axis=1)))
-        return around if at_seam >= len(members) else min(around, SEAM_SHARE * at_seam)
-
-
-def _some(members: IntArray) -> IntArray:
-    return members[:: math.ceil(len(members) / _MOST_CENTRES)]
+            return typical
+        to_others = self._distances[np.ix_(members, others)].min(axis=1)
+        seam_members = members[np.argsort(to_others, kind="stable")[:seam]]
+        at_seam = float(np.median((self._distances[np.ix_(seam_members, members)] <= length).sum(axis=1)))
+        return typical if at_seam >= len(members) else min(typical, SEAM_SHARE * at_seam)

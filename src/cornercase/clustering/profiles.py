@@ -1,4 +1,4 @@
-"""What the scenarios of a cluster have in common, so that a person can name it."""
+"""Profiles of clusters: what their scenarios have in common, so that a person can name them."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from cornercase.study import Study
 
 @dataclass(frozen=True)
 class Profile:
-    """One cluster.
+    """Description of one cluster.
 
     Attributes
     ----------
@@ -25,18 +25,17 @@ class Profile:
         -1 for noise.
     size : int
     scores : dict of str to tuple of float
-        By metric the lower quartile, the median and the upper quartile.
+        Lower quartile, median and upper quartile, by metric.
     outcomes : dict of str to int
-        How many ended how: who collided, or who was first where the ways of ego and other cross.
+        Number of scenarios by ending: who collided, or who was first where the paths of ego and other cross.
     rules : tuple of Rule
         By falling share of the cluster's scenarios; none for noise.
     name : str
-        What a person would call it, as ``"Ego yields to Pedestrian, closely"``; empty for noise, and in a study of an
-        early version.
+        As ``"Ego yields to Pedestrian, closely"``; empty for noise, and in a study of an early version.
     true_of, true_elsewhere : float
-        Share of its scenarios that the name is true of, and of all scenarios of other clusters; NaN without a name.
+        Share of its scenarios for which the name is true, and of all scenarios of other clusters; NaN without a name.
     example : int or None
-        Id of the scenario with the smallest sum of distances to the others of the cluster; None without a name.
+        Id of the scenario with the smallest sum of distances to the others (medoid); None without a name.
     """
 
     cluster: int
@@ -56,48 +55,29 @@ class Profile:
 
     @property
     def label(self) -> str:
-        """Its name, with the number of collisions where only some of its scenarios end so."""
+        """Its name, with the number of collisions if only some of its scenarios end so."""
         if not self.name or self.collisions in (0, self.size):
             return self.name
         return f"{self.name}; {self.collisions} of {self.size} collide"
 
 
 def describe_clusters(study: Study, labels: IntArray, account: Account, distances: Distances) -> tuple[Profile, ...]:
-    """Describe each cluster of a study, noise last.
-
-    Parameters
-    ----------
-    study : Study
-        Holds their scores.
-    labels : ndarray of int64, shape (n,)
-        Cluster of each scenario that ended.
-    account : Account
-        How each went, with its parameters.
-    distances : ndarray of float64, shape (n, n), or PlacedDistances
-        Distances that they were clustered by.
-
-    Returns
-    -------
-    tuple of Profile
-        One for each cluster.
-    """
+    """Return the profile of each cluster, noise last; `distances` are those they were clustered by."""
     ids = [row.id for row in study.done()]
     scores = {name: study.scores(name) for name in study.meta.metrics}
-    clusters = sorted(np.unique(labels).tolist(), key=lambda one: (one < 0, one))
+    clusters = sorted(np.unique(labels).tolist(), key=lambda label: (label < 0, label))
     examples = [ids[_medoid(distances, np.flatnonzero(labels == label))] for label in clusters if label >= 0]
     names = name_kinds(account, labels, examples)
-    found = []
+    profiles = []
     for label in clusters:
         members = labels == label
-        ends = [account.outcomes[k].text for k in np.flatnonzero(members)]
-        quartiles = {
-            name: np.percentile(each_score[members], (25, 50, 75)).tolist() for name, each_score in scores.items()
-        }
+        endings = [account.outcomes[k].text for k in np.flatnonzero(members)]
+        quartiles = {name: np.percentile(values[members], (25, 50, 75)).tolist() for name, values in scores.items()}
         profile = Profile(
             label,
             int(members.sum()),
-            {name: (low, middle, high) for name, (low, middle, high) in quartiles.items()},
-            {end: ends.count(end) for end in sorted(set(ends), key=lambda one: (-ends.count(one), one))},
+            {name: (low, median, high) for name, (low, median, high) in quartiles.items()},
+            {end: endings.count(end) for end in sorted(set(endings), key=lambda text: (-endings.count(text), text))},
             find_rules(study.space, account.values, members) if label >= 0 else (),
         )
         if label >= 0:
@@ -109,8 +89,8 @@ def describe_clusters(study: Study, labels: IntArray, account: Account, distance
                 true_elsewhere=float(name.holds[others].mean()) if others.any() else 0.0,
                 example=examples[label],
             )
-        found.append(profile)
-    return tuple(found)
+        profiles.append(profile)
+    return tuple(profiles)
 
 
 def _medoid(distances: Distances, members: IntArray) -> int:

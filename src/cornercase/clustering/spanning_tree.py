@@ -12,18 +12,18 @@ from cornercase._common.compiling import kernel
 
 @kernel(error_model="numpy")
 def find_tree(between, ends, lengths):
-    """Edges of the tree, their two ends (2, n - 1) and lengths (n - 1,); distances (n, n) are symmetric."""
+    """Fill `ends`, shape (2, n - 1), and `lengths` with the tree's edges; `between`, shape (n, n), is symmetric."""
     count = len(between)
     nearest, reach = np.zeros(count, dtype=np.int64), between[0].copy()
     outside = np.ones(count, dtype=np.bool_)
     outside[0] = False
     for edge in range(count - 1):
-        chosen = -1
+        nearest_outside = -1
         for i in range(count):
-            if outside[i] and (chosen < 0 or reach[i] < reach[chosen]):
-                chosen = i
-        ends[0, edge], ends[1, edge], lengths[edge] = nearest[chosen], chosen, reach[chosen]
-        outside[chosen] = False
+            if outside[i] and (nearest_outside < 0 or reach[i] < reach[nearest_outside]):
+                nearest_outside = i
+        ends[0, edge], ends[1, edge], lengths[edge] = nearest[nearest_outside], nearest_outside, reach[nearest_outside]
+        outside[nearest_outside] = False
         for i in range(count):
-            if outside[i] and between[chosen, i] < reach[i]:
-                nearest[i], reach[i] = chosen, between[chosen, i]
+            if outside[i] and between[nearest_outside, i] < reach[i]:
+                nearest[i], reach[i] = nearest_outside, between[nearest_outside, i]

@@ -1,4 +1,4 @@
-"""Whether the same clusters are found again in random parts of the scenarios."""
+"""Stability of clusters: whether random parts of the scenarios give the same ones."""
 
 from __future__ import annotations
 
@@ -16,21 +16,10 @@ RESAMPLED: Final = 0.8
 
 
 class Stability:
-    """Clusters of ten random parts of 80 % of the scenarios, each in a kernel space of its own.
+    """Clusterings of ten random parts of 80 % of the scenarios, each in a kernel space of its own.
 
-    Parameters
-    ----------
-    distances : ndarray of float64, shape (n, n)
-        Divided by their scale.
-    order : ndarray of int64, shape (n,)
-        Scenarios in an order that depends on nothing but the distances.
-    method : {"dbscan", "hdbscan"}
-    most : int
-        Largest number of scenarios in a part.
-
-    Notes
-    -----
-    U. von Luxburg, "Clustering stability: an overview", 2010.
+    `distances`, shape (n, n), are divided by their scale; `order`, shape (n,), depends only on the distances; a part
+    has at most `most` scenarios. U. von Luxburg, "Clustering stability: an overview", 2010.
     """
 
     def __init__(
@@ -41,51 +30,40 @@ class Stability:
         method: ClusteringMethod,
         most: int,
     ) -> None:
-        whole = round(RESAMPLED * len(order))
-        count = min(max(2, whole), most)
+        count_of_share = round(RESAMPLED * len(order))
+        count = min(max(2, count_of_share), most)
         rng = np.random.default_rng(0)
         self._parts = [np.sort(rng.choice(order, count, replace=False)) for _ in range(RESAMPLES)]
-        # A part that is thinner than the whole is dense with fewer neighbours.
+        # A part has fewer scenarios, so fewer neighbours make a neighbourhood dense.
         self._thinned = count / len(order)
         self._distances, self._method = distances, method
         self._spaces: dict[tuple[float, int, int], FloatArray] = {}
 
     def of(self, candidate: Candidate, labels: IntArray) -> float:
-        """Mean adjusted Rand index of clusters with those that the same settings find in the parts.
-
-        Parameters
-        ----------
-        candidate : Candidate
-            Settings that `labels` were found with.
-        labels : ndarray of int64, shape (n,)
-            Cluster of each scenario; -1 is noise.
-
-        Returns
-        -------
-        float
-            -1 to 1; 1 where the clusters are the same.
-        """
-        needed = max(min(3, candidate.min_samples), round(candidate.min_samples * self._thinned))
-        found = []
+        """Return the mean adjusted Rand index, -1 to 1, of clusters and those found in the parts."""
+        min_samples = max(min(3, candidate.min_samples), round(candidate.min_samples * self._thinned))
+        scores = []
         for k, part in enumerate(self._parts):
             key = (candidate.gamma, candidate.n_components, k)
             if key not in self._spaces:
                 space = KernelSpace(candidate.gamma, candidate.n_components)
                 self._spaces[key] = space.fit(self._distances[np.ix_(part, part)]).embedding
-            again = find_dense_regions(self._spaces[key], candidate.eps, needed, self._method)
-            found.append(_agreement(labels[part], again))
-        return float(np.mean(found))
+            part_labels = find_dense_regions(self._spaces[key], candidate.eps, min_samples, self._method)
+            scores.append(_agreement(labels[part], part_labels))
+        return float(np.mean(scores))
 
 
 def _agreement(one: IntArray, two: IntArray) -> float:
-    """Adjusted Rand index of two labellings, each from -1 on; scikit-learn's checks take 30 times as long."""
-    most = int(two.max()) + 2
-    shared = np.bincount((one + 1) * most + two + 1, minlength=(int(one.max()) + 2) * most).reshape(-1, most)
-    both, first, second = (int((x**2).sum()) for x in (shared, shared.sum(axis=1), shared.sum(axis=0)))
-    # Pairs that are together in both, in the first only, in the second only, and in neither.
-    together, only_first, only_second = both - len(one), first - both, second - both
+    """Adjusted Rand index of two labellings with values from -1 up; scikit-learn's checks take 30 times as long."""
+    width = int(two.max()) + 2
+    shared = np.bincount((one + 1) * width + two + 1, minlength=(int(one.max()) + 2) * width).reshape(-1, width)
+    pairs_in_both, first, second = (int((x**2).sum()) for x in (shared, shared.sum(axis=1), shared.sum(axis=0)))
+    # Numbers of pairs that share a cluster in both, in the first only, in the second only, and in neither.
+    together_in_both, only_first, only_second = pairs_in_both - len(one), first - pairs_in_both, second - pairs_in_both
     neither = len(one) ** 2 - first - only_second
     if only_first == only_second == 0:
         return 1.0
-    against = (together + only_first) * (only_first + neither) + (together + only_second) * (only_second + neither)
-    return 2.0 * (together * neither - only_first * only_second) / against
+    expected = (together_in_both + only_first) * (only_first + neither) + (together_in_both + only_second) * (
+        only_second + neither
+    )
+    return 2.0 * (together_in_both * neither - only_first * only_second) / expected

@@ -1,4 +1,4 @@
-"""How good clusters are, on the distances alone."""
+"""Internal validity of clusters, computed on the distances alone."""
 
 from __future__ import annotations
 
@@ -12,15 +12,7 @@ _CLOSEST = 1e-5
 
 
 class Validity:
-    """Density-based validity and silhouette of labels on one distance matrix, each labelling once.
-
-    Parameters
-    ----------
-    distances : ndarray of float64, shape (n, n)
-        Between all scenarios, in any unit.
-    some : ndarray of int64, shape (m,)
-        Scenarios on which they are computed.
-    """
+    """DBCV and silhouette of labellings on a subset of the scenarios; results are cached by labelling."""
 
     def __init__(self, distances: FloatArray, some: IntArray) -> None:
         self._some = some
@@ -28,17 +20,9 @@ class Validity:
         self._known: dict[bytes, tuple[float, float]] = {}
 
     def of(self, labels: IntArray) -> tuple[float, float]:
-        """Return validity and silhouette of some clusters.
+        """Return DBCV and silhouette, -1 to 1 each; noise counts as 0.
 
-        Parameters
-        ----------
-        labels : ndarray of int64, shape (n,)
-            Cluster of each scenario; -1 is noise, which counts as 0 in both.
-
-        Returns
-        -------
-        dbcv, silhouette : float
-            -1 to 1; both are -1 where a cluster has fewer than three scenarios.
+        Both are -1 if a cluster has fewer than three scenarios.
         """
         labels = labels[self._some]
         key = labels.tobytes()
@@ -50,59 +34,50 @@ class Validity:
         names, sizes = np.unique(labels[labels >= 0], return_counts=True)
         if len(names) < 2 or sizes.min() < 3:
             return -1.0, -1.0
-        kept = labels >= 0
-        inner = self._distances[np.ix_(kept, kept)]
-        silhouettes = silhouette_samples(inner, labels[kept], metric="precomputed")
+        is_member = labels >= 0
+        inner = self._distances[np.ix_(is_member, is_member)]
+        silhouettes = silhouette_samples(inner, labels[is_member], metric="precomputed")
         return density_validity(self._distances, labels), float(silhouettes.sum() / len(labels))
 
 
 def density_validity(distances: FloatArray, labels: IntArray, *, dimensions: float = 3.0) -> float:
-    """Density-based clustering validity index, DBCV.
+    """Density-based clustering validation index (DBCV), -1 to 1, higher is better; noise counts as 0.
 
-    Parameters
-    ----------
-    distances : ndarray of float64, shape (n, n)
-        Between all scenarios, in any unit.
-    labels : ndarray of int64, shape (n,)
-        Two clusters or more, each of three or more; -1 is noise.
-    dimensions : float
-        Exponent of the all-points core distance, the dimension that the data are taken to have.
-
-    Returns
-    -------
-    float
-        -1 to 1, higher is better; noise counts as 0. Definitions 1 to 8 of Moulavi et al., Density-based
-        clustering validation, SIAM International Conference on Data Mining, 2014.
+    `labels` has two or more clusters of three or more scenarios. Definitions 1 to 8 of Moulavi et al., "Density-based
+    clustering validation", 2014; `dimensions` is the exponent of the all-points core distance.
     """
     positive = distances[distances > 0]
     distances = distances / np.median(positive) if len(positive) else distances
     core = np.zeros(len(labels))
-    inner, sparseness = [], []
+    internal_nodes, sparseness = [], []
     groups = [np.flatnonzero(labels == name) for name in range(int(labels.max()) + 1)]
     for members in groups:
-        # Identical scenarios would be infinitely dense, and without an edge in the tree.
-        between = np.maximum(distances[np.ix_(members, members)], _CLOSEST)
-        np.fill_diagonal(between, np.inf)
-        mean = (between**-dimensions).sum(axis=1) / (len(members) - 1)
+        # Identical scenarios would be infinitely dense and have no edge in the tree.
+        within = np.maximum(distances[np.ix_(members, members)], _CLOSEST)
+        np.fill_diagonal(within, np.inf)
+        mean = (within**-dimensions).sum(axis=1) / (len(members) - 1)
         core[members] = mean ** (-1.0 / dimensions)
-        reach = np.maximum(between, np.maximum(core[members][:, None], core[members]))
-        # One core distance can decide the reach of many neighbours. Many reaches then are equal, and the tree would
-        # depend on the order of the scenarios. The small term lets the nearer neighbour come first.
-        reach += 1e-6 * between
-        ends, lengths = np.empty((2, len(members) - 1), dtype=np.int64), np.empty(len(members) - 1)
-        find_tree(reach, ends, lengths)
-        internal = np.bincount(ends.ravel(), minlength=len(members)) > 1
-        edges = internal[ends].all(axis=0)
-        sparseness.append(lengths[edges].max() if edges.any() else lengths.max())
-        inner.append(members[internal])
+        reach = np.maximum(within, np.maximum(core[members][:, None], core[members]))
+        # One core distance makes many values equal, and the tree would depend on the order of the scenarios. The small
+        # term lets the nearer neighbour come first.
+        reach += 1e-6 * within
+        tree_edges, lengths = np.empty((2, len(members) - 1), dtype=np.int64), np.empty(len(members) - 1)
+        find_tree(reach, tree_edges, lengths)
+        is_internal = np.bincount(tree_edges.ravel(), minlength=len(members)) > 1
+        is_inner_edge = is_internal[tree_edges].all(axis=0)
+        sparseness.append(lengths[is_inner_edge].max() if is_inner_edge.any() else lengths.max())
+        internal_nodes.append(members[is_internal])
     separation = np.full((len(groups), len(groups)), np.inf)
     for a in range(len(groups)):
         for b in range(a):
             reach = np.maximum(
-                distances[np.ix_(inner[a], inner[b])], np.maximum(core[inner[a]][:, None], core[inner[b]])
+                distances[np.ix_(internal_nodes[a], internal_nodes[b])],
+                np.maximum(core[internal_nodes[a]][:, None], core[internal_nodes[b]]),
             )
             separation[a, b] = separation[b, a] = reach.min()
     validity = 0.0
-    for members, apart, sparse in zip(groups, separation.min(axis=1), sparseness, strict=True):
-        validity += len(members) / len(labels) * float((apart - sparse) / max(apart, sparse))
+    for members, separation_of, sparseness_of in zip(groups, separation.min(axis=1), sparseness, strict=True):
+        validity += (
+            len(members) / len(labels) * float((separation_of - sparseness_of) / max(separation_of, sparseness_of))
+        )
     return validity

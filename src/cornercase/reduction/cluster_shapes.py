@@ -1,4 +1,4 @@
-"""Shapes of clusters, and the way to find archetypes that suits each."""
+"""Shapes of clusters, and the method for finding archetypes that suits each."""
 
 from __future__ import annotations
 
@@ -29,12 +29,12 @@ class ClusterShape:
     convexity : float
         In the parameter space, 0 to 1, as in `cornercase.reduction.convexity.measure_convexity`.
     kernel_convexity : float
-        The same in the kernel space of the distances; NaN where that is not known.
+        The same in the kernel space of the distances; NaN if unknown.
     method : {"hull", "pcha", "parts", "kernel"}
         ``"hull"``: corners of the convex hull in the parameter space. ``"pcha"``: archetypal analysis there.
         ``"parts"``: corners of the hulls of near-convex parts. ``"kernel"``: archetypal analysis in kernel space.
     parts : int
-        Number of near-convex parts; 1 but for ``"parts"``.
+        Number of near-convex parts; 1 except for ``"parts"``.
     """
 
     cluster: int
@@ -46,35 +46,13 @@ class ClusterShape:
 
 @dataclass(frozen=True, eq=False)
 class ShapedCluster:
-    """A cluster of which the shape is known.
-
-    Attributes
-    ----------
-    shape : ClusterShape
-    parts : tuple of ndarray of int64
-        Scenarios of each part, by index; one part but for the method ``"parts"``.
-    """
+    """A cluster with its shape; `parts` are indices of scenarios, one part except for the method ``"parts"``."""
 
     shape: ClusterShape
     parts: tuple[IntArray, ...]
 
     def archetypes(self, points: FloatArray, distances: Distances, most: int) -> IntArray:
-        """Find scenarios at the extremes of the cluster.
-
-        Parameters
-        ----------
-        points : ndarray of float64, shape (n, d)
-            Parameters in the unit cube.
-        distances : ndarray of float64, shape (n, n), or PlacedDistances
-            Between all scenarios, in any unit.
-        most : int
-            Largest number; a part has its share of them, by its number of scenarios.
-
-        Returns
-        -------
-        ndarray of int64, shape (m,)
-            Indices.
-        """
+        """Return at most `most` scenarios at the extremes of the cluster, by index; parts get shares by their size."""
         (whole, *more) = self.parts
         if self.shape.method in ("kernel", "pcha") and isinstance(distances, PlacedDistances):
             whole = spread(whole)
@@ -85,95 +63,52 @@ class ShapedCluster:
         if not more:
             return whole[find_hull_archetypes(points[whole], most)]
         numbers = divide_fairly(most, [len(part) for part in self.parts])
-        found = [
+        indices = [
             part[find_hull_archetypes(points[part], number)]
             for part, number in zip(self.parts, numbers, strict=True)
             if number
         ]
-        return np.sort(np.concatenate(found))
+        return np.sort(np.concatenate(indices))
 
 
 def find_shapes(
     points: FloatArray, labels: IntArray, embedding: FloatArray | None = None, method: ArchetypeMethod = "auto"
 ) -> tuple[ShapedCluster, ...]:
-    """Decide for each cluster how its archetypes are found.
+    """Decide for each cluster how its archetypes are found, cluster 0 first.
 
-    Parameters
-    ----------
-    points : ndarray of float64, shape (n, d)
-        Parameters in the unit cube.
-    labels : ndarray of int64, shape (n,)
-        -1 is noise.
-    embedding : ndarray of float64, shape (n, e), optional
-        Kernel space of the clustering.
-    method : {"auto", "hull", "pcha", "parts", "kernel"}
-        ``"auto"`` goes by the convexity, 0.8 being convex: a cluster that is bent in kernel space takes ``"kernel"``;
-        else one that is convex in the parameter space takes ``"hull"``, or ``"pcha"`` with more than six parameters;
-        else ``"parts"``. A cluster that six parts are not enough for takes ``"kernel"``.
-
-    Returns
-    -------
-    tuple of ShapedCluster
-        Of cluster 0 first.
-
-    Raises
-    ------
-    InputError
-        There is no such method.
+    ``"auto"``: a cluster that is not convex (convexity below 0.8) in kernel space takes ``"kernel"``; else one that is
+    convex in the parameter space takes ``"hull"``, or ``"pcha"`` with more than six parameters; else ``"parts"``, or
+    ``"kernel"`` if six parts are not enough. `embedding`, shape (n, e), is the kernel space of the clustering.
     """
     require_archetype_method(method)
-    found = []
+    shaped = []
     for label in np.unique(labels[labels >= 0]).tolist():
         members = labels == label
         whole = (np.flatnonzero(members),)
         convexity = measure_convexity(points, members)
-        in_kernel = float("nan") if embedding is None else measure_convexity(embedding, members)
-        how: str = method
+        kernel_convexity = float("nan") if embedding is None else measure_convexity(embedding, members)
+        chosen_method: str = method
         if method == "auto":
             convex = "hull" if points.shape[1] <= MOST_HULL_DIMENSIONS else "pcha"
-            how = "kernel" if in_kernel < CONVEX else convex if convexity >= CONVEX else "parts"
-        parts = tuple(find_convex_parts(points, members)) if how == "parts" else whole
+            chosen_method = "kernel" if kernel_convexity < CONVEX else convex if convexity >= CONVEX else "parts"
+        parts = tuple(find_convex_parts(points, members)) if chosen_method == "parts" else whole
         if not parts:
-            how, parts = "kernel", whole
-        found.append(ShapedCluster(ClusterShape(label, convexity, in_kernel, how, len(parts)), parts))
-    return tuple(found)
+            chosen_method, parts = "kernel", whole
+        shaped.append(ShapedCluster(ClusterShape(label, convexity, kernel_convexity, chosen_method, len(parts)), parts))
+    return tuple(shaped)
 
 
 def require_archetype_method(method: str) -> None:
-    """Refuse a method that there is not.
-
-    Parameters
-    ----------
-    method : str
-        Its name.
-
-    Raises
-    ------
-    InputError
-        There is no such method.
-    """
+    """Raise `InputError` unless there is such a method."""
     if method not in get_args(ArchetypeMethod):
         raise InputError(f"`archetypes_by` {method}: {suggestion(method, get_args(ArchetypeMethod))}")
 
 
 def divide_fairly(count: int, weights: Sequence[float]) -> list[int]:
-    """Divide a number into whole numbers in proportion to weights.
-
-    Parameters
-    ----------
-    count : int
-        Number to divide.
-    weights : sequence of float
-        One for each part.
-
-    Returns
-    -------
-    list of int
-        Its sum is `count`; the remainders are given to the largest fractions.
-    """
+    """Divide `count` into whole numbers in proportion to weights, by largest remainders."""
     if not len(weights):
         return []
     share = count * np.asarray(weights, dtype=np.float64) / np.sum(weights)
-    each = np.floor(share).astype(np.int64)
-    each[np.argsort(each - share, kind="stable")[: count - int(each.sum())]] += 1
-    return [int(number) for number in each]
+    whole_numbers = np.floor(share).astype(np.int64)
+    whole_numbers[np.argsort(whole_numbers - share, kind="stable")[: count - int(whole_numbers.sum())]] += 1
+    return [int(number) for number in whole_numbers]

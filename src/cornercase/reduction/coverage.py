@@ -1,4 +1,4 @@
-"""How well the kept scenarios represent all that were run."""
+"""Coverage: how well the selected scenarios represent all that were run."""
 
 from __future__ import annotations
 
@@ -11,37 +11,35 @@ from cornercase._common.errors import InputError
 from cornercase._common.typing import FloatArray, IntArray
 from cornercase.clustering import Distances, PlacedDistances
 from cornercase.reduction.draws import DRAWS, draw_choices, nearest, nearest_of
-from cornercase.reduction.held_out import HeldOut
+from cornercase.reduction.held_out import HeldOut, summarize
 from cornercase.reduction.medoids import choose_medoids
 
 
 @dataclass(frozen=True)
 class Coverage:
-    """Distances from every scenario to the nearest kept one, in the unit of the distances.
+    """Distances from every scenario to the nearest selected one, in the unit of the distances.
 
-    All but `held_out` describe the kept scenarios among those that they were chosen from, so they say nothing of
-    others; `held_out` does.
+    All but `held_out` are in-sample: they describe the scenarios among which the set was selected.
 
     Attributes
     ----------
     kept : int
-        Number of scenarios kept.
+        Number of scenarios selected.
     largest, mean : float
         Of these distances.
     worst : int
-        The scenario at the largest distance: the one that the kept ones represent worst. By index, or by id where
-        ids were given.
+        The scenario at the largest distance: by index, or by id if ids were given.
     largest_relative, mean_relative : float
-        The same as shares of the largest distance of any two scenarios; 0 where all are alike.
+        The same as shares of the largest distance of any two scenarios; 0 if all are identical.
     random_largest, random_mean : float
-        Medians of the same figures over random choices of as many.
+        Medians of the same figures over random selections of the same size.
     better_largest, better_mean : float
-        Shares of the random choices that leave a larger gap, and a larger mean, than the kept ones.
+        Shares of the random selections with a larger maximum, and with a larger mean, than the set.
     medoids_largest, medoids_mean : float
-        The same figures of k-medoids of the same number: the choice that leaves the smallest mean. These and the two
-        before are NaN in a study that an early version reduced.
+        The same figures of as many k-medoids, which minimise the mean. These and the two before are NaN in a study that
+        an early version reduced.
     held_out : HeldOut or None, default None
-        Of scenarios that did not choose; None where that was not measured.
+        Cross-validated; None if not measured.
     """
 
     kept: int
@@ -61,15 +59,10 @@ class Coverage:
 
 @dataclass(frozen=True, eq=False)
 class Gaps:
-    """Distances from every scenario to the nearest one of some choices.
+    """Distances from every scenario to the nearest selected one, by selection.
 
-    Attributes
-    ----------
-    kept : ndarray of float64, shape (n,)
-    medoids : ndarray of float64, shape (n,)
-        Of k-medoids of the same number.
-    random : ndarray of float64, shape (draws, n)
-        Of random choices of the same number.
+    `kept` and `medoids`, shape (n,), are for the reduced set and for as many k-medoids; `random`, shape (draws, n), for
+    random selections of the same size.
     """
 
     kept: FloatArray
@@ -78,52 +71,21 @@ class Gaps:
 
 
 def measure_gaps(distances: Distances, kept: npt.ArrayLike, *, draws: int = DRAWS, seed: int = 0) -> Gaps:
-    """Measure how far every scenario is from the nearest kept one, and from those of other choices.
+    """Measure the distance of every scenario to the nearest of `kept`, of k-medoids, and of random selections.
 
-    Parameters
-    ----------
-    distances : ndarray of float64, shape (n, n), or PlacedDistances
-        Between all scenarios, in any unit.
-    kept : array_like of int, shape (m,)
-        Indices of the kept scenarios, at least one; the same index twice counts once.
-    draws : int, default 100
-        Number of random choices to compare with. They are drawn for this: `choose_scenarios` knows others.
-    seed : int, default 0
-        Of the random choices.
-
-    Returns
-    -------
-    Gaps
-        Distances by scenario.
+    The random selections differ from those that `choose_scenarios` sees. An index that is given twice counts once.
     """
-    chosen = np.unique(np.asarray(kept, dtype=np.int64))
-    random = draw_choices(len(distances), len(chosen), stream="grading", draws=draws, seed=seed)
+    indices = np.unique(np.asarray(kept, dtype=np.int64))
+    random = draw_choices(len(distances), len(indices), stream="grading", draws=draws, seed=seed)
     return Gaps(
-        nearest(distances, chosen),
-        nearest(distances, choose_medoids(distances, len(chosen))),
+        nearest(distances, indices),
+        nearest(distances, choose_medoids(distances, len(indices))),
         nearest_of(distances, random),
     )
 
 
 def redrawn(gaps: Gaps, distances: Distances, kept: IntArray, seed: int) -> Gaps:
-    """Compare kept scenarios with random choices of another seed than 0.
-
-    Parameters
-    ----------
-    gaps : Gaps
-        As `measure_gaps` gives it with the seed 0.
-    distances : ndarray of float64, shape (n, n), or PlacedDistances
-        Between all scenarios.
-    kept : ndarray of int64, shape (m,)
-        Indices of the kept scenarios.
-    seed : int
-        Of the random choices.
-
-    Returns
-    -------
-    Gaps
-        As `measure_gaps` gives it with the seed.
-    """
+    """Replace the random selections of `gaps` by those of another seed than 0."""
     if not seed:
         return gaps
     random = draw_choices(len(distances), len(np.unique(kept)), stream="grading", seed=seed)
@@ -139,57 +101,28 @@ def measure_coverage(
     seed: int = 0,
     gaps: Gaps | None = None,
 ) -> Coverage:
-    """Measure how well some scenarios represent all.
+    """Measure how well the scenarios `kept`, by index, represent all; `ids` name the worst one.
 
-    Parameters
-    ----------
-    distances : array_like, shape (n, n), or PlacedDistances
-        Between all scenarios.
-    kept : array_like of int, shape (m,)
-        Indices of the kept scenarios, at least one; the same index twice counts once.
-    ids : array_like of int, shape (n,), optional
-        Names of the scenarios; indices by default.
-    draws : int, default 100
-        Number of random choices to compare with, as in `measure_gaps`.
-    seed : int, default 0
-        Of the random choices.
-    gaps : Gaps, optional
-        What `measure_gaps` gives for them, where it is known.
-
-    Returns
-    -------
-    Coverage
-        Figures over all scenarios.
-
-    Raises
-    ------
-    InputError
-        Nothing is kept, an index is out of range, the matrix is not square, or `draws` is not positive.
+    `gaps` saves computing them again.
     """
     matrix = distances if isinstance(distances, PlacedDistances) else np.asarray(distances, dtype=np.float64)
     if len(matrix.shape) != 2 or matrix.shape[0] != matrix.shape[1]:
         raise InputError(f"A distance matrix of shape {matrix.shape} is not square; give shape (n, n).")
-    chosen = np.unique(np.asarray(kept, dtype=np.int64))
+    indices = np.unique(np.asarray(kept, dtype=np.int64))
     n = len(matrix)
-    if not len(chosen):
-        raise InputError("No scenario is kept, so nothing is covered; keep at least one.")
-    if chosen[0] < 0 or chosen[-1] >= n:
-        raise InputError(f"A kept scenario is not among the {n} of the distance matrix; give indices from 0.")
+    if not len(indices):
+        raise InputError("No scenario is selected, so nothing is covered; select at least one.")
+    if indices[0] < 0 or indices[-1] >= n:
+        raise InputError(f"A selected scenario is not among the {n} of the distance matrix; give indices from 0.")
     names = np.arange(n) if ids is None else np.asarray(ids, dtype=np.int64)
     extent = float(matrix.max())
-    found = measure_gaps(matrix, chosen, draws=draws, seed=seed) if gaps is None else gaps
-    left, random, middle = found.kept, found.random, found.medoids
+    all_gaps = measure_gaps(matrix, indices, draws=draws, seed=seed) if gaps is None else gaps
+    figures = summarize(all_gaps.kept, all_gaps.medoids, all_gaps.random)
     return Coverage(
-        kept=len(chosen),
-        largest=float(left.max()),
-        mean=float(left.mean()),
-        worst=int(names[left.argmax()]),
-        largest_relative=float(left.max()) / extent if extent else 0.0,
-        mean_relative=float(left.mean()) / extent if extent else 0.0,
-        random_largest=float(np.median(random.max(axis=1))),
-        random_mean=float(np.median(random.mean(axis=1))),
-        better_largest=float(np.mean(random.max(axis=1) > left.max())),
-        better_mean=float(np.mean(random.mean(axis=1) > left.mean())),
-        medoids_largest=float(middle.max()),
-        medoids_mean=float(middle.mean()),
+        kept=len(indices),
+        worst=int(names[all_gaps.kept.argmax()]),
+        largest_relative=figures["largest"] / extent if extent else 0.0,
+        mean_relative=figures["mean"] / extent if extent else 0.0,
+        held_out=None,
+        **figures,
     )

@@ -1,4 +1,4 @@
-"""The clusters that are critical."""
+"""Critical clusters of an analysis."""
 
 from __future__ import annotations
 
@@ -10,20 +10,9 @@ from cornercase.study import Study
 
 
 def find_critical_clusters(study: Study, analysis: Analysis) -> list[int]:
-    """Find the clusters in which most scenarios are critical.
+    """Return the clusters whose median score of the first metric is critical.
 
-    Parameters
-    ----------
-    study : Study
-        Holds the scores, and the threshold.
-    analysis : Analysis
-        What was found.
-
-    Returns
-    -------
-    list of int
-        Clusters whose median score of the first metric is critical. Where that holds for all clusters, or no threshold
-        says what is critical, the one cluster with the most critical median.
+    If that holds for all clusters, or there is no threshold, the one cluster with the most critical median.
     """
     meta = study.meta
     objective, labels = Objective.of_study(meta), analysis.labels

@@ -1,8 +1,7 @@
-"""Random choices of scenarios, to compare other choices with.
+"""Random selections of scenarios, as a baseline.
 
-A choice that is made with regard to some random draws must not be graded against the same ones. So there are streams of
-random numbers of their own: for choosing, for grading, and for dividing scenarios into those that choose and those that
-grade.
+A selection that was made with regard to some random draws must not be evaluated with the same ones. So there are
+independent random streams: for choosing, for grading, and for dividing scenarios into folds.
 """
 
 from __future__ import annotations
@@ -16,40 +15,16 @@ from cornercase._common.typing import FloatArray, IntArray
 from cornercase.clustering import Distances, PlacedDistances
 
 DRAWS: Final = 100
-"""Number of random choices, unless another one is given."""
+"""Default number of random selections."""
 
-# Keys of NumPy's `SeedSequence`: sequences of different keys are independent, also of different seeds.
+# Spawn keys of NumPy's `SeedSequence`; sequences with different keys are independent, whatever the seeds.
 _KEYS: Final[dict[str, tuple[int, ...]]] = {"choosing": (), "grading": (1,), "dividing": (2,)}
 
 
 def draw_choices(
     count: int, size: int, *, stream: Literal["choosing", "grading"], draws: int = DRAWS, seed: int = 0
 ) -> IntArray:
-    """Draw random choices of scenarios.
-
-    Parameters
-    ----------
-    count : int
-        Number of scenarios to choose from.
-    size : int
-        Number of scenarios in a choice.
-    stream : {"choosing", "grading"}
-        What the draws are for; the two share no random numbers, whatever the seeds.
-    draws : int, default 100
-        Number of choices.
-    seed : int, default 0
-        Of the random numbers.
-
-    Returns
-    -------
-    ndarray of int64, shape (draws, size)
-        Indices, none twice in a choice.
-
-    Raises
-    ------
-    InputError
-        `draws` is not positive.
-    """
+    """Draw random selections of scenarios, indices of shape (draws, size); the streams are independent."""
     if draws < 1:
         raise InputError(f"`draws` {draws}: give at least 1.")
     rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=_KEYS[stream]))
@@ -57,80 +32,30 @@ def draw_choices(
 
 
 def draw_order(count: int) -> IntArray:
-    """Draw an order of scenarios, to divide them by.
-
-    Parameters
-    ----------
-    count : int
-        Number of scenarios.
-
-    Returns
-    -------
-    ndarray of int64, shape (count,)
-        Indices.
-    """
+    """Draw a random order of scenarios, from which folds are made."""
     rng = np.random.default_rng(np.random.SeedSequence(0, spawn_key=_KEYS["dividing"]))
     return rng.permutation(count)
 
 
 def nearest_of(distances: Distances, choices: IntArray) -> FloatArray:
-    """Distances from every scenario to the nearest one of each choice.
-
-    Parameters
-    ----------
-    distances : ndarray of float64, shape (n, m), or PlacedDistances
-        From those that are chosen from to all scenarios, in any unit.
-    choices : ndarray of int64, shape (draws, size)
-        Indices of the scenarios of each choice.
-
-    Returns
-    -------
-    ndarray of float64, shape (draws, m)
-        In the unit of the distances.
-    """
+    """Return the distance of every scenario to the nearest one of each selection, shape (draws, m)."""
     if isinstance(distances, PlacedDistances):
         return distances.nearest_of(choices)
-    # Rows, as they lie together in memory: the matrix is symmetric.
-    return np.array([distances[one].min(axis=0) for one in choices])
+    # The matrix is symmetric, and rows are contiguous in memory.
+    return np.array([distances[choice].min(axis=0) for choice in choices])
 
 
 def nearest(distances: Distances, choice: IntArray) -> FloatArray:
-    """Distances from every scenario to the nearest one of a choice.
-
-    Parameters
-    ----------
-    distances : ndarray of float64, shape (n, n), or PlacedDistances
-        Between all scenarios, in any unit.
-    choice : ndarray of int64, shape (size,)
-        Indices.
-
-    Returns
-    -------
-    ndarray of float64, shape (n,)
-        In the unit of the distances.
-    """
+    """Return the distance of every scenario to the nearest one of a selection, shape (n,)."""
     if isinstance(distances, PlacedDistances):
         return distances.nearest(choice)
-    found: FloatArray = distances[:, choice].min(axis=1)
-    return found
+    distances_to_choice: FloatArray = distances[:, choice].min(axis=1)
+    return distances_to_choice
 
 
 def part_of(distances: Distances, rows: IntArray, columns: IntArray) -> Distances:
-    """Distances from some scenarios to some others.
-
-    Parameters
-    ----------
-    distances : ndarray of float64, shape (n, n), or PlacedDistances
-        Between all scenarios.
-    rows, columns : ndarray of int64, each of shape (m,)
-        Indices.
-
-    Returns
-    -------
-    ndarray of float64, or PlacedDistances
-        What was given.
-    """
+    """Return the distances from some scenarios to some others, in the form in which they were given."""
     if isinstance(distances, PlacedDistances):
         return distances.part(rows, columns)
-    found: FloatArray = distances[np.ix_(rows, columns)]
-    return found
+    part: FloatArray = distances[np.ix_(rows, columns)]
+    return part

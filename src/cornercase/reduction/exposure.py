@@ -1,4 +1,4 @@
-"""Which scenarios expose which mutants of a driver."""
+"""Mutation analysis: which scenarios kill which mutants of a driver."""
 
 from __future__ import annotations
 
@@ -17,24 +17,24 @@ _TAIL: Final = 0.025
 
 @dataclass(frozen=True, eq=False)
 class Exposure:
-    """Which scenarios expose which mutants of a driver.
+    """Kill matrix: which scenarios kill which mutants of a driver.
 
-    A scenario exposes a mutant where the driver itself fails none of the requirements, and the mutant fails one. (The
-    literature of mutation testing says that the test kills the mutant.)
+    A scenario kills a mutant if the original driver violates no requirement in it, and the mutant violates one.
 
     Attributes
     ----------
     driver : str
-        Whose mutants they are.
+        Original driver.
     requirements : tuple of str
     scenarios : tuple of int
         Ids.
     failed : ndarray of bool, shape (n,)
-        Scenarios in which the driver itself fails, or that could not be run; they expose nothing.
+        Scenarios in which the original driver violates a requirement, or that could not be run; they kill nothing.
     mutants : tuple of Mutant
     exposed : ndarray of bool, shape (n, m)
+        Whether a scenario kills a mutant.
     held_out : Exposure or None
-        The same for other mutants of the driver in the same scenarios, which judge what was chosen by these.
+        The same for other mutants of the driver in the same scenarios, which evaluate what these select.
     """
 
     driver: str
@@ -46,7 +46,7 @@ class Exposure:
     held_out: Exposure | None = None
 
     def rows_of(self, scenarios: Sequence[int]) -> BoolArray:
-        """Return which mutants some scenarios expose.
+        """Return which mutants some scenarios kill.
 
         Parameters
         ----------
@@ -56,17 +56,17 @@ class Exposure:
         Returns
         -------
         ndarray of bool, shape (k, m)
-            A scenario that was not run with the mutants exposes none.
+            A scenario that was not run with the mutants kills none.
         """
-        place = {one: i for i, one in enumerate(self.scenarios)}
+        index_of = {scenario: i for i, scenario in enumerate(self.scenarios)}
         rows = np.zeros((len(scenarios), len(self.mutants)), dtype=np.bool_)
-        for k, one in enumerate(scenarios):
-            if one in place:
-                rows[k] = self.exposed[place[one]]
+        for k, scenario in enumerate(scenarios):
+            if scenario in index_of:
+                rows[k] = self.exposed[index_of[scenario]]
         return rows
 
     def grade(self, scenarios: Sequence[int] | None = None) -> Grade:
-        """Say how many mutants scenarios expose.
+        """Return the mutation score of some scenarios.
 
         Parameters
         ----------
@@ -77,42 +77,39 @@ class Exposure:
         -------
         Grade
         """
-        chosen = self.scenarios if scenarios is None else scenarios
-        return Grade(
-            len(self.mutants), int(self.exposed.any(axis=0).sum()), int(self.rows_of(chosen).any(axis=0).sum())
-        )
+        ids = self.scenarios if scenarios is None else scenarios
+        return Grade(len(self.mutants), int(self.exposed.any(axis=0).sum()), int(self.rows_of(ids).any(axis=0).sum()))
 
     @property
     def by_mutation(self) -> dict[str, tuple[int, int]]:
-        """By what was done to the mutants: how many are exposed, and how many there are."""
-        found = self.exposed.any(axis=0)
-        kinds = np.array([one.mutation for one in self.mutants])
+        """Numbers of killed mutants and of all mutants, by kind of mutation."""
+        is_killed = self.exposed.any(axis=0)
+        mutations = np.array([mutant.mutation for mutant in self.mutants])
         return {
-            kind: (int(found[kinds == kind].sum()), int((kinds == kind).sum()))
-            for kind in sorted({one.mutation for one in self.mutants})
+            mutation: (int(is_killed[mutations == mutation].sum()), int((mutations == mutation).sum()))
+            for mutation in sorted({mutant.mutation for mutant in self.mutants})
         }
 
     @property
     def unexposed(self) -> tuple[str, ...]:
-        """Names of the mutants that no scenario exposes."""
-        found = self.exposed.any(axis=0)
-        return tuple(one.driver for one, exposed in zip(self.mutants, found, strict=True) if not exposed)
+        """Names of the mutants that survive all scenarios."""
+        is_killed = self.exposed.any(axis=0)
+        return tuple(mutant.driver for mutant, exposed in zip(self.mutants, is_killed, strict=True) if not exposed)
 
     @property
     def text(self) -> str:
-        """How many mutants all scenarios together expose, in a sentence without a full stop."""
+        """Number of mutants that all scenarios kill, in a sentence without a full stop."""
         count, total = len(self.mutants) - len(self.unexposed), len(self.mutants)
         low, high = clopper_pearson(count, total, _TAIL)
         interval = f"{low:.0%} to {high:.0%} with 95 % confidence"
         return f"{count} of {total} mutants of {self.driver} are exposed, {count / total:.0%} ({interval})"
 
     def to_json(self) -> dict[str, Any]:
-        """Return plain values.
+        """Return what ``cornercase test --mutants --json`` prints.
 
         Returns
         -------
         dict of str to object
-            What ``cornercase test --mutants --json`` prints of it.
         """
         count, total = len(self.mutants) - len(self.unexposed), len(self.mutants)
         return {
@@ -122,31 +119,31 @@ class Exposure:
             "exposed": count,
             "share": count / total,
             "interval_95": list(clopper_pearson(count, total, _TAIL)),
-            "failed_with_the_driver": [one for one, failed in zip(self.scenarios, self.failed, strict=True) if failed],
+            "failed_with_the_driver": [i for i, failed in zip(self.scenarios, self.failed, strict=True) if failed],
             "by_mutant": [
                 {
-                    "driver": one.driver,
-                    "mutation": one.mutation,
+                    "driver": mutant.driver,
+                    "mutation": mutant.mutation,
                     "exposed_by": [self.scenarios[i] for i in np.flatnonzero(exposed)],
                 }
-                for one, exposed in zip(self.mutants, self.exposed.T, strict=True)
+                for mutant, exposed in zip(self.mutants, self.exposed.T, strict=True)
             ],
         }
 
 
 @dataclass(frozen=True)
 class Grade:
-    """How many mutants some scenarios expose.
+    """Mutation score: how many mutants some scenarios kill.
 
     Attributes
     ----------
     mutants : int
         Number of mutants.
     possible : int
-        How many of them at least one scenario exposes, of all that were run; the others may be as good as the
-        original there, which is called equivalent.
+        Number killed by at least one of all scenarios that were run; the others may be as good as the original there
+        (equivalent mutants).
     exposed : int
-        How many of them the scenarios expose that are graded.
+        Number killed by the scenarios in question.
     """
 
     mutants: int
@@ -155,12 +152,12 @@ class Grade:
 
     @property
     def share(self) -> float:
-        """Of the mutants that can be exposed; NaN where there are none."""
+        """Share of the mutants that can be killed; NaN if there are none."""
         return self.exposed / self.possible if self.possible else float("nan")
 
     @property
     def interval(self) -> tuple[float, float]:
-        """Interval of 95 % of the share (Clopper and Pearson), for mutants drawn in the same way."""
+        """95 % interval of the share (Clopper and Pearson), for mutants drawn in the same way."""
         return clopper_pearson(self.exposed, self.possible, _TAIL)
 
     def to_json(self) -> dict[str, Any]:
@@ -181,22 +178,22 @@ class Grade:
 
 @dataclass(frozen=True)
 class ExposingChoice:
-    """What mutants chose, and what that is worth.
+    """Result of a selection by mutants.
 
     Attributes
     ----------
     driver : str
-        Whose mutants they are.
+        Original driver.
     requirements : tuple of str
-        Which of them a mutant had to fail.
+        Requirements that a mutant could violate.
     candidates : int
         Number of scenarios that were run with the mutants.
     chosen_by : Grade
-        Of the mutants that chose.
+        For the mutants by which scenarios were selected.
     held_out : Grade or None
-        Of other mutants, which had no part in the choice; None where there are none.
+        For other mutants, which did not influence the selection; None if there are none.
     without : Grade or None
-        The same of the set that `reduce` chooses without mutants.
+        The same for the set that `reduce` selects without mutants.
     """
 
     driver: str
@@ -208,18 +205,18 @@ class ExposingChoice:
 
     @property
     def text(self) -> str:
-        """What it is worth, in a sentence without a full stop."""
-        one = self.held_out
-        if one is None:
+        """The result in a sentence without a full stop."""
+        score = self.held_out
+        if score is None:
             return f"it exposes {self.chosen_by.exposed} of the {self.chosen_by.mutants} mutants that chose"
-        if not one.possible:
-            return f"no scenario exposes any of the {one.mutants} other mutants of {self.driver} that judge"
-        low, high = one.interval
-        beside = "" if self.without is None else f"; a set chosen without mutants exposes {self.without.exposed}"
+        if not score.possible:
+            return f"no scenario exposes any of the {score.mutants} other mutants of {self.driver} that judge"
+        low, high = score.interval
+        comparison = "" if self.without is None else f"; a set chosen without mutants exposes {self.without.exposed}"
         return (
-            f"of {one.mutants} other mutants of {self.driver}, all {self.candidates} scenarios expose {one.possible},"
-            f" and the set exposes {one.exposed} of these, {one.share:.0%} ({low:.0%} to {high:.0%} with 95 %"
-            f" confidence){beside}"
+            f"of {score.mutants} other mutants of {self.driver}, all {self.candidates} scenarios expose"
+            f" {score.possible}, and the set exposes {score.exposed} of these, {score.share:.0%} ({low:.0%} to"
+            f" {high:.0%} with 95 % confidence){comparison}"
         )
 
     def to_json(self) -> dict[str, Any]:

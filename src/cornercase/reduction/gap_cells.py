@@ -1,4 +1,4 @@
-"""Sums of what kept scenarios with places leave out, by cells of scenarios that are near each other."""
+"""Coverage sums for embedded scenarios, by cells of nearby scenarios."""
 
 from __future__ import annotations
 
@@ -13,25 +13,11 @@ from cornercase.reduction.gap_kernels import AXES, CELL, Cells
 
 
 class CellSums:
-    """Weighted sums of powers of the distances to the nearest kept scenario, over all clusterings.
+    """Weighted sums of powers of the distances to the nearest selected scenario, over all clusterings.
 
-    Parameters
-    ----------
-    places : sequence of ndarray of float64, each (n, p)
-        Of all scenarios, by clustering; distances are squared Euclidean ones.
-    usual : sequence of float
-        Unit of the distances, by clustering.
-    heavy : sequence of ndarray of float64, each (n,)
-        Weights of the scenarios, by clustering.
-    power : int
-        2 or 3.
-    kept : sequence of int
-        Indices of those that are kept already, at least one.
-
-    Attributes
-    ----------
-    gains : ndarray of float64, shape (n,)
-        By how much each scenario lowered the sum when that was last computed; it can only have fallen since.
+    `places`, shape (n, p) each, are coordinates by clustering, with squared Euclidean distances; `usual` are their
+    units, `heavy` the weights of the scenarios, `power` is 2 or 3, `kept` has at least one index. `gains`, shape (n,),
+    is by how much each scenario lowered the sum when that was last computed; it can only have fallen since.
     """
 
     def __init__(
@@ -42,27 +28,27 @@ class CellSums:
         power: int,
         kept: Sequence[int],
     ) -> None:
-        axes = -(-max(one.shape[1] for one in places) // AXES) * AXES
-        along = np.stack([np.pad(one, ((0, 0), (0, axes - one.shape[1]))) for one in places])
-        orders = [_order(one) for one in along]
-        cells = np.stack([one[order] for one, order in zip(along, orders, strict=True)])
+        dimensions = -(-max(values.shape[1] for values in places) // AXES) * AXES
+        coordinates = np.stack([np.pad(values, ((0, 0), (0, dimensions - values.shape[1]))) for values in places])
+        orders = [_order(values) for values in coordinates]
+        cells = np.stack([values[order] for values, order in zip(coordinates, orders, strict=True)])
         first = cells[..., :AXES]
         centres = first.mean(axis=2)
         radii = np.sqrt(((first - centres[:, :, None]) ** 2).sum(axis=3).max(axis=2))
-        near = np.full(cells.shape[:3], np.inf)
-        # What fills up the last cell is as near as can be, so that it never counts.
-        near.reshape(len(places), -1)[:, len(places[0]) :] = 0.0
+        nearest_squares = np.full(cells.shape[:3], np.inf)
+        # Padding of the last cell has distance 0, so that it never counts.
+        nearest_squares.reshape(len(places), -1)[:, len(places[0]) :] = 0.0
         self._cells = Cells(
-            along.reshape(len(places), -1, axes // AXES, AXES),
-            np.ascontiguousarray(cells.transpose(0, 1, 3, 2)).reshape(*cells.shape[:2], axes // AXES, AXES, CELL),
+            coordinates.reshape(len(places), -1, dimensions // AXES, AXES),
+            np.ascontiguousarray(cells.transpose(0, 1, 3, 2)).reshape(*cells.shape[:2], dimensions // AXES, AXES, CELL),
             np.ascontiguousarray(centres.transpose(0, 2, 1)),
             radii * (1.0 + 1e-9),
-            np.stack([one[order] for one, order in zip(heavy, orders, strict=True)]),
+            np.stack([values[order] for values, order in zip(heavy, orders, strict=True)]),
             np.array(usual),
             power,
-            near,
+            nearest_squares,
             np.full(radii.shape, np.inf),
-            near.copy(),
+            nearest_squares.copy(),
         )
         for index in kept:
             self.keep(index)
@@ -70,38 +56,21 @@ class CellSums:
         gap_kernels.find_gains(self.gains, self._cells)
 
     def best(self, gap: FloatArray, alike: float) -> int | None:
-        """Return the scenario that lowers the sum most.
+        """Return the scenario that lowers the sum most, the first of equals; None if all are similar to selected ones.
 
-        What a scenario lowers it by is computed again only for those that lowered it most before.
-
-        Parameters
-        ----------
-        gap : ndarray of float64, shape (n,)
-            Of each scenario; smaller than that of an earlier call.
-        alike : float
-            Gap up to which a scenario is like a kept one.
-
-        Returns
-        -------
-        int or None
-            Index; of those that lower it by as much, the first one. None where all are like kept ones.
+        `gap`, shape (n,), is the distance to the nearest selected scenario; up to `alike` two are similar. Only the
+        largest gains are computed again, since gains can only fall.
         """
         index = int(gap_kernels.find_best(self.gains, gap, alike, self._cells))
         return None if index < 0 else index
 
     def keep(self, index: int) -> None:
-        """Keep one more.
-
-        Parameters
-        ----------
-        index : int
-            Of a scenario.
-        """
+        """Add a scenario to the selected ones."""
         gap_kernels.keep(index, self._cells)
 
 
 def _order(places: FloatArray) -> IntArray:
-    """Scenarios by cell, shape (cells, CELL); the last cell is filled up with the last scenario."""
+    """Scenarios by cell, shape (cells, CELL); the last cell is padded with the last scenario."""
     order = cKDTree(places[:, :AXES], leafsize=CELL).indices
     count = -(-len(order) // CELL)
     return np.append(order, np.full(count * CELL - len(order), order[-1])).reshape(count, CELL)

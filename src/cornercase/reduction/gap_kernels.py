@@ -1,7 +1,7 @@
-"""Compiled sums of what scenarios with places leave out, by cells: some scenarios that are near each other.
+"""Compiled coverage sums for embedded scenarios, by cells of nearby scenarios.
 
-A scenario that is added is nearer than what is kept to few, and most cells are too far away to hold one of these. So
-where many are kept, most distances are never made.
+An added scenario becomes the nearest one for few others, and most cells are too far away to contain one of these. So if
+many are selected, most distances are never computed.
 """
 
 # Compiled functions have no static types.
@@ -18,52 +18,52 @@ from cornercase._common.compiling import kernel
 from cornercase._common.typing import FloatArray
 
 CELL = 16
-"""Scenarios of a cell."""
+"""Number of scenarios in a cell."""
 
 AXES = 8
-"""Axes that cells are found by, and after which is looked whether a scenario of a cell is still near enough."""
+"""Number of axes by which cells are formed, and after which the distance computation may stop early."""
 
 _MARGIN = 1.0 + 1e-9
-"""Bounds are wider by this factor, far more than rounding."""
+"""Factor by which bounds are wider, far more than rounding."""
 
 
 class Cells(NamedTuple):
-    """Cells of all clusterings, and what is left in them.
+    """Cells of all clusterings, and the uncovered costs in them.
 
-    `places`, (clusterings, n, stages, AXES), are in the order of the scenarios and `cells`, (clusterings, c, stages,
-    AXES, CELL), in that of the cells, the axis along which scenarios differ most first. `centres`, (clusterings, AXES,
-    c), and `radii` are of balls around the cells by the first axes. `near` are squared distances to the nearest kept
-    scenario, and `left` what these cost; who is farther from a centre than the root of `reach` is near to none of the
-    cell.
+    `coordinates`, (clusterings, n, stages, AXES), are in the order of the scenarios and `members`, (clusterings, c,
+    stages, AXES, CELL), in the order of the cells, the axis of largest variance first. `centres`, (clusterings, AXES,
+    c), and `radii` are bounding balls of the cells in the first axes. `nearest_squares` are squared distances to the
+    nearest selected scenario and `costs` follow from them; a scenario farther from a centre than the root of `reach` is
+    nearest to none of the cell.
     """
 
-    places: FloatArray
-    cells: FloatArray
+    coordinates: FloatArray
+    members: FloatArray
     centres: FloatArray
     radii: FloatArray
-    heavy: FloatArray
-    usual: FloatArray
+    weights: FloatArray
+    usual_distances: FloatArray
     power: int
-    near: FloatArray
+    nearest_squares: FloatArray
     reach: FloatArray
-    left: FloatArray
+    costs: FloatArray
 
 
 @kernel(error_model="numpy")
 def find_gains(gains, of):
-    """By how much each scenario would lower the sum of what is left."""
-    away, apart = np.empty(of.cells.shape[1]), np.empty(CELL)
+    """Fill `gains` with the amount by which each scenario would lower the sum."""
+    to_centres, to_members = np.empty(of.members.shape[1]), np.empty(CELL)
     for index in range(len(gains)):
-        gains[index] = _gain(index, of, away, apart)
+        gains[index] = _gain(index, of, to_centres, to_members)
 
 
 @kernel(error_model="numpy")
 def find_best(gains, gap, alike, of):
-    """Scenario that would lower the sum most, of those that have a gap, the first one of equals; -1 where none has.
+    """Return the scenario with a gap that would lower the sum most, the first of equals; -1 if there is none.
 
-    `gains` are what they were when fewer were kept, so none has become larger, and are brought up to date as needed.
+    `gains` are upper bounds from when fewer were selected, and are updated as needed.
     """
-    away, apart = np.empty(of.cells.shape[1]), np.empty(CELL)
+    to_centres, to_members = np.empty(of.members.shape[1]), np.empty(CELL)
     last = -1
     while True:
         best = int(np.argmax(gains))
@@ -74,39 +74,43 @@ def find_best(gains, gap, alike, of):
         if gap[best] <= alike:
             gains[best] = -np.inf
         else:
-            gains[best] = _gain(best, of, away, apart)
+            gains[best] = _gain(best, of, to_centres, to_members)
             last = best
 
 
 @kernel(error_model="numpy")
 def keep(index, of):
-    """Note in `near`, `left` and `reach` that a scenario is kept."""
-    away, apart = np.empty(of.cells.shape[1]), np.empty(CELL)
-    for k in range(len(of.cells)):
-        place = of.places[k, index]
-        _measure_away(place, of.centres[k], away)
-        for cell in range(len(away)):
-            if away[cell] <= of.reach[k, cell] and _come_near(place, of.cells[k, cell], of.near[k, cell], apart):
-                near, left = of.near[k, cell], of.left[k, cell]
+    """Update distances, costs and reaches for a newly selected scenario."""
+    to_centres, to_members = np.empty(of.members.shape[1]), np.empty(CELL)
+    for k in range(len(of.members)):
+        point = of.coordinates[k, index]
+        _measure_away(point, of.centres[k], to_centres)
+        for cell in range(len(to_centres)):
+            if to_centres[cell] <= of.reach[k, cell] and _come_near(
+                point, of.members[k, cell], of.nearest_squares[k, cell], to_members
+            ):
+                squares, costs = of.nearest_squares[k, cell], of.costs[k, cell]
                 for i in range(CELL):
-                    if apart[i] < near[i]:
-                        near[i] = apart[i]
-                        left[i] = _cost(apart[i], of.usual[k], of.power, of.heavy[k, cell, i])
-                of.reach[k, cell] = (of.radii[k, cell] + math.sqrt(near.max())) ** 2 * _MARGIN
+                    if to_members[i] < squares[i]:
+                        squares[i] = to_members[i]
+                        costs[i] = _cost(to_members[i], of.usual_distances[k], of.power, of.weights[k, cell, i])
+                of.reach[k, cell] = (of.radii[k, cell] + math.sqrt(squares.max())) ** 2 * _MARGIN
 
 
 @kernel(error_model="numpy", _nrt=False)
 def _gain(index, of, away, apart):
     gain = 0.0
-    for k in range(len(of.cells)):
-        place = of.places[k, index]
-        _measure_away(place, of.centres[k], away)
+    for k in range(len(of.members)):
+        point = of.coordinates[k, index]
+        _measure_away(point, of.centres[k], away)
         for cell in range(len(away)):
-            if away[cell] <= of.reach[k, cell] and _come_near(place, of.cells[k, cell], of.near[k, cell], apart):
-                near, left, heavy = of.near[k, cell], of.left[k, cell], of.heavy[k, cell]
+            if away[cell] <= of.reach[k, cell] and _come_near(
+                point, of.members[k, cell], of.nearest_squares[k, cell], apart
+            ):
+                squares, costs, weights = of.nearest_squares[k, cell], of.costs[k, cell], of.weights[k, cell]
                 for i in range(CELL):
-                    if apart[i] < near[i]:
-                        gain += left[i] - _cost(apart[i], of.usual[k], of.power, heavy[i])
+                    if apart[i] < squares[i]:
+                        gain += costs[i] - _cost(apart[i], of.usual_distances[k], of.power, weights[i])
     return gain
 
 
@@ -115,29 +119,29 @@ def _measure_away(place, centres, away):
     away[:] = 0.0
     for axis in range(AXES):
         for cell in range(len(away)):
-            step = place[0, axis] - centres[axis, cell]
-            away[cell] += step * step
+            difference = place[0, axis] - centres[axis, cell]
+            away[cell] += difference * difference
 
 
 @kernel(error_model="numpy", _nrt=False)
 def _come_near(place, cell, near, apart):
-    """Whether any scenario of a cell is nearer than `near`; then `apart` is how far they are."""
+    """Fill `apart` with squared distances to a cell; False as soon as none can be nearer than `near`."""
     apart[:] = 0.0
     for stage in range(len(place)):
-        nearer = 0
+        n_nearer = 0
         for i in range(CELL):
             total = apart[i]
             for axis in range(AXES):
-                step = place[stage, axis] - cell[stage, axis, i]
-                total += step * step
+                difference = place[stage, axis] - cell[stage, axis, i]
+                total += difference * difference
             apart[i] = total
-            nearer += total < near[i]
-        if not nearer:
+            n_nearer += total < near[i]
+        if not n_nearer:
             return False
     return True
 
 
 @kernel(error_model="numpy", _nrt=False)
 def _cost(distance, usual, power, heavy):
-    cost = distance / usual
-    return cost * cost * cost * heavy if power == 3 else cost * cost * heavy
+    ratio = distance / usual
+    return ratio * ratio * ratio * heavy if power == 3 else ratio * ratio * heavy

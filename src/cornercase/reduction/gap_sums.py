@@ -1,4 +1,4 @@
-"""Sums of what the kept scenarios leave out, and the scenarios that make them small."""
+"""Coverage sums: what the selected scenarios leave uncovered, and the scenarios that reduce it most."""
 
 from __future__ import annotations
 
@@ -13,18 +13,18 @@ from cornercase.clustering import Distances, PlacedDistances
 from cornercase.reduction.gap_cells import CellSums
 from cornercase.reduction.kept import ALIKE, Selection
 
-# Most scenarios for which all costs are in memory.
+# Largest number of scenarios for which all costs are kept in memory.
 _MOST_WHOLE: Final = 2000
-# Costs that the processor's cache holds.
+# Number of costs that fit in the CPU cache.
 _AT_ONCE: Final = 2**15
 ROUNDS: Final = 3
 BLOCK: Final = 256
-# Scenarios by which what is usual between neighbours is measured, at most, where distances are made of places.
+# Largest number of scenarios at which the usual distance of neighbours is sampled, for embedded distances.
 _USUAL_OF: Final = 2000
 
 
 class Composition(NamedTuple):
-    """Shares and weights by which a set of a given size is put together."""
+    """Shares and weights with which a set of a given size is composed."""
 
     archetypes: float
     """Largest share of archetypes."""
@@ -33,35 +33,26 @@ class Composition(NamedTuple):
     first: float
     """Weight of the first clustering."""
     power: int
-    """Of the distances: large gaps weigh more than many small ones."""
+    """Exponent of the distances: large gaps weigh more than many small ones."""
 
 
 class GapSums:
-    """Weighted sums of powers of the distances to the nearest kept scenario, over all clusterings.
+    """Weighted sums of powers of the distances to the nearest selected scenario, over all clusterings.
 
-    Parameters
-    ----------
-    distances : sequence of ndarray of float64, each (n, n), or of PlacedDistances
-        Between all scenarios, in any unit.
-    critical : ndarray of bool, shape (n,)
-        Scenarios of critical clusters.
-    composition : Composition
-        Shares and weights of the set.
-    size : int
-        Number of scenarios to keep.
+    `critical`, shape (n,), marks scenarios of critical clusters; `size` is the number of scenarios to select.
     """
 
     def __init__(
         self, distances: Sequence[Distances], critical: BoolArray, composition: Composition, size: int
     ) -> None:
-        near = min(-(-len(critical) // size), len(critical) - 1)
+        n_neighbours = min(-(-len(critical) // size), len(critical) - 1)
         self._weights = np.where(critical, composition.critical, 1.0)
         self._power = composition.power
         self._distances = distances
-        self._usual = [_usual(matrix, near) for matrix in distances]
+        self._usual = [_usual(matrix, n_neighbours) for matrix in distances]
         self._heavy = [composition.first if k == 0 else 1.0 for k in range(len(distances))]
         self._placed = isinstance(distances[0], PlacedDistances)
-        # All costs at once are as large as all distances.
+        # All costs take as much memory as all distances.
         self._whole = (
             [self._costs(k, np.arange(len(critical))) for k in range(len(distances))]
             if len(critical) <= _MOST_WHOLE
@@ -69,11 +60,11 @@ class GapSums:
         )
 
     def _costs(self, k: int, candidates: IntArray) -> FloatArray:
-        """Costs of some candidates in a clustering: a row for each, a column for each scenario, with its weight."""
+        """Weighted costs of some candidates in a clustering: one row per candidate, one column per scenario."""
         costs: FloatArray = self._distances[k][candidates] / self._usual[k]
-        # Products are many times as fast as a general power, and may have another last digit.
-        quick = self._placed and self._power == 3
-        costs = costs * costs * costs if quick else costs**self._power
+        # Products are many times as fast as a general power, and may differ in the last digit.
+        use_products = self._placed and self._power == 3
+        costs = costs * costs * costs if use_products else costs**self._power
         costs *= self._weights * self._heavy[k]
         return costs
 
@@ -83,118 +74,67 @@ class GapSums:
         return [self._costs(k, candidates) for k in range(len(self._distances))]
 
     def left(self, kept: Sequence[int]) -> list[FloatArray]:
-        """Return what each scenario adds to the sum.
-
-        Parameters
-        ----------
-        kept : sequence of int
-            Indices.
-
-        Returns
-        -------
-        list of ndarray of float64, each (n,)
-            By clustering.
-        """
-        found = [np.full(len(self._weights), np.inf) for _ in self._distances]
+        """Return what each scenario adds to the sum for the selected ones `kept`, shape (n,) by clustering."""
+        left_costs = [np.full(len(self._weights), np.inf) for _ in self._distances]
         for first in range(0, len(kept), BLOCK):
-            some = np.asarray(kept[first : first + BLOCK], dtype=np.int64)
-            for least, costs in zip(found, self._rows(some), strict=True):
-                np.minimum(least, costs.min(axis=0), out=least)
-        return found
+            batch = np.asarray(kept[first : first + BLOCK], dtype=np.int64)
+            for lowest, costs in zip(left_costs, self._rows(batch), strict=True):
+                np.minimum(lowest, costs.min(axis=0), out=lowest)
+        return left_costs
 
     def gains(self, left: Sequence[FloatArray], candidates: IntArray) -> FloatArray:
-        """Return by how much each candidate would lower the sum.
-
-        Parameters
-        ----------
-        left : sequence of ndarray of float64, each (n,)
-            As in `left`.
-        candidates : ndarray of int64, shape (m,)
-            Indices.
-
-        Returns
-        -------
-        ndarray of float64, shape (m,)
-            By candidate.
-        """
+        """Return by how much each candidate would lower the sum; `left` as returned by the method of that name."""
         gains = np.zeros(len(candidates))
         block = max(1, _AT_ONCE // len(self._weights))
         for first in range(0, len(candidates), block):
             for now, costs in zip(left, self._rows(candidates[first : first + block]), strict=True):
-                # The rows are copies, which need not be kept.
+                # The rows are copies, so they may be overwritten.
                 np.maximum(np.subtract(now, costs, out=costs), 0.0, out=costs)
                 gains[first : first + block] += costs.sum(axis=1)
         return gains
 
     def added(self, kept: list[int], size: int, selection: Selection) -> list[int]:
-        """Return scenarios that lower the sum most, one after the other.
+        """Add scenarios greedily until there are `size`; return the indices of those added.
 
-        Parameters
-        ----------
-        kept : list of int
-            Indices of those that are kept already.
-        size : int
-            Number to keep in all.
-        selection : Selection
-            Says what is alike.
-
-        Returns
-        -------
-        list of int
-            Indices of those that are added.
+        Scenarios similar to a selected one, by `selection`, are skipped.
         """
-        found: list[int] = []
+        new: list[int] = []
         sums = self._cells(kept) if self._placed and self._whole is None else _Rows(self, kept)
         gap = selection.gap.copy()
-        while len(kept) + len(found) < size and (best := sums.best(gap, ALIKE)) is not None:
-            found.append(best)
+        while len(kept) + len(new) < size and (best := sums.best(gap, ALIKE)) is not None:
+            new.append(best)
             sums.keep(best)
             gap = np.minimum(gap, selection.apart([best])[0])
-        return found
+        return new
 
     def _cells(self, kept: Sequence[int]) -> CellSums:
-        heavy = [self._weights * each for each in self._heavy]
-        places = [one.places for one in self._distances if isinstance(one, PlacedDistances)]
-        return CellSums(places, self._usual, heavy, self._power, kept)
+        heavy = [self._weights * weight for weight in self._heavy]
+        embeddings = [embedding.places for embedding in self._distances if isinstance(embedding, PlacedDistances)]
+        return CellSums(embeddings, self._usual, heavy, self._power, kept)
 
     def exchanged(self, kept: list[int], fixed: int, selection: Selection) -> list[int]:
-        """Return as many scenarios, each but the first ones exchanged for another one where that lowers the sum.
-
-        Parameters
-        ----------
-        kept : list of int
-            Indices.
-        fixed : int
-            Number of the first ones that stay.
-        selection : Selection
-            Says what is alike.
-
-        Returns
-        -------
-        list of int
-            Indices, the fixed ones first.
-        """
+        """Exchange each scenario after the first `fixed` ones for another one if that lowers the sum; return all."""
         kept = kept[:]
         everyone = np.arange(len(selection.gap))
-        apart = selection.apart(everyone)
+        pair_distances = selection.apart(everyone)
         for _ in range(ROUNDS):
-            before = kept[:]
+            previous = kept[:]
             for j in range(fixed, len(kept)):
-                rest = kept[:j] + kept[j + 1 :]
-                if not rest:
+                others = kept[:j] + kept[j + 1 :]
+                if not others:
                     continue
-                gains = self.gains(self.left(rest), everyone)
-                gains[apart[rest].min(axis=0) <= ALIKE] = -1.0
+                gains = self.gains(self.left(others), everyone)
+                gains[pair_distances[others].min(axis=0) <= ALIKE] = -1.0
                 best = int(gains.argmax())
                 if gains[best] > gains[kept[j]] * (1.0 + 1e-9):
                     kept[j] = best
-            if kept == before:
+            if kept == previous:
                 break
         return kept
 
 
 class _Rows:
-    """What is left by rows of costs, as `CellSums` by cells."""
+    """Lazy greedy search by rows of costs, with the methods of `CellSums`."""
 
     def __init__(self, sums: GapSums, kept: Sequence[int]) -> None:
         self._sums = sums
@@ -208,10 +148,10 @@ class _Rows:
             _, best = heapq.heappop(self._queue)
             if gap[best] <= alike:
                 continue
-            again = (-float(self._sums.gains(self._left, np.array([best]))[0]), best)
-            if not self._queue or again <= self._queue[0]:
+            entry = (-float(self._sums.gains(self._left, np.array([best]))[0]), best)
+            if not self._queue or entry <= self._queue[0]:
                 return best
-            heapq.heappush(self._queue, again)
+            heapq.heappush(self._queue, entry)
         return None
 
     def keep(self, index: int) -> None:
@@ -219,12 +159,12 @@ class _Rows:
 
 
 def _usual(distances: Distances, near: int) -> float:
-    """Mean distance of each scenario to its `near`-th neighbour, 1 where that is 0."""
+    """Mean distance of each scenario to its `near`-th neighbour, 1 if that is 0."""
     n = len(distances)
-    # A slice of a matrix is no copy.
+    # A slice of a matrix is not a copy.
     blocks: list[slice | IntArray] = [slice(first, first + BLOCK) for first in range(0, n, BLOCK)]
     if isinstance(distances, PlacedDistances) and n > _USUAL_OF:
-        some = np.linspace(0, n - 1, _USUAL_OF).astype(np.int64)
-        blocks = [some[first : first + BLOCK] for first in range(0, _USUAL_OF, BLOCK)]
-    near_by = [np.partition(distances[one], near, axis=1)[:, near] for one in blocks]
-    return float(np.concatenate(near_by).mean()) or 1.0
+        sample = np.linspace(0, n - 1, _USUAL_OF).astype(np.int64)
+        blocks = [sample[first : first + BLOCK] for first in range(0, _USUAL_OF, BLOCK)]
+    neighbour_distances = [np.partition(distances[block], near, axis=1)[:, near] for block in blocks]
+    return float(np.concatenate(neighbour_distances).mean()) or 1.0

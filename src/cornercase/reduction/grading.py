@@ -1,4 +1,4 @@
-"""What the kept scenarios of a study leave out, by each aspect that it was analysed by."""
+"""Evaluation of the selected scenarios of a study, by each aspect of its analyses."""
 
 from __future__ import annotations
 
@@ -21,19 +21,7 @@ from cornercase.study import Row, Study
 
 @dataclass(frozen=True, eq=False)
 class Ran:
-    """Everything that was run and analysed in a study.
-
-    Attributes
-    ----------
-    study : Study
-    rows : dict of int to Row
-        Scenarios that were run, by id.
-    scores : dict of str to dict of int to float
-        By metric and id.
-    analyses : dict of str to Analysis
-    distances : dict of str to ndarray of float64, shape (n, n), or PlacedDistances
-        Both by aspect.
-    """
+    """All finished scenarios and analyses of a study; rows by id, scores by metric and id, the rest by aspect."""
 
     study: Study
     rows: dict[int, Row]
@@ -42,34 +30,12 @@ class Ran:
     distances: dict[str, Distances]
 
     def points(self, analysis: Analysis) -> FloatArray:
-        """Return the parameters of analysed scenarios.
-
-        Parameters
-        ----------
-        analysis : Analysis
-            Says which scenarios, and their order.
-
-        Returns
-        -------
-        ndarray of float64, shape (n, d)
-            In the unit cube.
-        """
+        """Return the parameters of the scenarios of an analysis in the unit cube, shape (n, d)."""
         return np.array([self.rows[i].point for i in analysis.ids.tolist()])
 
 
 def read_ran(study: Study) -> Ran:
-    """Read everything that was run and analysed.
-
-    Parameters
-    ----------
-    study : Study
-        Analysed before.
-
-    Returns
-    -------
-    Ran
-        Everything at once.
-    """
+    """Load all finished scenarios and analyses of a study."""
     rows = {row.id: row for row in study.done()}
     scores = {name: dict(zip(rows, study.scores(name).tolist(), strict=True)) for name in study.meta.metrics}
     analyses = read_analyses(study)
@@ -77,77 +43,40 @@ def read_ran(study: Study) -> Ran:
 
 
 def hold_out(ran: Ran, trials: Sequence[Trial]) -> dict[str, HeldOutGaps | None]:
-    """Measure how far scenarios are from sets that they did not choose.
-
-    Parameters
-    ----------
-    ran : Ran
-        What was run and analysed.
-    trials : sequence of Trial
-        By id.
-
-    Returns
-    -------
-    dict of str to HeldOutGaps or None
-        By aspect; by row of the analysis.
-    """
+    """Measure the distances of held-out scenarios to the sets of their folds, by aspect; folds are given by id."""
     return {
         name: measure_held_out_gaps(
             ran.distances[name],
-            [Trial(*(one.rows_of(each) for each in (t.chosen_from, t.kept, t.judging))) for t in trials],
+            [Trial(*(analysis.rows_of(ids) for ids in (fold.chosen_from, fold.kept, fold.judging))) for fold in trials],
         )
-        for name, one in ran.analyses.items()
+        for name, analysis in ran.analyses.items()
     }
 
 
 def find_gaps(ran: Ran, kept: Sequence[int]) -> dict[str, Gaps]:
-    """Measure how far scenarios are from kept ones, and from other choices.
+    """Measure the distances to the selected ids `kept` and to baselines, by aspect.
 
-    Parameters
-    ----------
-    ran : Ran
-        What was run and analysed.
-    kept : sequence of int
-        Ids.
-
-    Returns
-    -------
-    dict of str to Gaps
-        By aspect; without those that no kept scenario was analysed by.
+    Aspects by which no selected scenario was analysed are left out.
     """
-    rows = {name: one.rows_of(list(kept)) for name, one in ran.analyses.items()}
+    rows = {name: analysis.rows_of(list(kept)) for name, analysis in ran.analyses.items()}
     return {name: measure_gaps(ran.distances[name], index) for name, index in rows.items() if len(index)}
 
 
 def grade(
     ran: Ran, kept: Sequence[int], held_out: Mapping[str, HeldOutGaps | None], gaps: Mapping[str, Gaps] | None = None
 ) -> dict[str, Coverage]:
-    """Measure how well kept scenarios represent others.
+    """Measure how well the selected ids `kept` represent all scenarios, by aspect.
 
-    Parameters
-    ----------
-    ran : Ran
-        What was run and analysed.
-    kept : sequence of int
-        Ids.
-    held_out : mapping of str to HeldOutGaps or None
-        As `hold_out` gives it.
-    gaps : mapping of str to Gaps, optional
-        As `find_gaps` gives it.
-
-    Returns
-    -------
-    dict of str to Coverage
-        By aspect; without those that no kept scenario was analysed by.
+    `gaps` saves computing them again. Aspects by which no selected scenario was analysed are left out.
     """
-    found = {}
-    for name, one in ran.analyses.items():
-        index = one.rows_of(list(kept))
+    coverage = {}
+    for name, analysis in ran.analyses.items():
+        index = analysis.rows_of(list(kept))
         if len(index):
-            known = None if gaps is None else gaps[name]
-            whole = measure_coverage(ran.distances[name], index, ids=one.ids, gaps=known)
-            found[name] = replace(whole, held_out=judge(held_out[name]))
-    return found
+            known_gaps = None if gaps is None else gaps[name]
+            in_sample = measure_coverage(ran.distances[name], index, ids=analysis.ids, gaps=known_gaps)
+            coverage[name] = replace(in_sample, held_out=judge(held_out[name]))
+    return coverage
 
 
 def grade_critical(
@@ -158,27 +87,10 @@ def grade_critical(
     gaps: Mapping[str, Gaps] | None = None,
     alike: Mapping[str, float] | None = None,
 ) -> dict[str, CriticalCoverage]:
-    """Measure how well kept scenarios represent the critical ones.
+    """Measure how well the selected ids `kept` represent the critical scenarios, by aspect; empty without a threshold.
 
-    Parameters
-    ----------
-    ran : Ran
-        What was run and analysed.
-    kept : sequence of int
-        Ids.
-    held_out : mapping of str to HeldOutGaps or None
-        As `hold_out` gives it.
-    within : float
-        Share of the median distance within clusters up to which two scenarios are alike.
-    gaps : mapping of str to Gaps, optional
-        As `find_gaps` gives it; the random choices are drawn by the seed of the study.
-    alike : mapping of str to float, optional
-        By aspect the distance up to which two scenarios are alike, where it is known already.
-
-    Returns
-    -------
-    dict of str to CriticalCoverage
-        By aspect; empty where no threshold says what is critical.
+    `within` is the share of the median distance within clusters up to which two scenarios are similar, unless `alike`
+    has the distance itself. `gaps` are redrawn with the seed of the study.
     """
     meta, space = ran.study.meta, ran.study.space
     objective = Objective.of_study(meta)
@@ -186,49 +98,42 @@ def grade_critical(
         return {}
     oriented = dict(zip(ran.rows, objective.oriented_of(ran.study).tolist(), strict=True))
     threshold = objective.flip(ran.study.critical)
-    found: dict[str, CriticalCoverage] = {}
-    known: dict[tuple[int, ...], CriticalSet] = {}
-    for name, one in ran.analyses.items():
-        ids, distances = tuple(one.ids.tolist()), ran.distances[name]
-        index = one.rows_of(list(kept))
+    coverage: dict[str, CriticalCoverage] = {}
+    critical_sets: dict[tuple[int, ...], CriticalSet] = {}
+    for name, analysis in ran.analyses.items():
+        ids, distances = tuple(analysis.ids.tolist()), ran.distances[name]
+        index = analysis.rows_of(list(kept))
         if not len(index):
             continue
-        points, scores = ran.points(one), np.array([oriented[i] for i in ids])
-        # Aspects of the same scenarios have one critical set.
-        if ids not in known:
+        points, scores = ran.points(analysis), np.array([oriented[i] for i in ids])
+        # Aspects of the same scenarios share a critical set.
+        if ids not in critical_sets:
             with suppress(ValueError):
-                known[ids] = CriticalSet(space, points, scores, threshold, meta.seed)
-        near = alike[name] if alike and name in alike else distance_alike(distances, one.labels, within)
-        mine = measure_gaps(distances, index) if gaps is None else gaps[name]
-        found[name] = judge_gaps(
+                critical_sets[ids] = CriticalSet(space, points, scores, threshold, meta.seed)
+        similar_distance = (
+            alike[name] if alike and name in alike else distance_alike(distances, analysis.labels, within)
+        )
+        gaps_of_aspect = measure_gaps(distances, index) if gaps is None else gaps[name]
+        coverage[name] = judge_gaps(
             space,
             points,
             scores,
             threshold,
-            redrawn(mine, distances, index, meta.seed),
-            near,
+            redrawn(gaps_of_aspect, distances, index, meta.seed),
+            similar_distance,
             seed=meta.seed,
-            critical_set=known.get(ids),
+            critical_set=critical_sets.get(ids),
             held_out=held_out.get(name),
         )
-    return found
+    return coverage
 
 
 def grade_anew(study: Study, reduced: ReducedSet) -> ReducedSet:
-    """Grade a reduced set by what the study is asked to call critical, where it was chosen by another threshold.
+    """Reevaluate a reduced set with the threshold of the opened study, if it was selected with another one.
 
-    Parameters
-    ----------
-    study : Study
-        That was reduced.
-    reduced : ReducedSet
-
-    Returns
-    -------
-    ReducedSet
-        The same scenarios. Nothing is said of scenarios that were held out: they judged choices by the other threshold.
+    Nothing is said about held-out scenarios: they evaluated selections with the other threshold.
     """
     if reduced.threshold == study.critical or not reduced.kept:
         return reduced
-    alike = {name: one.within for name, one in reduced.critical.items()}
-    return replace(reduced, critical=grade_critical(read_ran(study), reduced.ids, {}, WITHIN, alike=alike))
+    similar_distances = {name: coverage.within for name, coverage in reduced.critical.items()}
+    return replace(reduced, critical=grade_critical(read_ran(study), reduced.ids, {}, WITHIN, alike=similar_distances))

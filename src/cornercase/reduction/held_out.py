@@ -1,7 +1,7 @@
-"""What sets leave out of scenarios that did not choose them.
+"""Cross-validation of the selection: how well it represents scenarios that were not available to it.
 
-A set that is chosen for some scenarios leaves less of these than of others. So the scenarios are divided in five, and
-each fifth judges a set that was chosen in the same way from the other four.
+A set represents the scenarios from which it was selected better than others. So the scenarios are divided in five
+folds, and each fold evaluates a set that was selected in the same way from the other four.
 """
 
 from __future__ import annotations
@@ -18,26 +18,16 @@ from cornercase.reduction.draws import draw_choices, draw_order, nearest_of, par
 from cornercase.reduction.medoids import choose_medoids
 
 FOLDS: Final = 5
-"""Number of parts of which each judges a set that the others choose."""
+"""Number of folds of the cross-validation."""
 
-# With fewer scenarios a part says nothing; with more than so many the first part is enough, and choosing takes long.
+# With fewer scenarios a fold is too small; with more than 600 one fold is enough, since selecting takes long.
 _FEWEST: Final = 10
 _MOST_FOLDED: Final = 600
 
 
 @dataclass(frozen=True, eq=False)
 class Trial:
-    """A set that some scenarios chose, for others to judge.
-
-    Attributes
-    ----------
-    chosen_from : ndarray of int64
-        Scenarios that it was chosen from, by index or by id.
-    kept : ndarray of int64
-        Those of them that are kept.
-    judging : ndarray of int64
-        The others.
-    """
+    """One fold: a set selected from some scenarios, and the scenarios that evaluate it; by index or by id."""
 
     chosen_from: IntArray
     kept: IntArray
@@ -46,20 +36,20 @@ class Trial:
 
 @dataclass(frozen=True)
 class HeldOut:
-    """Distances from scenarios to the nearest one of a set that they did not choose, in the unit of the distances.
+    """Cross-validated distances from scenarios to the nearest selected one, in the unit of the distances.
 
     Attributes
     ----------
     scenarios : int
-        Number of scenarios that judge.
+        Number of scenarios that were held out.
     largest, mean : float
         Of these distances.
     random_largest, random_mean : float
-        Medians of the same figures over random choices of as many of the same scenarios.
+        Medians of the same figures over random selections of as many of the same scenarios.
     better_largest, better_mean : float
-        Shares of the random choices that leave a larger gap, and a larger mean.
+        Shares of the random selections with a larger maximum, and with a larger mean.
     medoids_largest, medoids_mean : float
-        The same figures of k-medoids, found of the same scenarios.
+        The same figures of k-medoids of the same scenarios.
     """
 
     scenarios: int
@@ -75,18 +65,18 @@ class HeldOut:
 
 @dataclass(frozen=True)
 class HeldOutCritical:
-    """Shares of critical scenarios that are like one of a set that they did not choose.
+    """Cross-validated shares of critical scenarios that are similar to a selected one.
 
     Attributes
     ----------
     scenarios : int
-        Number of critical scenarios that judge, at least one.
+        Number of critical scenarios that were held out, at least one.
     critical : float
-        Share of them that are like a kept one.
+        Share of them that are similar to a selected one.
     boundary : float or None
-        The same of those of them on the boundary of the critical set; None where there are none.
+        The same for those on the boundary of the critical set; None if there are none.
     random, medoids : float
-        `critical` for random choices of as many, the median of 100, and for k-medoids.
+        `critical` for random selections of as many, the median of 100, and for k-medoids.
     """
 
     scenarios: int
@@ -98,16 +88,10 @@ class HeldOutCritical:
 
 @dataclass(frozen=True, eq=False)
 class HeldOutGaps:
-    """Distances from scenarios to the nearest one of some choices that they had no part in.
+    """Distances from held-out scenarios to the nearest selected one, to k-medoids, and to random selections.
 
-    Attributes
-    ----------
-    judging : ndarray of int64, shape (m,)
-        Which scenarios, by index.
-    kept, medoids : ndarray of float64, shape (m,)
-        To the nearest kept one, and to the nearest one of k-medoids of the same number.
-    random : ndarray of float64, shape (draws, m)
-        To the nearest one of random choices of the same number.
+    `judging`, shape (m,), are the held-out scenarios by index; `kept` and `medoids` have shape (m,), `random` (draws,
+    m).
     """
 
     judging: IntArray
@@ -117,18 +101,9 @@ class HeldOutGaps:
 
 
 def divide(count: int) -> list[IntArray]:
-    """Divide scenarios into those that choose and those that judge.
+    """Return the held-out scenarios of each of five random folds, by index.
 
-    Parameters
-    ----------
-    count : int
-        Number of scenarios.
-
-    Returns
-    -------
-    list of ndarray of int64
-        Indices of those that judge, by part: each scenario is in one of five parts, drawn at random. Of more than 600
-        scenarios only one part is given, of fewer than 10 none.
+    With more than 600 scenarios only one fold is returned, with fewer than 10 none.
     """
     if count < _FEWEST:
         return []
@@ -138,95 +113,64 @@ def divide(count: int) -> list[IntArray]:
 
 
 def measure_held_out_gaps(distances: Distances, trials: Sequence[Trial]) -> HeldOutGaps | None:
-    """Measure how far scenarios are from sets that they did not choose, and from other choices.
-
-    Parameters
-    ----------
-    distances : ndarray of float64, shape (n, n), or PlacedDistances
-        Between all scenarios, in any unit.
-    trials : sequence of Trial
-        By index.
-
-    Returns
-    -------
-    HeldOutGaps or None
-        Of all that judge; None where nobody does.
-    """
-    kept, medoids, random = [], [], []
-    known = [one for one in trials if len(one.kept) and len(one.judging)]
-    if not known:
+    """Measure the distances of held-out scenarios to their fold's set and baselines; None if there are no folds."""
+    to_selected, medoids, random = [], [], []
+    folds = [fold for fold in trials if len(fold.kept) and len(fold.judging)]
+    if not folds:
         return None
-    for k, one in enumerate(known):
-        to_judging = part_of(distances, one.chosen_from, one.judging)
-        between = part_of(distances, one.chosen_from, one.chosen_from)
-        choices = draw_choices(len(one.chosen_from), len(one.kept), stream="grading", seed=k)
-        mine, middles = np.flatnonzero(np.isin(one.chosen_from, one.kept)), choose_medoids(between, len(one.kept))
-        kept.append(nearest_of(to_judging, mine[None])[0])
-        medoids.append(nearest_of(to_judging, middles[None])[0])
+    for k, fold in enumerate(folds):
+        to_judging = part_of(distances, fold.chosen_from, fold.judging)
+        within_training = part_of(distances, fold.chosen_from, fold.chosen_from)
+        choices = draw_choices(len(fold.chosen_from), len(fold.kept), stream="grading", seed=k)
+        selected = np.flatnonzero(np.isin(fold.chosen_from, fold.kept))
+        medoid_indices = choose_medoids(within_training, len(fold.kept))
+        to_selected.append(nearest_of(to_judging, selected[None])[0])
+        medoids.append(nearest_of(to_judging, medoid_indices[None])[0])
         random.append(nearest_of(to_judging, choices))
     return HeldOutGaps(
-        np.concatenate([one.judging for one in known]),
-        np.concatenate(kept),
+        np.concatenate([fold.judging for fold in folds]),
+        np.concatenate(to_selected),
         np.concatenate(medoids),
         np.concatenate(random, axis=1),
     )
 
 
+def summarize(kept: FloatArray, medoids: FloatArray, random: FloatArray) -> dict[str, float]:
+    """Return the figures that `HeldOut` and `Coverage` share, from distances of shape (m,), (m,) and (draws, m)."""
+    random_largest, random_mean = random.max(axis=1), random.mean(axis=1)
+    return {
+        "largest": float(kept.max()),
+        "mean": float(kept.mean()),
+        "random_largest": float(np.median(random_largest)),
+        "random_mean": float(np.median(random_mean)),
+        "better_largest": float(np.mean(random_largest > kept.max())),
+        "better_mean": float(np.mean(random_mean > kept.mean())),
+        "medoids_largest": float(medoids.max()),
+        "medoids_mean": float(medoids.mean()),
+    }
+
+
 def judge(gaps: HeldOutGaps | None) -> HeldOut | None:
-    """Say what sets leave out of all scenarios that did not choose them.
-
-    Parameters
-    ----------
-    gaps : HeldOutGaps or None
-        Of all that judge.
-
-    Returns
-    -------
-    HeldOut or None
-        None where nobody judges.
-    """
+    """Summarize the distances of held-out scenarios; None if there are none."""
     if gaps is None:
         return None
-    largest, mean = gaps.random.max(axis=1), gaps.random.mean(axis=1)
-    return HeldOut(
-        scenarios=len(gaps.judging),
-        largest=float(gaps.kept.max()),
-        mean=float(gaps.kept.mean()),
-        random_largest=float(np.median(largest)),
-        random_mean=float(np.median(mean)),
-        better_largest=float(np.mean(largest > gaps.kept.max())),
-        better_mean=float(np.mean(mean > gaps.kept.mean())),
-        medoids_largest=float(gaps.medoids.max()),
-        medoids_mean=float(gaps.medoids.mean()),
-    )
+    return HeldOut(scenarios=len(gaps.judging), **summarize(gaps.kept, gaps.medoids, gaps.random))
 
 
 def judge_critical(
     gaps: HeldOutGaps | None, critical: BoolArray, edge: BoolArray, within: float
 ) -> HeldOutCritical | None:
-    """Say how many critical scenarios are like one of a set that they did not choose.
+    """Return the shares of critical held-out scenarios within a distance of a selected one; None if there are none.
 
-    Parameters
-    ----------
-    gaps : HeldOutGaps or None
-        Of all that judge.
-    critical, edge : ndarray of bool, shape (n,)
-        Critical scenarios, and those of them on the boundary of the critical set.
-    within : float
-        Distance up to which two scenarios are alike.
-
-    Returns
-    -------
-    HeldOutCritical or None
-        None where no critical scenario judges.
+    `critical` and `edge`, shape (n,), mark the critical scenarios and those on the boundary of the critical set.
     """
     if gaps is None or not critical[gaps.judging].any():
         return None
-    there, border = critical[gaps.judging], edge[gaps.judging]
+    is_critical, is_boundary = critical[gaps.judging], edge[gaps.judging]
     return HeldOutCritical(
-        scenarios=int(there.sum()),
-        critical=float((gaps.kept[there] <= within).mean()),
-        boundary=float((gaps.kept[border] <= within).mean()) if border.any() else None,
-        random=float(np.median((gaps.random[:, there] <= within).mean(axis=1))),
-        medoids=float((gaps.medoids[there] <= within).mean()),
+        scenarios=int(is_critical.sum()),
+        critical=float((gaps.kept[is_critical] <= within).mean()),
+        boundary=float((gaps.kept[is_boundary] <= within).mean()) if is_boundary.any() else None,
+        random=float(np.median((gaps.random[:, is_critical] <= within).mean(axis=1))),
+        medoids=float((gaps.medoids[is_critical] <= within).mean()),
     )

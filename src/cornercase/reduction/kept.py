@@ -1,4 +1,4 @@
-"""Scenarios that are kept, while they are chosen."""
+"""State of a selection: the scenarios selected so far."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ import numpy as np
 from cornercase._common.typing import FloatArray, IntArray
 from cornercase.clustering import Distances
 
-# Scenarios are alike within this share of the largest distance.
+# Scenarios are similar within this share of the largest distance.
 ALIKE: Final = 1e-3
 
 Role = Literal["archetype", "prototype", "gap", "exposing"]
@@ -20,17 +20,9 @@ Role = Literal["archetype", "prototype", "gap", "exposing"]
 
 @dataclass(frozen=True)
 class Kept:
-    """A scenario that is kept.
+    """A selected scenario by index, the cluster that it represents (-1 for noise), and the reason.
 
-    Attributes
-    ----------
-    index : int
-        Which scenario.
-    cluster : int
-        Cluster that it represents; -1 for noise.
-    role : {"archetype", "prototype", "gap", "exposing"}
-        Why it is kept. A gap is a scenario that was unlike those that were kept before it; one that is exposing
-        exposes mutants of the driver.
+    `gap`: chosen because it was far from all scenarios selected before; `exposing`: kills mutants of the driver.
     """
 
     index: int
@@ -39,21 +31,10 @@ class Kept:
 
 
 class Selection:
-    """Scenarios kept so far; one that is like a kept one is not taken.
+    """Scenarios selected so far; one that is similar to a selected one, or beyond `size`, is not added.
 
-    Parameters
-    ----------
-    distances : sequence of ndarray of float64, each (n, n), or of PlacedDistances
-        Of all clusterings.
-    size : int, optional
-        Most to keep.
-
-    Attributes
-    ----------
-    gap : ndarray of float64, shape (n,)
-        By the measure of `apart`, from each scenario to the nearest kept one; infinite while none is kept.
-    kept : list of Kept
-        In the order in which they were chosen.
+    `gap`, shape (n,), is the distance from each scenario to the nearest selected one, as in `distances_to`; infinite
+    while none is selected. `kept` are the selected scenarios in order.
     """
 
     def __init__(self, distances: Sequence[Distances], size: int | None) -> None:
@@ -65,48 +46,27 @@ class Selection:
 
     @property
     def indices(self) -> list[int]:
-        """Indices of the kept scenarios."""
-        return [one.index for one in self.kept]
+        """Indices of the selected scenarios."""
+        return [selected.index for selected in self.kept]
 
     def apart(self, indices: Sequence[int] | IntArray) -> FloatArray:
-        """Return how far apart some scenarios are from all others.
+        """Return the distances of some scenarios to all, shape (m, n): the largest in any clustering.
 
-        Rows are made as they are asked for: a matrix of all of them would be as large as that of a clustering.
-
-        Parameters
-        ----------
-        indices : sequence of int or ndarray of int64, length m
-            Which scenarios.
-
-        Returns
-        -------
-        ndarray of float64, shape (m, n)
-            Largest distance in any clustering, as a share of that clustering's largest distance.
+        Each clustering counts as a share of its largest distance. Rows are computed on demand, since a full matrix
+        would be as large as that of a clustering.
         """
         rows = list(indices)
         scaled = [matrix[rows] / extent for matrix, extent in zip(self._distances, self._extents, strict=True)]
         return np.asarray(np.max(scaled, axis=0))
 
     def copy(self) -> Selection:
-        """Copy the selection, to go on with both in different ways.
-
-        Returns
-        -------
-        Selection
-            With the same scenarios.
-        """
+        """Copy the selection, to continue both in different ways."""
         other = copy(self)
         other.gap, other.kept = self.gap.copy(), self.kept[:]
         return other
 
     def keep(self, one: Kept) -> None:
-        """Keep a scenario, unless it is like a kept one or there are enough.
-
-        Parameters
-        ----------
-        one : Kept
-            The scenario.
-        """
+        """Add a scenario, unless it is similar to a selected one or there are enough."""
         if self.gap[one.index] > ALIKE and (self._size is None or len(self.kept) < self._size):
             self.kept.append(one)
             np.minimum(self.gap, self.apart([one.index])[0], out=self.gap)

@@ -1,4 +1,4 @@
-"""The reduced set as plain values: in ``manifest.json``, and in the study."""
+"""The reduced set as plain values, for ``manifest.json`` and for the study."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from cornercase.reduction.reduced_set import KeptScenario, ReducedSet
 from cornercase.study import Study, damage_told, made, require
 
 MANIFEST_FORMAT: Final = 2
-"""Version of what it holds."""
+"""Version of the manifest's format."""
 
 _GRADED: Final = (
     "held_out: each fifth of the scenarios, or one fifth of many, judges a set that was chosen in the same way from the"
@@ -33,23 +33,9 @@ _GRADED: Final = (
 def make_manifest(
     study: Study, reduced: ReducedSet, kinds: Mapping[int, str], files: Mapping[str, str]
 ) -> dict[str, Any]:
-    """Put a reduced set, where it comes from, and how it is run again, into plain values.
+    """Return the content of ``manifest.json``: the reduced set, its origin, and how to run it again.
 
-    Parameters
-    ----------
-    study : Study
-        Holds the scenarios.
-    reduced : ReducedSet
-        The reduced set.
-    kinds : mapping of int to str
-        Names of clusters.
-    files : mapping of str to str
-        SHA-256 of each file that was written, by its place in the folder.
-
-    Returns
-    -------
-    dict of str to object
-        What ``manifest.json`` holds.
+    `kinds` are names of clusters; `files` has the SHA-256 of each file that was written, by its path in the folder.
     """
     meta = study.meta
     return (
@@ -70,10 +56,10 @@ def make_manifest(
             "run": reduced.run,
             "kept": len(reduced.kept),
             "graded": _GRADED,
-            "scenarios": [_of_kept(one) | {"kind": kinds.get(one.cluster, "")} for one in reduced.kept],
-            "shapes": [_of_shape(one) for one in reduced.shapes],
-            "coverage": {name: asdict(one) for name, one in reduced.coverage.items()},
-            "critical": {name: asdict(one) for name, one in reduced.critical.items()},
+            "scenarios": [asdict(item) | {"kind": kinds.get(item.cluster, "")} for item in reduced.kept],
+            "shapes": [_of_shape(item) for item in reduced.shapes],
+            "coverage": {name: asdict(item) for name, item in reduced.coverage.items()},
+            "critical": {name: asdict(item) for name, item in reduced.critical.items()},
             "files": dict(files),
         }
         | _asked(study)
@@ -82,27 +68,19 @@ def make_manifest(
 
 
 def _asked(study: Study) -> dict[str, float | None]:
-    """Say which threshold the study has, where another one was asked."""
+    """The threshold stored in the study, if another one was used."""
     return {} if study.critical == study.meta.critical else {"critical_threshold_of_the_study": study.meta.critical}
 
 
 def save_reduction(study: Study, reduced: ReducedSet) -> None:
-    """Store a reduced set in a study, in place of the one that was there.
-
-    Parameters
-    ----------
-    study : Study
-        Open for writing.
-    reduced : ReducedSet
-        The reduced set.
-    """
+    """Store a reduced set in a study, in place of the earlier one."""
     info = {
         "by": reduced.by,
         "run": reduced.run,
-        "kept": [_of_kept(one) for one in reduced.kept],
-        "shapes": [_of_shape(one) for one in reduced.shapes],
-        "coverage": {name: asdict(one) for name, one in reduced.coverage.items()},
-        "critical": {name: asdict(one) for name, one in reduced.critical.items()},
+        "kept": [asdict(item) for item in reduced.kept],
+        "shapes": [_of_shape(item) for item in reduced.shapes],
+        "coverage": {name: asdict(item) for name, item in reduced.coverage.items()},
+        "critical": {name: asdict(item) for name, item in reduced.critical.items()},
         "hulls": {str(cluster): [list(facet) for facet in facets] for cluster, facets in reduced.hulls.items()},
     } | ({} if reduced.exposing is None else {"exposing": reduced.exposing.to_json()})
     if study.critical != study.meta.critical:
@@ -122,56 +100,52 @@ def read_reduction(study: Study) -> ReducedSet | None:
     -------
     ReducedSet or None
         None before the study was reduced.
+
+    Raises
+    ------
+    InputError
+        What it holds is damaged.
     """
     info = study.reduction()
     if info is None:
         return None
     with damage_told(study.path):
         ids = {row.id for row in study.done()}
+        threshold = info.get("critical_threshold", study.meta.critical)
         reduced = ReducedSet(
             by=str(info["by"]),
             run=int(info["run"]),
-            kept=tuple(_kept(one) for one in info["kept"]),
-            shapes=tuple(_shape(one) for one in info["shapes"]),
-            coverage={name: _coverage(one) for name, one in info["coverage"].items() if one},
-            critical={name: _critical(one) for name, one in info["critical"].items()},
+            kept=tuple(_kept(item) for item in info["kept"]),
+            shapes=tuple(_shape(item) for item in info["shapes"]),
+            coverage={name: _coverage(item) for name, item in info["coverage"].items() if item},
+            critical={name: _critical(item) for name, item in info["critical"].items()},
             hulls={int(cluster): tuple(map(tuple, facets)) for cluster, facets in info["hulls"].items()},
             exposing=_exposing(info["exposing"]) if info.get("exposing") else None,
-            threshold=_number(info.get("critical_threshold", study.meta.critical)),
+            threshold=None if threshold is None else float(threshold),
         )
-        corners = {one for facets in reduced.hulls.values() for facet in facets for one in facet}
-        for one in reduced.kept:
+        corners = {corner for facets in reduced.hulls.values() for facet in facets for corner in facet}
+        for scenario in reduced.kept:
             for parameter in study.space.parameters:
-                value = parameter.read(one.values)
+                value = parameter.read(scenario.values)
                 require(
-                    bool(parameter.choices) == isinstance(value, str), f"a kept scenario with another {parameter.name}"
+                    bool(parameter.choices) == isinstance(value, str),
+                    f"a selected scenario with a {parameter.name} of another type",
                 )
-        require(corners | set(reduced.ids) <= ids, "its reduced set has scenarios that were not run")
+        require(corners | set(reduced.ids) <= ids, "a reduced set with scenarios that were not run")
         return reduced
 
 
 def _kept(plain: Mapping[str, Any]) -> KeptScenario:
-    kept = made(KeptScenario, plain)
-    require(kept.role in get_args(Role), f"a kept scenario in the role {str(kept.role)[:60]!r}")
-    require(all(isinstance(one, float | int | str) for one in kept.values.values()), "a kept scenario without values")
-    require(all(isinstance(one, float | int) for one in kept.scores.values()), "a kept scenario without scores")
-    return kept
-
-
-def _number(plain: float | None) -> float | None:
-    return None if plain is None else float(plain)
-
-
-def _of_kept(one: KeptScenario) -> dict[str, Any]:
-    return {
-        "id": one.id,
-        "file": one.file,
-        "cluster": one.cluster,
-        "role": one.role,
-        "why": one.why,
-        "values": dict(one.values),
-        "scores": dict(one.scores),
-    }
+    scenario = made(KeptScenario, plain)
+    require(scenario.role in get_args(Role), f"a selected scenario with the role {str(scenario.role)[:60]!r}")
+    require(
+        all(isinstance(value, float | int | str) for value in scenario.values.values()),
+        "a selected scenario without values",
+    )
+    require(
+        all(isinstance(value, float | int) for value in scenario.scores.values()), "a selected scenario without scores"
+    )
+    return scenario
 
 
 def _of_shape(one: ClusterShape) -> dict[str, Any]:
@@ -186,16 +160,16 @@ def _of_shape(one: ClusterShape) -> dict[str, Any]:
 
 def _shape(plain: Mapping[str, Any]) -> ClusterShape:
     plain = with_identifiers(plain, {})
-    shape = {"kernel_convexity": plain["convexity_in_kernel_space"], "method": plain["archetypes_by"]}
-    shape |= {name: plain[name] for name in ("cluster", "convexity", "parts")}
-    require(shape["method"] in ("hull", "pcha", "parts", "kernel"), "a cluster whose archetypes nobody finds")
-    return made(ClusterShape, shape)
+    fields = {"kernel_convexity": plain["convexity_in_kernel_space"], "method": plain["archetypes_by"]}
+    fields |= {name: plain[name] for name in ("cluster", "convexity", "parts")}
+    require(fields["method"] in ("hull", "pcha", "parts", "kernel"), "an unknown method for archetypes")
+    return made(ClusterShape, fields)
 
 
 def _coverage(plain: Mapping[str, Any]) -> Coverage:
-    known: dict[str, Any] = {key: math.nan if value is None else value for key, value in plain.items()}
+    fields: dict[str, Any] = {key: math.nan if value is None else value for key, value in plain.items()}
     held_out = plain["held_out"]
-    return made(Coverage, known | {"held_out": None if held_out is None else made(HeldOut, held_out)})
+    return made(Coverage, fields | {"held_out": None if held_out is None else made(HeldOut, held_out)})
 
 
 def _critical(plain: Mapping[str, Any]) -> CriticalCoverage:
@@ -212,12 +186,12 @@ def _exposing(plain: Mapping[str, Any]) -> ExposingChoice:
     grades = {
         name: None
         if plain[name] is None
-        else Grade(*(int(plain[name][one]) for one in ("mutants", "possible", "exposed")))
+        else Grade(*(int(plain[name][grade]) for grade in ("mutants", "possible", "exposed")))
         for name in ("chosen_by", "held_out", "without")
     }
-    require(grades["chosen_by"] is not None, "mutants that chose nothing")
-    for one in filter(None, grades.values()):
-        require(0 <= one.exposed <= one.possible <= one.mutants, "more mutants exposed than there are")
+    require(grades["chosen_by"] is not None, "a selection by mutants without a result")
+    for grade in filter(None, grades.values()):
+        require(0 <= grade.exposed <= grade.possible <= grade.mutants, "more killed mutants than there are")
     return made(
         ExposingChoice,
         {

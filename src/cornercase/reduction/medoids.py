@@ -1,4 +1,4 @@
-"""Scenarios in the middle of others: the medoid of a cluster, and k medoids of all."""
+"""Medoids: the prototype of a cluster, and k-medoids of all scenarios."""
 
 from __future__ import annotations
 
@@ -13,25 +13,7 @@ from cornercase.clustering import Distances, PlacedDistances
 
 
 def find_prototype(distances: Distances, members: npt.ArrayLike) -> int:
-    """Find the medoid: the member with the smallest sum of distances to the others, at a tie the first.
-
-    Parameters
-    ----------
-    distances : ndarray of float64, shape (n, n), or PlacedDistances
-        Between all scenarios, in any unit.
-    members : array_like of int, shape (m,)
-        Indices of the scenarios of one cluster, at least one.
-
-    Returns
-    -------
-    int
-        Index of the scenario, one of `members`.
-
-    Raises
-    ------
-    InputError
-        There are no members.
-    """
+    """Return the medoid: the member with the smallest sum of distances to the others, at a tie the first."""
     indices = np.asarray(members, dtype=np.int64)
     if not len(indices):
         raise InputError("A cluster without scenarios has no prototype; leave it out.")
@@ -42,54 +24,35 @@ def find_prototype(distances: Distances, members: npt.ArrayLike) -> int:
 
 
 def choose_medoids(distances: Distances, k: int, rounds: int = 50) -> IntArray:
-    """Choose k scenarios with a small mean distance from all to the nearest one.
+    """Choose k scenarios with a small mean distance from all to the nearest one, in rising order.
 
-    Starts with the scenarios that lower it most, one after the other [1]_. Then each medoid moves to the middle of the
-    scenarios that are nearest to it, until nothing changes [2]_. Where distances are made of places, k-means
-    gives them, as in `PlacedDistances.medoids`.
-
-    Parameters
-    ----------
-    distances : ndarray of float64, shape (n, n), or PlacedDistances
-        Between all scenarios, symmetric, in any unit.
-    k : int
-        1 to n.
-    rounds : int, default 50
-        At most.
-
-    Returns
-    -------
-    ndarray of int64, shape (k,)
-        Indices, rising.
-
-    References
-    ----------
-    .. [1] L. Kaufman, P. J. Rousseeuw, "Finding Groups in Data", 1990: the algorithm BUILD.
-    .. [2] H.-S. Park, C.-H. Jun, "A simple and fast algorithm for K-medoids clustering", Expert Systems with
-       Applications 36, 2009.
+    Starts with the scenarios that lower it most, one after the other (BUILD: L. Kaufman, P. J. Rousseeuw, "Finding
+    Groups in Data", 1990). Then each medoid moves to the medoid of the scenarios nearest to it, until nothing changes
+    (H.-S. Park, C.-H. Jun, "A simple and fast algorithm for K-medoids clustering", 2009). Embedded distances use
+    k-means instead.
     """
     if isinstance(distances, PlacedDistances):
         return distances.medoids(k)
-    chosen = [int(distances.sum(axis=1).argmin())]
-    gap = distances[chosen[0]].copy()
-    # What a scenario gains can only fall as others are chosen, so it is computed again only for the largest of before.
-    gains = ((float(np.maximum(gap - row, 0.0).sum()), j) for j, row in enumerate(distances) if j != chosen[0])
+    selected = [int(distances.sum(axis=1).argmin())]
+    gap = distances[selected[0]].copy()
+    # Gains can only fall as others are chosen, so only the largest one is computed again.
+    gains = ((float(np.maximum(gap - row, 0.0).sum()), j) for j, row in enumerate(distances) if j != selected[0])
     queue = [(-gain, j) for gain, j in gains]
     heapq.heapify(queue)
-    while len(chosen) < k:
+    while len(selected) < k:
         _, best = heapq.heappop(queue)
         gain = float(np.maximum(gap - distances[best], 0.0).sum())
         if queue and (-gain, best) > queue[0]:
             heapq.heappush(queue, (-gain, best))
             continue
-        chosen.append(best)
+        selected.append(best)
         gap = np.minimum(gap, distances[best])
-    found = np.array(chosen, dtype=np.int64)
+    medoids = np.array(selected, dtype=np.int64)
     for _ in range(rounds):
-        nearest = distances[found].argmin(axis=0)
-        nearest[found] = np.arange(k)
-        middles = [find_prototype(distances, np.flatnonzero(nearest == j)) for j in range(k)]
-        if np.array_equal(middles, found):
+        nearest = distances[medoids].argmin(axis=0)
+        nearest[medoids] = np.arange(k)
+        moved = [find_prototype(distances, np.flatnonzero(nearest == j)) for j in range(k)]
+        if np.array_equal(moved, medoids):
             break
-        found = np.array(middles, dtype=np.int64)
-    return np.sort(found)
+        medoids = np.array(moved, dtype=np.int64)
+    return np.sort(medoids)

@@ -1,4 +1,4 @@
-"""The reduced set: the few concrete scenarios that matter, and what they leave out."""
+"""Reduced set: the few concrete scenarios that matter, and what they leave uncovered."""
 
 from __future__ import annotations
 
@@ -24,14 +24,14 @@ class KeptScenario:
     id : int
         In the study.
     file : str
-        OpenSCENARIO file in the folder of the reduced set; of imported recordings the recording.
+        OpenSCENARIO file in the folder of the reduced set; for imported recordings the recording.
     cluster : int
         Cluster that it represents; -1 for noise.
     role : {"archetype", "prototype", "gap", "exposing"}
-        A gap is a scenario that was unlike those that were kept before it; one that is exposing exposes mutants of the
+        ``"gap"``: chosen because it was far from all scenarios selected before; ``"exposing"``: kills mutants of the
         driver.
     why : str
-        Why it is kept, in words.
+        Reason for selecting it, in words.
     values : mapping of str to float or str
         Parameters.
     scores : mapping of str to float
@@ -49,7 +49,7 @@ class KeptScenario:
 
 @dataclass(frozen=True, repr=False)
 class ReducedSet:
-    """The few concrete scenarios that matter, and what they leave out.
+    """The few concrete scenarios that matter, and what they leave uncovered.
 
     Attributes
     ----------
@@ -58,20 +58,20 @@ class ReducedSet:
     run : int
         Number of scenarios that had been run.
     kept : tuple of KeptScenario
-        In the order in which they were chosen.
+        Selected scenarios, in the order of selection.
     shapes : tuple of ClusterShape
-        Of cluster 0 first; empty in a study of an early version.
+        By cluster; empty in a study of an early version.
     coverage : mapping of str to Coverage
-        By aspect; without aspects that no kept scenario was analysed by.
+        By aspect; without aspects by which no selected scenario was analysed.
     critical : mapping of str to CriticalCoverage
-        By aspect; empty where no threshold says what is critical.
+        By aspect; empty without a threshold.
     hulls : mapping of int to tuple of tuple of int
         By cluster the facets of its hull in the parameter space, or of the hulls of its near-convex parts; each facet
         by the ids of the scenarios at its corners.
     exposing : ExposingChoice or None
-        What mutants chose, and what that is worth; None where none did.
+        Result of selecting by mutants; None without.
     threshold : float or None
-        Score from which a scenario was critical when they were chosen; None where nothing said it.
+        Score from which a scenario was critical when they were selected; None without a threshold.
     """
 
     by: str
@@ -89,22 +89,30 @@ class ReducedSet:
 
     @property
     def ids(self) -> list[int]:
-        """Ids of the kept scenarios, in the order in which they were chosen."""
-        return [one.id for one in self.kept]
+        """Ids of the selected scenarios, in the order of selection."""
+        return [scenario.id for scenario in self.kept]
 
     def __repr__(self) -> str:
-        roles = Counter(one.role for one in self.kept)
+        roles = Counter(scenario.role for scenario in self.kept)
         counts = ", ".join(f"{count} {role}{'' if count == 1 else 's'}" for role, count in roles.items())
         return f"ReducedSet({len(self.kept)} of {self.run} scenarios kept by {self.by}: {counts or 'none'})"
 
     def _repr_html_(self) -> str:
-        """Table of the kept scenarios, for notebooks."""
+        """Table of the selected scenarios, for notebooks."""
         if not self.kept:
             return f"<p>{escape(repr(self))}</p>"
         first = self.kept[0]
         head = ["id", "cluster", "role", *first.values, *first.scores, "why"]
         rows = [
-            [one.id, one.cluster, one.role, *one.values.values(), *one.scores.values(), one.why] for one in self.kept
+            [
+                scenario.id,
+                scenario.cluster,
+                scenario.role,
+                *scenario.values.values(),
+                *scenario.scores.values(),
+                scenario.why,
+            ]
+            for scenario in self.kept
         ]
         cells = "".join(f"<tr>{''.join(f'<td>{escape(_text(cell))}</td>' for cell in row)}</tr>" for row in rows)
         names = "".join(f"<th>{escape(name)}</th>" for name in head)

@@ -1,4 +1,4 @@
-"""From clusters to the few concrete scenarios that matter, as files."""
+"""`reduce`: select the few concrete scenarios that matter, and write them as files."""
 
 from __future__ import annotations
 
@@ -33,8 +33,8 @@ from cornercase.reduction.set_folder import replaced_set
 from cornercase.scenario import Scenario, fill_concrete, read_beside
 from cornercase.study import IMPORTED, Study, damage_told, explored_scenario, open_study
 
-# Bytes: of a pair in a matrix and in what the choice makes of it, of a scenario and aspect in places, gaps of random
-# choices and what is left, and of blocks of distances.
+# Bytes per pair in a matrix and in what the selection derives from it, per scenario and aspect in embeddings and gaps
+# of random selections, and for blocks of distances.
 _OF_A_PAIR: Final = 20
 _OF_A_SCENARIO: Final = 5_000
 _OF_BLOCKS: Final = 600_000_000
@@ -46,7 +46,7 @@ _WHY: Final = {
     "kernel": "at an extreme of cluster {cluster} in kernel space, by archetypal analysis",
     "prototype": "the scenario most like all others of cluster {cluster}",
     "gap": "for what is unlike all others that are kept",
-    # Which mutants is said once all are chosen.
+    # Completed by `with_exposure` once all are selected.
     "exposing": "exposes mutants of the driver",
 }
 
@@ -68,54 +68,54 @@ def reduce(
     memory: str | float = DEFAULT_MEMORY,
     progress: bool = False,
 ) -> ReducedSet:
-    """Keep the few concrete scenarios that matter, and write them as OpenSCENARIO files.
+    """Select the few concrete scenarios that matter, and write them as OpenSCENARIO files.
 
-    By default a tenth of all is kept. `size`, `share`, `cover` and `archetypes` say otherwise; at most one of them can
-    be given.
+    By default a tenth of all is selected. At most one of `size`, `share`, `cover` and `archetypes` can be given
+    instead.
 
     Parameters
     ----------
     study : Study or path
         Open for writing, or the file; analysed.
     folder : path
-        Folder to write. Each file in it runs by itself and gives the same recording; ``manifest.json`` says why each is
-        there. Of a study of imported recordings only the manifest is written. An earlier set in it is replaced as a
-        whole; files that belong to none stay.
+        Folder to write. Each file in it runs by itself and gives the same recording; ``manifest.json`` says why each
+        was selected. For a study of imported recordings only the manifest is written. An earlier set in the folder is
+        replaced as a whole; other files are left alone.
     by : str, optional
-        Aspect whose clusters count; by default the searched metric.
+        Aspect whose clusters count; by default the metric that was searched.
     size : int, optional
-        Number of scenarios to keep.
+        Number of scenarios to select.
     share : float, optional
-        Share of all scenarios to keep, above 0 and up to 1.
+        Share of all scenarios to select, above 0 and up to 1.
     cover : float, optional
-        Keep as few as leave no scenario farther from a kept one than this share of the largest distance.
+        Select as few as leave no scenario farther from a selected one than this share of the largest distance.
     archetypes : int or "auto", optional
-        Keep nothing but the prototype of each cluster and so many archetypes at most, as in
-        `cornercase.reduction.cluster_selection.choose_by_cluster`.
+        Select only the prototype of each cluster and at most this many archetypes, as the paper does; ``"auto"``
+        selects about a tenth of all scenarios.
     archetypes_by : {"auto", "hull", "pcha", "parts", "kernel"}, default "auto"
-        How archetypes are found, as in `cornercase.reduction.cluster_shapes.find_shapes`.
+        How archetypes are found: corners of the hull, archetypal analysis, corners of the hulls of near-convex parts,
+        or archetypal analysis in kernel space; ``"auto"`` decides by the convexity of each cluster.
     within : float, default 0.5
-        Share of the median distance within clusters up to which two scenarios are alike; for the coverage of the
+        Share of the median distance within clusters up to which two scenarios are similar; for the coverage of the
         critical scenarios.
     critical : float, optional
-        Score from which a scenario is critical, to choose and to grade by; by default that of the study, which stays
-        as it is.
+        Score from which a scenario is critical, to select and to evaluate by; by default that of the study, which is
+        not changed.
     exposure : Exposure, optional
-        Which scenarios expose which mutants of the driver, as `cornercase.suite.find_exposure` finds it: scenarios that
-        expose as many as possible are kept first, as in `cornercase.reduction.exposing.choose_exposing`, and then those
-        that are kept without.
+        Which scenarios kill which mutants of the driver, from `cornercase.suite.find_exposure`: scenarios that kill as
+        many as possible come first, then those that are selected without.
     scenario : path or Scenario, optional
-        File that was explored, from which the files are made. By default it is looked for where the study names it,
-        beside the study and in the current folder, and known by its fingerprint.
+        File that was explored, from which the files are made. By default it is searched at the path in the study, next
+        to the study and in the current folder, and recognised by its fingerprint.
     memory : str or float, default "4 GB"
-        That the process may take, in bytes or in words.
+        Memory limit of the process, in bytes or as text.
     progress : bool, default False
         Show a bar for what takes more than two seconds.
 
     Returns
     -------
     ReducedSet
-        What is kept and why, and what that leaves out.
+        The selected scenarios, why each is selected, and what they leave uncovered.
 
     Raises
     ------
@@ -126,18 +126,17 @@ def reduce(
     Warns
     -----
     NoticeWarning
-        Fewer are kept than `size` or `share` asks for, as all others are like a kept one.
+        Fewer are selected than `size` or `share` asks for, since all others are similar to a selected one.
 
     See Also
     --------
     cornercase.analyze : Finds the clusters.
-    cornercase.reduction.choose_scenarios : Chooses the scenarios.
     """
-    if sum(one is not None for one in (size, share, cover, archetypes)) > 1:
+    if sum(option is not None for option in (size, share, cover, archetypes)) > 1:
         raise InputError("`size`, `share`, `cover`, `archetypes`: give one of them.")
     if exposure is not None and (cover is not None or archetypes is not None):
         raise InputError(f"`exposure`, `{'cover' if archetypes is None else 'archetypes'}`: give one of them.")
-    asked = size is not None or share is not None
+    size_requested = size is not None or share is not None
     size = None if size is None else whole_number("size", size, least=1)
     share = None if share is None else number("share", share, above=0.0)
     cover = None if cover is None else number("cover", cover, above=0.0)
@@ -150,94 +149,96 @@ def reduce(
     limit = MemoryLimit.of(memory)
     with bars_wanted(progress), open_study(study, critical=critical) as opened:
         analysis = read_analysis(opened, by or opened.meta.metrics[0])
-        begun = time.monotonic()
-        # Looked at before anything is written or takes time.
+        start = time.monotonic()
+        # Checked before anything is written or takes time.
         explored = explored_scenario(opened, scenario, where_named=True)
         opened.elapsed()
         _require_memory(opened, limit)
-        ran = read_ran(opened)
+        data = read_ran(opened)
         if share is not None:
-            size = max(1, round(share * len(ran.rows)))
+            size = max(1, round(share * len(data.rows)))
         elif size is None and cover is None and archetypes is None:
             size = max(1, round(len(analysis.ids) / PER_KEPT))
-        material = Material(
-            ran.points(analysis),
-            _compared(ran, analysis),
+        selection_input = Material(
+            data.points(analysis),
+            _compared(data, analysis),
             analysis.labels,
             analysis.clustering.embedding,
             find_critical_clusters(opened, analysis),
             None if exposure is None else exposure.rows_of(analysis.ids.tolist()),
         )
-        wish = Wish(size, cover, archetypes, archetypes_by)
-        reduced = _described(ran, analysis, material, wish, within)
+        request = Wish(size, cover, archetypes, archetypes_by)
+        reduced = _described(data, analysis, selection_input, request, within)
         if exposure is not None:
-            plain, _ = choose(replace(material, exposed=None), wish)
-            reduced = with_exposure(reduced, exposure, [int(analysis.ids[one.index]) for one in plain])
-        kinds = {profile.cluster: profile.label for profile in analysis.profiles}
-        _write(opened, explored, reduced, kinds, folder)
-        opened.writer.add_elapsed("reduce", time.monotonic() - begun)
-    if size is not None and asked and len(reduced) < size:
+            without_mutants, _ = choose(replace(selection_input, exposed=None), request)
+            reduced = with_exposure(reduced, exposure, [int(analysis.ids[entry.index]) for entry in without_mutants])
+        cluster_names = {profile.cluster: profile.label for profile in analysis.profiles}
+        _write(opened, explored, reduced, cluster_names, folder)
+        opened.writer.add_elapsed("reduce", time.monotonic() - start)
+    if size is not None and size_requested and len(reduced) < size:
         _tell_fewer(size, len(reduced), len(analysis.ids))
     return reduced
 
 
 def _tell_fewer(asked: int, kept: int, among: int) -> None:
-    there = f"each of the other {among - kept} is like one of these, to a thousandth of the largest distance"
+    reason = f"each of the other {among - kept} is within a thousandth of the largest distance of one of these"
     if kept == among:
-        there = "the study has no more"
-    warnings.warn(f"{asked} scenarios were asked for, and {kept} are kept: {there}", NoticeWarning, stacklevel=3)
+        reason = "the study has no more"
+    warnings.warn(f"{asked} scenarios were asked for, but {kept} are selected: {reason}", NoticeWarning, stacklevel=3)
 
 
 def _require_memory(study: Study, limit: MemoryLimit) -> None:
-    """Refuse distances that do not fit, before they are read."""
-    known = read_analyses(study).values()
-    count = max(len(one.ids) for one in known)
-    pairs = [len(one.ids) ** 2 for one in known if one.inexact is None]
-    need = _OF_A_PAIR * sum(pairs) + _OF_A_SCENARIO * count * len(known) + _OF_BLOCKS
-    fewer = ", or `analyze` it again by fewer aspects" if len(known) > 1 else ""
-    limit.require(need, f"{study.path}: the distances of {count} scenarios", f"give more{fewer}")
+    """Raise an error if the distances will not fit, before they are read."""
+    analyses = read_analyses(study).values()
+    count = max(len(analysis.ids) for analysis in analyses)
+    pairs = [len(analysis.ids) ** 2 for analysis in analyses if analysis.inexact is None]
+    need = _OF_A_PAIR * sum(pairs) + _OF_A_SCENARIO * count * len(analyses) + _OF_BLOCKS
+    advice = ", or `analyze` it again by fewer aspects" if len(analyses) > 1 else ""
+    limit.require(need, f"{study.path}: the distances of {count} scenarios", f"give more{advice}")
 
 
 def _compared(ran: Ran, analysis: Analysis) -> list[Distances]:
-    """Distances by the aspect that counts, then by the others that the same scenarios were analysed by."""
+    """Distances by the main aspect, then by the others with the same scenarios."""
     others = [
         ran.distances[name]
-        for name, one in ran.analyses.items()
-        if name != analysis.by and len(one.ids) == len(analysis.ids)
+        for name, other in ran.analyses.items()
+        if name != analysis.by and len(other.ids) == len(analysis.ids)
     ]
     return [ran.distances[analysis.by], *others]
 
 
 def _described(ran: Ran, analysis: Analysis, material: Material, wish: Wish, within: float) -> ReducedSet:
-    """Choose scenarios, and say of them what they are, and what they leave out."""
-    kept, shaped = choose(material, wish)
+    """Select scenarios, describe why, and evaluate what they leave uncovered."""
+    selected, shaped = choose(material, wish)
     ids = analysis.ids.tolist()
-    kept_ids = [ids[one.index] for one in kept]
-    methods = {one.shape.cluster: one.shape.method for one in shaped}
-    trials = [
-        Trial(*(analysis.ids[rows] for rows in (one.chosen_from, one.kept, one.judging)))
-        for one in try_choice(material, wish)
+    selected_ids = [ids[entry.index] for entry in selected]
+    methods = {entry.shape.cluster: entry.shape.method for entry in shaped}
+    folds = [
+        Trial(*(analysis.ids[rows] for rows in (entry.chosen_from, entry.kept, entry.judging)))
+        for entry in try_choice(material, wish)
     ]
-    held_out = hold_out(ran, trials)
-    gaps = find_gaps(ran, kept_ids)
+    held_out = hold_out(ran, folds)
+    gaps = find_gaps(ran, selected_ids)
     return ReducedSet(
         by=analysis.by,
         run=len(ran.rows),
         kept=tuple(
-            _kept_scenario(ran, one, ids[one.index], methods[one.cluster] if one.role == "archetype" else one.role)
-            for one in kept
+            _kept_scenario(
+                ran, entry, ids[entry.index], methods[entry.cluster] if entry.role == "archetype" else entry.role
+            )
+            for entry in selected
         ),
-        shapes=tuple(one.shape for one in shaped),
-        coverage=grade(ran, kept_ids, held_out, gaps),
-        critical=grade_critical(ran, kept_ids, held_out, within, gaps),
-        hulls={one.shape.cluster: _facets(material.points, one.parts, ids) for one in shaped},
+        shapes=tuple(entry.shape for entry in shaped),
+        coverage=grade(ran, selected_ids, held_out, gaps),
+        critical=grade_critical(ran, selected_ids, held_out, within, gaps),
+        hulls={entry.shape.cluster: _facets(material.points, entry.parts, ids) for entry in shaped},
         threshold=ran.study.critical,
     )
 
 
 def _kept_scenario(ran: Ran, one: Kept, scenario: int, reason: str) -> KeptScenario:
     meta = ran.study.meta
-    # An imported recording is run again where it came from; the manifest says which one it was.
+    # An imported recording is run again by its own simulator; the manifest names it.
     imported = meta.simulator == IMPORTED
     with damage_told(ran.study.path):
         file = meta.files[scenario - 1] if imported else f"{portable_name(meta.title)}-{scenario:05}.xosc"
@@ -262,26 +263,26 @@ def _facets(points: FloatArray, parts: Sequence[IntArray], ids: Sequence[int]) -
 def _write(
     study: Study, scenario: Scenario | None, reduced: ReducedSet, kinds: Mapping[int, str], folder: Path
 ) -> None:
-    """Write the kept scenarios and the manifest, and note in the study which they are: all of it or nothing."""
+    """Write the selected scenarios and the manifest, and store them in the study: all of it or nothing."""
     drivers = {
         entity: driver for entity, driver in study.meta.settings.get("drivers", {}).items() if isinstance(driver, str)
     }
-    beside: dict[Path, bytes] = {}
-    with replaced_set(folder) as written:
-        for one in reduced.kept if scenario is not None else ():
+    dependencies: dict[Path, bytes] = {}
+    with replaced_set(folder) as set_folder:
+        for selected in reduced.kept if scenario is not None else ():
             assert scenario is not None
-            why = f"Scenario {one.id} of the logical scenario {study.meta.title}: {one.why}"
-            made = fill_concrete(scenario, one.values, folder / one.file, drivers, why)
-            for source, place, root in made.beside:
-                if source not in beside:
-                    beside[source] = read_beside(source, root)
-                written.add(place, beside[source])
-            written.add(one.file, made.content)
-        written.seal(make_manifest(study, reduced, kinds, written.digests))
-        before = study.reduction()
+            comment = f"Scenario {selected.id} of the logical scenario {study.meta.title}: {selected.why}"
+            concrete = fill_concrete(scenario, selected.values, folder / selected.file, drivers, comment)
+            for source, path, root in concrete.beside:
+                if source not in dependencies:
+                    dependencies[source] = read_beside(source, root)
+                set_folder.add(path, dependencies[source])
+            set_folder.add(selected.file, concrete.content)
+        set_folder.seal(make_manifest(study, reduced, kinds, set_folder.digests))
+        previous = study.reduction()
         save_reduction(study, reduced)
         try:
-            written.replace()
+            set_folder.replace()
         except InputError:
-            study.writer.save_analyses({"reduction": None if before is None else ({}, before)})
+            study.writer.save_analyses({"reduction": None if previous is None else ({}, previous)})
             raise
