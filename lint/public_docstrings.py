@@ -1,4 +1,4 @@
-"""Everything public says what it takes, what it gives, in which shapes, and what it raises."""
+"""Public docstrings say what is taken and returned, in which shapes, and what is raised."""
 
 from __future__ import annotations
 
@@ -12,7 +12,6 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any, NamedTuple
 
-import pytest
 from numpydoc.docscrape import NumpyDocString
 from numpydoc.validate import validate
 
@@ -41,6 +40,7 @@ class Public(NamedTuple):
 
     @property
     def value_name(self) -> str:
+        """The last part of the name."""
         return self.name.rpartition(".")[2]
 
 
@@ -55,7 +55,7 @@ def shown() -> Iterator[Any]:
 
 
 def public() -> Iterator[Public]:
-    """Functions and classes that are shown, and what their methods and properties are."""
+    """Functions and classes that are shown, and their methods and properties."""
     seen: set[Any] = set()
     for value in shown():
         if not (inspect.isclass(value) or inspect.isroutine(value)) or value in seen:
@@ -84,17 +84,17 @@ def function_of(value: Any) -> Callable[..., Any] | None:
     return function
 
 
-def documentation(one: Public) -> NumpyDocString:
+def documentation(item: Public) -> NumpyDocString:
     """The docstring, or that of the method that it overrides where it has only a summary."""
-    own = NumpyDocString(inspect.getdoc(one.value) or "")
-    if one.inherited is not None and not (own["Parameters"] or own["Returns"] or own["Raises"]):
-        return NumpyDocString(inspect.getdoc(one.inherited) or "")
+    own = NumpyDocString(inspect.getdoc(item.value) or "")
+    if item.inherited is not None and not (own["Parameters"] or own["Returns"] or own["Raises"]):
+        return NumpyDocString(inspect.getdoc(item.inherited) or "")
     return own
 
 
 def names(document: NumpyDocString, *sections: str) -> set[str]:
     return {
-        name.strip().lstrip("*") for section in sections for one in document[section] for name in one.name.split(",")
+        name.strip().lstrip("*") for section in sections for item in document[section] for name in item.name.split(",")
     }
 
 
@@ -114,9 +114,9 @@ def raised(function: Callable[..., Any]) -> set[str]:
         if isinstance(node, ast.Try):
             here |= {
                 name.id
-                for one in node.handlers
-                if one.type
-                for name in ast.walk(one.type)
+                for item in node.handlers
+                if item.type
+                for name in ast.walk(item.type)
                 if isinstance(name, ast.Name)
             }
         for child in ast.iter_child_nodes(node):
@@ -126,67 +126,60 @@ def raised(function: Callable[..., Any]) -> set[str]:
     return found
 
 
-@pytest.fixture(scope="module")
-def everything() -> list[Public]:
-    return list(public())
-
-
-def test_there_is_something_to_look_at(everything):
-    assert len(everything) > 200
+def check() -> Iterator[str]:
+    """List what public docstrings lack."""
+    for item in public():
+        for lack in undocumented(item):
+            yield f"{item.name}: {lack}"
+        for name in () if is_property(item.value) else sorted(unnamed_errors(item)):
+            yield f"{item.name}: raises {name} without saying so"
+        for name in arrays_without_shape(item):
+            yield f"{item.name}: {name}: an array without a shape"
 
 
 def is_property(value: Any) -> bool:
     return isinstance(value, (property, cached_property))
 
 
-def undocumented(one: Public) -> list[str]:
+def undocumented(item: Public) -> list[str]:
     """What a docstring lacks."""
-    if not inspect.getdoc(one.value):
+    if not inspect.getdoc(item.value):
         return ["it has no docstring"]
-    if one.inherited is not None or is_property(one.value):
+    if item.inherited is not None or is_property(item.value):
         return []
-    record = inspect.isclass(one.value) and (dataclasses.is_dataclass(one.value) or hasattr(one.value, "_fields"))
-    asked = STRUCTURE if record or (inspect.isclass(one.value) and function_of(one.value) is None) else CALLED
-    found = [text for code, text in validate(one.name)["errors"] if code in asked]
+    record = inspect.isclass(item.value) and (dataclasses.is_dataclass(item.value) or hasattr(item.value, "_fields"))
+    asked = STRUCTURE if record or (inspect.isclass(item.value) and function_of(item.value) is None) else CALLED
+    found = [text for code, text in validate(item.name)["errors"] if code in asked]
     if record:
-        fields = {name for name in inspect.signature(one.value).parameters if not name.startswith("_")}
-        found += sorted(fields - names(documentation(one), "Parameters", "Attributes"))
+        fields = {name for name in inspect.signature(item.value).parameters if not name.startswith("_")}
+        found += sorted(fields - names(documentation(item), "Parameters", "Attributes"))
     return found
 
 
-def test_it_is_documented(everything):
-    assert {one.name: lacks for one in everything if (lacks := undocumented(one))} == {}
-
-
-def unnamed_errors(one: Public) -> set[str]:
+def unnamed_errors(item: Public) -> set[str]:
     """What a function raises without a word of it in its docstring."""
-    function = function_of(one.value)
+    function = function_of(item.value)
     if function is None or not (found := raised(function)):
         return set()
     return found - {
-        name.strip() for part in documentation(one)["Raises"] for name in f"{part.name},{part.type}".split(",")
+        name.strip() for part in documentation(item)["Raises"] for name in f"{part.name},{part.type}".split(",")
     }
 
 
-def test_what_it_raises_is_documented(everything):
-    functions = [one for one in everything if not is_property(one.value)]
-    assert {one.name: lacks for one in functions if (lacks := unnamed_errors(one))} == {}
-
-
-def arrays_without_shape(one: Public) -> list[str]:
+def arrays_without_shape(item: Public) -> list[str]:
     """Arrays that it takes, gives or has, of which it does not say the shape."""
-    document = documentation(one)
+    document = documentation(item)
     found = [
         f"{part.name} : {part.type}"
         for part in (*document["Parameters"], *document["Attributes"], *document["Returns"], *document["Yields"])
         if ("ndarray" in part.type or "array_like" in part.type) and "shape" not in part.type
     ]
-    function = function_of(one.value)
-    if function is None or inspect.isclass(one.value):
+    function = function_of(item.value)
+    if function is None or inspect.isclass(item.value):
         return found
     given = function.__annotations__
-    if is_property(one.value):
-        unsaid = "Array" in str(given.get("return")) and "shape" not in str(inspect.getdoc(one.value))
+    if is_property(item.value):
+        unsaid = "Array" in str(given.get("return")) and "shape" not in str(inspect.getdoc(item.value))
         return [*found, *(["what it is"] if unsaid else [])]
     for section, name in (("Returns", "return"), *(("Parameters", name) for name in given if name != "return")):
         if "Array" in str(given.get(name)) and document[section]:
@@ -194,7 +187,3 @@ def arrays_without_shape(one: Public) -> list[str]:
             if not any("shape" in text for text in types):
                 found.append(name)
     return found
-
-
-def test_arrays_have_a_shape(everything):
-    assert {one.name: lacks for one in everything if (lacks := arrays_without_shape(one))} == {}

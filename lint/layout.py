@@ -1,0 +1,171 @@
+"""Where things stand: private modules, sizes, and what only one module may do."""
+
+from __future__ import annotations
+
+import ast
+import configparser
+import re
+from collections import defaultdict
+from collections.abc import Iterator
+
+from cornercase.optimizers import OPTIMIZERS
+from cornercase.simulators import SIMULATORS
+from lint.source import PACKAGE, ROOMS, ROOT, WITHOUT_STUB, Function, complain, functions, modules
+
+LONGEST_MODULE, LONGEST_FUNCTION, MOST_PARAMETERS = 800, 80, 10
+# Modules, and functions with many lines or parameters, that are larger, and why.
+LONG_MODULES: dict[str, str] = {}
+LARGE_FUNCTIONS: dict[str, str] = {}
+# Modules that other programs start by their names.
+PUBLIC_MODULES = ("simulators/carla/cornercase_driver.py", "simulators/carla/cornercase_trajectory.py")
+# Names that several modules or classes have, and why.
+SHARED_STEMS: dict[str, str] = {}
+SHARED_CLASSES: dict[str, str] = {}
+
+# Objects of other packages, whose versions differ in what they have; and drivers, which need no base class.
+OF_OTHERS: tuple[str, ...] = ()
+OPTIONS_OF_OTHERS = {"--csv_logger"}
+PLATFORM = "_common/process/platform.py"
+
+
+def check() -> Iterator[str]:
+    """List what stands in the wrong place or has the wrong size."""
+    yield from public_modules()
+    yield from shared_names()
+    yield from vague_names()
+    yield from sizes()
+    yield from rooms()
+    yield from platform_calls()
+    yield from interface_queries()
+    yield from options_in_messages()
+    yield from names_of_plugins()
+    yield from test_folders()
+
+
+def public_modules() -> Iterator[str]:
+    for path in modules():
+        *folders, file = path.split("/")
+        private = file.startswith("_") or any(folder.startswith("_") for folder in folders)
+        if folders and folders[0] != "cli" and not private and path not in PUBLIC_MODULES:
+            yield complain(path, 1, "modules of rooms begin with an underscore, packages do not")
+
+
+def shared_names() -> Iterator[str]:
+    stems, classes = defaultdict(list), defaultdict(list)
+    for path, module in modules().items():
+        stem = path.rpartition("/")[2].removesuffix(".py").strip("_")
+        if stem not in ("init", "main"):
+            stems[stem].append((path, 1))
+        for node in module.body:
+            if isinstance(node, ast.ClassDef):
+                classes[node.name].append((path, node.lineno))
+    for names, reasons, what in ((stems, SHARED_STEMS, "module"), (classes, SHARED_CLASSES, "class")):
+        for name, places in names.items():
+            if len(places) > 1 and name not in reasons:
+                others = ", ".join(path for path, _ in places[1:])
+                yield complain(*places[0], f"{what} {name} is in {others}, too: rename one, or say why it is shared")
+        for name in reasons:
+            if len(names[name]) < 2:
+                yield f"lint/layout.py:1: {what} {name} is not shared any more"
+
+
+def vague_names() -> Iterator[str]:
+    vague = re.compile(r"manager|helper|util|misc|common\.py")
+    yield from (complain(path, 1, "is named after nothing") for path in modules() if vague.search(path))
+
+
+def sizes() -> Iterator[str]:
+    for path in modules():
+        lines = len((PACKAGE / path).read_text("utf-8").splitlines())
+        if (lines > LONGEST_MODULE) != (path in LONG_MODULES):
+            yield complain(path, 1, f"{lines} lines: is it one idea? If so, LONG_MODULES says why")
+    large = {f"{path} {node.name}": node for path, node in functions() if _is_large(node)}
+    for name, node in large.items():
+        if name not in LARGE_FUNCTIONS:
+            yield complain(name.partition(" ")[0], node, f"{node.name} is large: split it, or LARGE_FUNCTIONS says why")
+    yield from (f"lint/layout.py:1: {name} is not large any more" for name in LARGE_FUNCTIONS if name not in large)
+
+
+def _is_large(node: Function) -> bool:
+    documentation = ast.get_docstring(node, clean=False)
+    lines = (node.end_lineno or 0) - node.lineno + 1 - (len(documentation.splitlines()) if documentation else 0)
+    arguments = [*node.args.posonlyargs, *node.args.args, *node.args.kwonlyargs]
+    return lines > LONGEST_FUNCTION or len(arguments) > MOST_PARAMETERS
+
+
+def rooms() -> Iterator[str]:
+    if len(list(PACKAGE.glob("*.py"))) > 3:
+        yield complain("__init__.py", 1, "there is a module beside the rooms")
+    for room in ROOMS:
+        if room not in WITHOUT_STUB and not (PACKAGE / room / "__init__.pyi").exists():
+            yield complain(f"{room}/__init__.py", 1, "the room has no stub")
+    contracts = configparser.ConfigParser()
+    contracts.read(ROOT / ".importlinter")
+    if sorted(contracts["importlinter:contract:rooms"]["layers"].split()) != ["__main__", *ROOMS]:
+        yield ".importlinter:1: its layers are not the rooms"
+    if any("ignore" in key for name in contracts.sections() for key in contracts[name]):
+        yield ".importlinter:1: a contract has exceptions"
+
+
+def _calls(module: ast.Module, *names: str) -> Iterator[ast.Call]:
+    for node in ast.walk(module):
+        if isinstance(node, ast.Call) and ast.unparse(node.func).rpartition(".")[2] in names:
+            yield node
+
+
+def _texts(node: ast.AST) -> Iterator[str]:
+    return (text.value for text in ast.walk(node) if isinstance(text, ast.Constant) and isinstance(text.value, str))
+
+
+def platform_calls() -> Iterator[str]:
+    names = re.compile(r"\bfcntl\b|\bmsvcrt\b|os\.(setsid|killpg|fork|getuid)\b|SIGKILL|SIGHUP")
+    for path, module in modules().items():
+        if path != PLATFORM and names.search(ast.unparse(module)):
+            yield complain(path, 1, f"what only some platforms have belongs into {PLATFORM}")
+
+
+def interface_queries() -> Iterator[str]:
+    """Interfaces have defaults, so nobody has to ask an object what it has."""
+    for path, module in modules().items():
+        if path.startswith(OF_OTHERS):
+            continue
+        for call in _calls(module, "getattr", "hasattr"):
+            queries = ast.unparse(call.func) == "hasattr" or len(call.args) == 3
+            # Python's own, such as __name__, is no part of an interface.
+            if queries and any(not text.startswith("__") for text in _texts(call.args[1])):
+                yield complain(path, call, f"give the interface a default instead: {ast.unparse(call)}")
+
+
+def options_in_messages() -> Iterator[str]:
+    for path, module in modules().items():
+        if not path.startswith("cli/"):
+            for call in _calls(module, "InputError", "SimulationError"):
+                options = {option for text in _texts(call) for option in re.findall(r"--[a-z][\w-]+", text)}
+                if options - OPTIONS_OF_OTHERS:
+                    yield complain(path, call, "messages name parameters; the command line makes options of them")
+
+
+def names_of_plugins() -> Iterator[str]:
+    for room, registry in (("optimizers", OPTIMIZERS), ("simulators", SIMULATORS)):
+        known = set(registry.names())
+        for path, module in modules().items():
+            if not path.startswith(f"{room}/"):
+                for node in ast.walk(module):
+                    if isinstance(node, ast.Compare) and set(_texts(node)) & known:
+                        yield complain(path, node, f"asks for one of the {room} by its name: {ast.unparse(node)}")
+
+
+def test_folders() -> Iterator[str]:
+    """Tests have a folder for each room, and modules that can be told apart."""
+    tests = ROOT / "tests"
+    folders = {path.parent.name for path in tests.glob("*/test_*.py")}
+    expected = {room.lstrip("_") for room in ROOMS} | {"browser", "documentation", "integration", "reliability"}
+    yield from (f"tests/{name}:1: no room, or a room without tests" for name in sorted(folders ^ expected))
+    yield from (f"tests/{path.name}:1: belongs into a folder" for path in tests.glob("test_*.py"))
+    # If folders are no packages, Python imports only one of two modules with the same name.
+    stems = defaultdict(list)
+    for path in tests.rglob("*.py"):
+        if not (path.parent / "__init__.py").exists() and path.stem != "conftest":
+            stems[path.stem].append(path)
+    for paths in stems.values():
+        yield from (f"{path.relative_to(ROOT)}:1: another test module has this name" for path in paths[1:])
