@@ -195,7 +195,7 @@ def _open_linear(low: FloatArray, high: FloatArray, speed: FloatArray) -> tuple[
 def _open_quadratic(
     low: FloatArray, high: FloatArray, speed: FloatArray, gain: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
-    """Both time intervals, on a new last axis, in which low <= speed t + gain t²/2 <= high."""
+    """Both time intervals, on a new last axis, in which low <= speed t + acceleration t²/2 <= high."""
     down = gain < 0.0
     low, high = np.where(down, -high, low), np.where(down, -low, high)
     speed, gain = np.where(down, -speed, speed), np.abs(gain)
@@ -213,7 +213,7 @@ def _open_quadratic(
 
 
 def _roots(gain: FloatArray, speed: FloatArray, offset: FloatArray) -> tuple[FloatArray, FloatArray, BoolArray]:
-    """Sorted roots of gain t²/2 + speed t + offset for gain > 0, and whether there are any."""
+    """Sorted roots of acceleration t²/2 + speed t + offset for acceleration > 0, and whether there are any."""
     discriminant = speed * speed - 2.0 * gain * offset
     # This sum has no cancellation, so the smaller root keeps its digits when the acceleration is small.
     q = -(speed + np.copysign(np.sqrt(np.maximum(discriminant, 0.0)), speed))

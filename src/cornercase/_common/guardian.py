@@ -153,7 +153,6 @@ class Guardian:
 
 
 def _dismiss(process: subprocess.Popen[bytes]) -> None:
-    """End a reaper process, which may have been killed."""
     assert process.stdin is not None
     with suppress(OSError):
         process.stdin.close()

@@ -205,7 +205,6 @@ class Batch:
 
     @cached_property
     def _collisions(self) -> dict[int, tuple[Collision, ...]]:
-        """Collisions in order of time, by scenario."""
         collision_time, names = self._stepper.scene.collided, self._world.names
         scenarios, firsts, seconds = np.nonzero(~np.isnan(collision_time))
         # The clock sums up steps; times of a recording are multiples of one.

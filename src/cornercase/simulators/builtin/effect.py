@@ -43,7 +43,6 @@ def notices_after_reading(scenario: Scenario, read: bool = True) -> tuple[Notice
 
 
 def _of_version(minor: int | None, notices: Iterable[Notice]) -> Iterator[Notice]:
-    """Notices of a file of a later version: unknown parts are explained by the version."""
     for notice in notices:
         if minor is None:
             yield notice

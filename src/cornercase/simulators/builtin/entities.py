@@ -162,7 +162,6 @@ def _referred(holder: etree._Element, scope: Scope) -> str:
 
 
 def _held(holder: etree._Element, scope: Scope) -> etree._Element | None:
-    """Element that contains the body of a trailer, or None."""
     if (inner := holder.find("Trailer")) is not None:
         return inner
     for direct in holder.iterchildren("Vehicle", "CatalogReference"):

@@ -135,7 +135,6 @@ class PreparedScenario:
 
 
 def _bytes_of(trajectory: etree._Element) -> int:
-    """Estimated memory of a trajectory in one scenario."""
     tags = Counter(element.tag for element in trajectory.iter())
     curves = sum(size * tags[tag] for tag, size in _CURVES.items())
     return _TRAJECTORY + _VERTEX * (tags["Vertex"] + tags["ControlPoint"]) + curves

@@ -120,7 +120,6 @@ class BuiltinSimulator(Simulator):
             raise first_error
 
     def _portions(self, concretes: Sequence[ConcreteScenario]) -> Iterator[Sequence[ConcreteScenario]]:
-        """Split scenarios into portions that fit into memory."""
         instants = int(self._duration / self._time_step) + 2
         begin, total, needed = 0, 0, 0
         previous: ConcreteScenario | None = None
@@ -155,7 +154,6 @@ class BuiltinSimulator(Simulator):
                 raise
 
     def _run_file(self, run: _PortionRun, indices: list[int]) -> None:
-        """Start to run the scenarios of one file."""
         prepared = self._prepare(run.concretes[indices[0]])
         for entity in self._drivers:
             prepared.scenario.require_entity(entity, "driven entity")
@@ -208,7 +206,6 @@ class BuiltinSimulator(Simulator):
                 self._run_group(run, prepared, group)
 
     def _parts(self, prepared: PreparedScenario, chosen: list[int]) -> list[list[int]]:
-        """Split scenarios that could share a batch into batches for several cores."""
         count = min(available_cpus(), len(chosen) // _WORTH_A_BATCH)
         if count < 2:
             return [chosen]
@@ -299,7 +296,6 @@ def _portions_of_results(ran: Mapping[int, _Ran]) -> Iterator[tuple[int, int]]:
 
 
 def _results(ran: list[_Ran], turn: Lock) -> list[Recording | SimulationError]:
-    """Results of scenarios, fetched batch by batch."""
     with turn:
         indices: dict[Future[Batch], list[int]] = {}
         for entry in ran:
@@ -310,7 +306,6 @@ def _results(ran: list[_Ran], turn: Lock) -> list[Recording | SimulationError]:
 
 
 def _groups(prepared: PreparedScenario, concretes: Sequence[ConcreteScenario], chosen: list[int]) -> list[list[int]]:
-    """Concrete scenarios that go into one batch each, as far as is known."""
     names = sorted(prepared.splitting)
     if not (names and chosen):
         return [chosen] if chosen else []

@@ -167,7 +167,6 @@ class Stepper:
         world.running[:] = False
 
     def _act(self, dt: float) -> None:
-        """Run the actions that are not compiled, in the running scenarios."""
         world = self._world
         self._storyboard.act(dt)
         if not self._rules.drives:

@@ -231,7 +231,6 @@ def _measure(f, b, e, dt):
 
 @_part
 def _held(f, e):
-    """Velocity along an entity's heading at its speed."""
     return f[SPEED, e] * math.cos(f[HEADING, e]), f[SPEED, e] * math.sin(f[HEADING, e])
 
 

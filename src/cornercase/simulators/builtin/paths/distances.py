@@ -132,7 +132,6 @@ def _distance(world: World, e: int, x: FloatArray, y: FloatArray) -> FloatArray:
 
 
 def _free_distance(world: World, e: int, other: int) -> FloatArray:
-    """Smallest distance between two boxes, 0 if they overlap."""
     corners_a, corners_b = (_corners(world, k) for k in (e, other))
     smallest = np.full(world.scenarios, np.inf)
     for points, box in ((corners_a, corners_b), (corners_b, corners_a)):

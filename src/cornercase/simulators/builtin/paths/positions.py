@@ -159,7 +159,7 @@ def _moved(world: World, base: Pose, ds: FloatArray) -> Pose:
 
 
 def _at_the_end(pose: Pose, moved: Pose, element: etree._Element, scope: Scope) -> Pose:
-    """Pose with `beyond` set where the path to it ended with the road."""
+    """Pose with `is_beyond_road` set where the path to it ended with the road."""
     assert pose.beyond is not None
     assert moved.beyond is not None
     location = f"{Path(scope.source).name}, line {element.sourceline}"
@@ -184,7 +184,6 @@ def _relative_road_position(element: etree._Element, scope: Scope, world: World)
 
 
 def _lateral(world: World, pose: Pose) -> FloatArray:
-    """Coordinate t of poses on their roads."""
     assert world.network is not None
     roads, _, s = pose.road_coordinates()
     t = np.zeros(world.scenarios)
@@ -311,29 +310,21 @@ def _trajectory_position(element: etree._Element, scope: Scope, world: World) ->
     return resolve
 
 
-def _relative_object_position(element: etree._Element, scope: Scope, world: World) -> Position:
+def _relative_position(element: etree._Element, scope: Scope, world: World) -> Position:
+    """Read a ``RelativeObjectPosition`` (in the entity's axes) or a ``RelativeWorldPosition``."""
     entity = entity_index(element, scope, world)
     dx, dy = scope.number(element, "dx"), scope.number(element, "dy")
     turn, relative = _orientation(element, scope)
+    in_entity_axes = element.tag == "RelativeObjectPosition"
 
     def resolve(world: World) -> Pose:
         heading = world.heading[entity]
-        cos, sin = np.cos(heading), np.sin(heading)
-        x = world.x[entity] + cos * dx - sin * dy
-        y = world.y[entity] + sin * dx + cos * dy
+        x, y = world.x[entity] + dx, world.y[entity] + dy
+        if in_entity_axes:
+            cos, sin = np.cos(heading), np.sin(heading)
+            x = world.x[entity] + cos * dx - sin * dy
+            y = world.y[entity] + sin * dx + cos * dy
         return _located(world, x, y, heading + turn if relative else turn)
-
-    return resolve
-
-
-def _relative_world_position(element: etree._Element, scope: Scope, world: World) -> Position:
-    entity = entity_index(element, scope, world)
-    dx, dy = scope.number(element, "dx"), scope.number(element, "dy")
-    turn, relative = _orientation(element, scope)
-
-    def resolve(world: World) -> Pose:
-        heading = world.heading[entity] + turn if relative else turn
-        return _located(world, world.x[entity] + dx, world.y[entity] + dy, heading)
 
     return resolve
 
@@ -385,6 +376,6 @@ _READERS: Final[dict[str, Callable[[etree._Element, Scope, World], Position]]] =
     "RelativeRoadPosition": _relative_road_position,
     "RoutePosition": _route_position,
     "TrajectoryPosition": _trajectory_position,
-    "RelativeObjectPosition": _relative_object_position,
-    "RelativeWorldPosition": _relative_world_position,
+    "RelativeObjectPosition": _relative_position,
+    "RelativeWorldPosition": _relative_position,
 }

@@ -201,7 +201,6 @@ def _fixed_corners(
 
 
 def _oriented(vertices: list[etree._Element]) -> list[bool]:
-    """Whether the file gives the heading of each vertex."""
     return [
         vertex.find("Position//Orientation[@h]") is not None or next(vertex.iterfind("Position/*")).get("h") is not None
         for vertex in vertices

@@ -125,7 +125,6 @@ def _gone(table, heading, count, begin, offset, end, most):
 
 @kernel(error_model="numpy", forceinline=True, _nrt=False)
 def _jumps(table, reference, count, first, last):
-    """Whether a path jumps sideways between two distances."""
     j, k = _cell(table, count, first), _cell(table, count, last)
     min_progress = min(reference[j + 1] - reference[j], reference[k + 1] - reference[k])
     for cell in range(min(j, k) + 1, max(j, k)):  # noqa: SIM110 - what is compiled has no generators

@@ -93,14 +93,12 @@ def distance_at(tracks, g, n, time):
 
 @_kernel
 def _row(tracks, g, n, column):
-    """Address of a column of vertices in a scenario."""
     count = tracks.size[g]
     return tracks.address[g, column] + (0 if tracks.alike[g] else 8 * count * n)
 
 
 @_kernel
 def _legs(tracks, g, n):
-    """Address of the segment directions in a scenario."""
     count = tracks.size[g] - 1
     return tracks.address[g, columns.DIRECTION] + (0 if tracks.alike[g] else 8 * count * n)
 

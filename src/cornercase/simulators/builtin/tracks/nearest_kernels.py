@@ -92,7 +92,7 @@ def _closest(px, py, count, chord, x, y, gaps, samples):
 
 @kernel(error_model="numpy")
 def _bound(px, py, count, x, y):
-    """Upper bound of the gap to the `_MAX_PASSES` nearest samples."""
+    """Upper bound of the gap to the `_N_NEAREST_SAMPLES` nearest samples."""
     best, least = 0, math.inf
     for i in range(0, count, _COARSE):
         squared = (px[i] - x) * (px[i] - x) + (py[i] - y) * (py[i] - y)

@@ -117,7 +117,6 @@ class Polyline(Trajectory):
         return np.asarray(self.directions[rows, self._leg(distance, rows)[1]])
 
     def _round(self, distance: FloatArray, rows: IntArray) -> FloatArray:
-        """Distances within one lap of a closed line."""
         return np.mod(distance, self._length[rows]) if self.closed else distance
 
     def distance_at(self, time: FloatArray) -> FloatArray:
