@@ -134,7 +134,7 @@ def distances_to(
         Time series or trajectories.
     landmarks : sequence of m array_like, shape (T_j,) or (T_j, k)
         With the same number of dimensions k as the series.
-    local_cost, window, dtype, n_jobs, device, progress, client
+    local_cost, window, dtype, n_jobs, device, progress, client : optional
         As in `distance_matrix`.
 
     Returns
@@ -186,7 +186,7 @@ def kernel_matrix(
         Time series or trajectories.
     gamma : float
         Above 0, in one over the unit of the distance squared.
-    local_cost, window, dtype, n_jobs, progress
+    local_cost, window, dtype, n_jobs, progress : optional
         As in `distance_matrix`.
 
     Returns
