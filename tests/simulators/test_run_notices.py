@@ -54,7 +54,7 @@ def trajectory(*vertices: tuple[float, float, float], times: bool = False) -> st
 
 
 def test_43_5_a_vehicle_that_begins_far_from_every_road_is_named(tmp_path):
-    # What lies beyond the end of the road is put at that end, which is said too.
+    # A position beyond the end of the road is moved to that end, with a notice.
     _, said = told(placed(tmp_path, 1000.0, 2000.0))
     assert said.startswith("far from every road: Ego is ")
     away = float(said.split(" is ")[1].split(" m ")[0])

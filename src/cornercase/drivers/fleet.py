@@ -55,7 +55,15 @@ class CompiledDriver(Driver):
         self._routes: dict[int, tuple[DrivenPath, int]] = {}
 
     def join(self, fleet: Fleet, row: int) -> None:
-        """Move the driver's state into a row of a fleet, and keep a view of it."""
+        """Move the driver's state into a row of a fleet, and keep a view of it.
+
+        Parameters
+        ----------
+        fleet : Fleet
+            The fleet.
+        row : int
+            Row of the driver.
+        """
         rows, own_fleet = slice(row, row + 1), self._fleet
         view = Fleet(
             kind=fleet.kind[rows],

@@ -23,18 +23,10 @@ _GOLDEN: Final = (math.sqrt(5.0) - 1.0) / 2.0
 
 @dataclass(frozen=True)
 class Mutation:
-    """What makes a driver worse: one parameter is multiplied by a factor, or increased by an amount.
+    """What makes a driver worse: one parameter is multiplied by a factor, or increased by an amount if `is_offset`.
 
-    Attributes
-    ----------
-    words : str
-        What it does, as in tables.
-    parameter : str
-        Name of the parameter.
-    mild, severe : float
-        Range of the factor, or of the amount in the parameter's unit.
-    adds : bool
-        Whether it is an amount.
+    `description` is as in tables; `mild` and `severe` are the range of the factor, or of the amount in the parameter's
+    unit.
     """
 
     words: str
@@ -148,8 +140,10 @@ def _worse(kind: Mutation, value: float, severity: float) -> float:
 
 def _renamed(driver: str, parameter: str, value: float) -> str:
     base, _, options = driver.partition(":")
-    kept_options = [option for option in options.split(",") if option and option.partition("=")[0].strip() != parameter]
-    return f"{base}:{','.join([*kept_options, f'{parameter}={value:g}'])}"
+    other_options = [
+        option for option in options.split(",") if option and option.partition("=")[0].strip() != parameter
+    ]
+    return f"{base}:{','.join([*other_options, f'{parameter}={value:g}'])}"
 
 
 def name_driver(driver: str | Driver | Mapping[str, object]) -> str:
@@ -175,7 +169,7 @@ def name_driver(driver: str | Driver | Mapping[str, object]) -> str:
         candidates.append((len(changed), f"{base}:{options}" if options else base))
     if not candidates:
         raise InputError(f"The driver {driver_kind} has no mutants, as its parameters are unknown.")
-    name = min(candidates, key=lambda one: one[0])[1]
+    name = min(candidates, key=lambda candidate: candidate[0])[1]
     _parameters(name)
     return name
 

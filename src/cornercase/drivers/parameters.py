@@ -115,21 +115,7 @@ AGGRESSIVE = NORMAL._replace(
 
 
 class Keeping(NamedTuple):
-    """Parameters of the driver that keeps its speed and its distance.
-
-    Attributes
-    ----------
-    acceleration, comfortable_deceleration, max_deceleration : float
-        In m/s².
-    time_headway : float
-        In s.
-    min_gap : float
-        In m.
-    reaction_time : float
-        Time in s for which something has to be ahead before it reacts.
-    sight_range : float
-        In m.
-    """
+    """Parameters of `SimpleDriver`, which documents them."""
 
     acceleration: float = 3.0
     comfortable_deceleration: float = 3.0

@@ -45,16 +45,8 @@ class SimpleDriver(CompiledDriver):
         reaction_time: float = 2.5,
         sight_range: float = 60.0,
     ) -> None:
-        keeping = Keeping(
-            acceleration,
-            comfortable_deceleration,
-            max_deceleration,
-            time_headway,
-            min_gap,
-            reaction_time,
-            sight_range,
-        )
-        keeping = Keeping(*map(float, keeping))
+        values = (acceleration, comfortable_deceleration, max_deceleration, time_headway, min_gap, reaction_time)
+        keeping = Keeping(*map(float, (*values, sight_range)))
         for name, value in keeping._asdict().items():
             require_parameter(name, value, name == "reaction_time")
         self.parameters = tuple(keeping)

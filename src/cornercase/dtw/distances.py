@@ -134,7 +134,7 @@ def distances_to(
         Time series or trajectories.
     landmarks : sequence of m array_like, shape (T_j,) or (T_j, k)
         With the same number of dimensions k as the series.
-    local_cost, window, dtype, n_jobs, device, progress, client
+    local_cost, window, dtype, n_jobs, device, progress, client : optional
         As in `distance_matrix`.
 
     Returns
@@ -186,7 +186,7 @@ def kernel_matrix(
         Time series or trajectories.
     gamma : float
         Above 0, in one over the unit of the distance squared.
-    local_cost, window, dtype, n_jobs, progress
+    local_cost, window, dtype, n_jobs, progress : optional
         As in `distance_matrix`.
 
     Returns
@@ -319,14 +319,14 @@ _SHOWN: Final = 1_000_000
 def _shown(progress: bool, cells: int) -> Iterator[Callable[[int], None]]:
     """Show a progress bar; yield the function that takes the number of cells of each finished tile."""
     total = max(1, round(cells / _SHOWN))
-    done = 0
+    finished = 0
 
-    with bars_wanted(progress), step(total, "comparing", "million steps") as tell:
+    with bars_wanted(progress), step(total, "comparing", "million steps") as show:
 
         def advance(more: int) -> None:
-            nonlocal done
-            done += more
-            tell(min(total, round(done / _SHOWN)))
+            nonlocal finished
+            finished += more
+            show(min(total, round(finished / _SHOWN)))
 
         yield advance
-        tell(total)
+        show(total)

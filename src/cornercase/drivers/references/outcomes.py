@@ -30,12 +30,7 @@ _CLOCK: Final = 1e-9
 class ReferenceOutcome:
     """Outcome of a scenario with a reference driver in control of the ego.
 
-    Attributes
-    ----------
-    collides : bool or None
-        None if the reference is not defined for such a scenario.
-    time : float or None
-        Time of its collision in s; None without one.
+    `collides` is None if the reference does not cover such a scenario; `time` is that of its collision in s.
     """
 
     collides: bool | None

@@ -195,45 +195,45 @@ class SynchronizeAction(Action):
         way, time = np.where(shorter, way - steady_way, way), np.where(shorter, time - steady_time, time)
 
         result = v0.copy()
-        left = acting.copy()
+        pending = acting.copy()
 
         def settle(where: BoolArray, speed: FloatArray | float) -> None:
-            nonlocal left
-            where = where & left
+            nonlocal pending
+            where = where & pending
             result[where] = np.broadcast_to(speed, v0.shape)[where]
-            left = left & ~where
+            pending = pending & ~where
 
         settle(mode == STEADY, final)
-        stands = ~comes & left
+        stands = ~comes & pending
         result[stands & (mode != WAITING)] = 0.0
         mode[stands] = WAITING
-        left &= ~stands
+        pending &= ~stands
         # An entity that waited starts again; with a steady state the last phase comes next, as in esmini.
-        released = left & (mode == WAITING)
+        released = pending & (mode == WAITING)
         mode[released] = np.where((v0 > 0) | (steady_way <= 0), NEW, LAST)[released]
         settle(released & (mode == LAST), 0.0)
         braking = mode == BRAKING
         stopped = braking & (v0 - HARDEST * dt < 0)
-        mode[stopped & left] = NEW
+        mode[stopped & pending] = NEW
         settle(braking, np.maximum(v0 - HARDEST * dt, 0.0))
-        standing = (mode == STANDING) & left
+        standing = (mode == STANDING) & pending
         mode[standing & (time < 2.0 * way / safe)] = LAST
         settle((mode == STANDING), 0.0)
         line = 2.0 * way / time - np.maximum(final, 0.0)
         settle(mode == LAST, np.where((time < 1e-3) | (way < 1e-3), 0.0, np.maximum(line, 0.0)))
-        passed = (mode == FIRST) & left & (np.abs(v0 - (2.0 * way / time - final)) < ON_LINE)
+        passed = (mode == FIRST) & pending & (np.abs(v0 - (2.0 * way / time - final)) < ON_LINE)
         mode[passed] = LAST
         settle(passed, v0)
-        new = (mode == NEW) & left
+        new = (mode == NEW) & pending
         mode[new] = FIRST
         self._convex[new] = ((final + v0) / 2.0 < way / time)[new]
 
         rate, apex = _first_phase(road_speed, final, way, time)
-        has_wrong_sign = left & (mode == FIRST) & np.where(self._convex > 0.0, rate < 0, rate > 0)
+        has_wrong_sign = pending & (mode == FIRST) & np.where(self._convex > 0.0, rate < 0, rate > 0)
         mode[has_wrong_sign] = LAST
         rate = np.where(has_wrong_sign, 0.0, rate)
         # Instead of driving backwards it stops, waits, and continues in time.
-        would_reverse = left & (mode == FIRST) & (apex < 0)
+        would_reverse = pending & (mode == FIRST) & (apex < 0)
         with np.errstate(divide="ignore", invalid="ignore"):
             stop_time = 2.0 * road_speed * way / (road_speed**2 + final**2)
             gentle = np.where(stop_time > _TINY, -road_speed / stop_time, 0.0)
@@ -243,7 +243,7 @@ class SynchronizeAction(Action):
         stopped = would_reverse & (road_speed + rate * dt < 0)
         mode[stopped] = STANDING
         settle(stopped, 0.0)
-        settle(left, v0 + rate * dt)
+        settle(pending, v0 + rate * dt)
         self._mode[acting] = mode[acting]
         return np.asarray(result)
 

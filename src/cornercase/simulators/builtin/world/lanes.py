@@ -74,7 +74,7 @@ def attach_to_lane(world: World, entity: int, where: BoolArray, pose: Pose | Non
         if world.acting is not None:
             is_off = rows.copy()
             is_off[rows] = np.hypot(x - pose.x[rows], y - pose.y[rows]) > _BEYOND
-            why = f"{world.names[entity]} is beyond the end of the nearest road, and is placed at that end"
+            why = f"{world.names[entity]} lies beyond the end of the nearest road, and is placed at that end"
             world.remark(world.acting, "position", why, is_off)
         turn = within_half_turn(pose.heading[rows] - heading)
         # Headings of sampled lanes are not exact: ignore small differences.

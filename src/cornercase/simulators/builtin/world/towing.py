@@ -34,10 +34,10 @@ def front_first(tows: Sequence[Tow]) -> tuple[Tow, ...]:
     """Sort trailers from front to back."""
     behind = {tow.trailer: tow.vehicle for tow in tows}
 
-    def depth(one: int) -> int:
+    def depth(entity: int) -> int:
         count = 0
-        while one in behind and count < MOST_TRAILERS:
-            one, count = behind[one], count + 1
+        while entity in behind and count < MOST_TRAILERS:
+            entity, count = behind[entity], count + 1
         return count
 
     return tuple(sorted(tows, key=lambda tow: depth(tow.vehicle)))
