@@ -1,4 +1,4 @@
-"""A scenario's files are read and prepared once, and never mixed with what they became later."""
+"""A scenario's files are read and prepared once, and never mixed with later versions."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ def folder(tmp_path) -> Path:
 
 @pytest.fixture
 def reads(monkeypatch) -> Counter[str]:
-    """How often each file was read, each document parsed, and a network made of one."""
+    """Counts how often files are read, documents parsed, and networks built."""
     counted: Counter[str] = Counter()
     read, parse, begin = files.read_file, etree.fromstring, RoadNetwork.__init__
 
@@ -60,7 +60,7 @@ def a_round(logical: LogicalScenario, number: int) -> list[ConcreteScenario]:
 
 
 def elsewhere(concretes):
-    """The same concrete scenarios, as another process gets them."""
+    """The same concrete scenarios as another process receives them."""
     return pickle.loads(pickle.dumps(concretes))
 
 
@@ -100,7 +100,7 @@ def test_a_file_that_changes_between_rounds_is_not_mixed_in(folder):
     for one, again in zip(before, simulator.run(a_round(logical, 0)), strict=True):
         assert same_recording(one, again)
     assert read(folder).fingerprint != logical.fingerprint
-    # Who reads it anew gets what it is now.
+    # Reading it again gives the current content.
     (other,) = simulator.run(a_round(read(folder), 0)[:1])
     assert not same_recording(other, before[0])
 

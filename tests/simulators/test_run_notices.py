@@ -1,4 +1,4 @@
-"""What is said of runs: entities far from every road, runs that were cut off, and egos that nobody drives."""
+"""Notices about runs: entities far from every road, runs that were cut off, and egos without a driver."""
 
 from __future__ import annotations
 
@@ -54,7 +54,7 @@ def trajectory(*vertices: tuple[float, float, float], times: bool = False) -> st
 
 
 def test_43_5_a_vehicle_that_begins_far_from_every_road_is_named(tmp_path):
-    # What lies beyond the end of the road is put at that end, which is said too.
+    # Entities beyond the end of the road are placed at its end, with a notice.
     _, said = told(placed(tmp_path, 1000.0, 2000.0))
     assert said.startswith("far from every road: Ego is ")
     away = float(said.split(" is ")[1].split(" m ")[0])
@@ -101,7 +101,7 @@ CUT = (
 
 def test_43_5_a_run_whose_stop_trigger_has_not_come_is_cut_off(tmp_path):
     assert cut(tmp_path, time_trigger("2.1")) == [CUT]
-    # It ends at the last instant, or before.
+    # It ends at the last time step, or before.
     assert cut(tmp_path, time_trigger("2")) == []
     assert cut(tmp_path, time_trigger("1")) == []
 
@@ -181,7 +181,7 @@ def test_43_5_a_study_in_which_nobody_drives_the_ego_says_so(tmp_path):
     test = ["test", tmp_path / "suite", "--ego", "Ego", "--other", "C", "--require", "no collision", "--duration", 1]
     assert nobody in cornercase(*test, "-o", tmp_path / "undriven.db").stderr
     assert "Nobody drives" not in cornercase(*test, "--driver", "Ego=normal", "-o", tmp_path / "driven.db").stderr
-    # A single run is no study.
+    # A single run is not a study.
     assert "Nobody drives" not in cornercase("simulate", undriven, "-o", tmp_path / "r.csv").stderr
 
 
