@@ -96,7 +96,11 @@ def warn_if_nobody_drives(simulator: Simulator, scenarios: Iterable[Scenario], e
     drivers = simulator.settings.get("drivers")
     has_driver = isinstance(drivers, dict) and ego in drivers
     # Other simulators drive the ego themselves, or have no drivers.
-    if simulator.name.partition(":")[0] != "builtin" or has_driver or any(one.may_drive(ego) for one in scenarios):
+    if (
+        simulator.name.partition(":")[0] != "builtin"
+        or has_driver
+        or any(scenario.may_drive(ego) for scenario in scenarios)
+    ):
         return
     warn(
         f"nobody drives {ego}: it follows the scenario and does not react; give it a driver with `drivers` {ego}=normal"
