@@ -14,7 +14,7 @@ from cornercase.scenario import Scenario
 from cornercase.simulators.base import Simulator
 from cornercase.simulators.builtin.prepared import PreparedScenario
 
-# Distance in m to the nearest lane from which entities in `_BESIDE` are far from the road; for others it is `NEAR`.
+# Distance in m to the nearest lane from which pedestrians and misc objects are far from the road; for others: `NEAR`.
 _FAR_BESIDE: Final = 50.0
 # Not checked: they follow their vehicle, or are on rails.
 _NOT_ASKED: Final = ("trailer", "semitrailer", "train", "tram")
