@@ -1,4 +1,4 @@
-"""Metrics that say the same of all scenarios are named: a warning of one that is searched, a note of any other."""
+"""Metrics with the same score in all scenarios: a warning if the metric is searched, otherwise a note."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from command_line import SPACE, X, cornercase
 
 
 def search(study: Path, *options: object) -> str:
-    """What `explore` says at its end, in one line."""
+    """The final output of `explore` in one line."""
     done = cornercase(
         "explore", X, "--space", SPACE, "--ego", "Ego", "--other", "Pedestrian", "--optimizer", "sobol",
         *options, "-o", study,
@@ -26,11 +26,11 @@ def notes(study: Path) -> dict[str, str]:
 def test_42_12_of_a_metric_that_is_not_searched_it_is_a_note_said_once(tmp_path):
     study, both = tmp_path / "s.db", ("--metric", "wttc", "--metric", "ttce")
     assert "score" not in search(study, *both, "--budget", "8")
-    # It becomes true here, ...
+    # It becomes true here ...
     assert search(study, *both, "--budget", "12").endswith(
         "used up. Note: All 12 scenarios have the same ttce score (0 s)."
     )
-    # ... and is not said each night.
+    # ... and is not repeated in later runs.
     for budget in ("12", "16"):
         assert "score" not in search(study, *both, "--budget", budget)
     assert notes(study) == {"ttce": "All 16 scenarios have the same ttce score (0 s)."}

@@ -1,4 +1,4 @@
-"""Searches without rounds: what they are told and asked, killed ones, and proposals made again."""
+"""Searches without rounds: calls of ask and tell, killed searches, and verified proposals."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ pytestmark = pytest.mark.filterwarnings("ignore:without effect")
 
 
 class Slow(Synthetic):
-    """Several at a time, of which some take much longer than others."""
+    """Parallel simulator in which some scenarios take much longer than others."""
 
     def __init__(self, places, survives=None, gather=False):
         super().__init__()
@@ -57,12 +57,12 @@ class Slow(Synthetic):
             self.now += 1
             self.most = max(self.most, self.now)
             if self.survives is not None and self.ran >= self.survives and not self.given_up.is_set():
-                # The main thread hears it, and gives up what runs in this one.
+                # The main thread receives the signal, and cancels what runs in this thread.
                 signal.raise_signal(signal.SIGINT)
                 self.given_up.wait(120.0)
             if self.most == self.places:
                 self.gathered.set()
-        # On a busy machine one would end before the next has begun.
+        # On a busy machine, one scenario would end before the next starts.
         self.gathered.wait(120.0)
         time.sleep(0.03 if concretes[0].values["b"] < 0.2 else 0.003)
         yield from super().run(concretes)
@@ -71,7 +71,7 @@ class Slow(Synthetic):
 
 
 class Listening(Optimizer):
-    """Keeps what another optimizer is told and asked for."""
+    """Records the calls of ask and tell of another optimizer."""
 
     name = "listening"
 
@@ -101,7 +101,7 @@ def fresh(one):
 
 
 def explored(path, one, simulator=None, optimizer=None):
-    """Explore without rounds, or go on so."""
+    """Start or resume an exploration without rounds."""
     objective = Objective([METRICS.create("distance")])
     with Study.open(path, readonly=False) if path.exists() else Study.create(path, one.meta(objective, {})) as study:
         study.writer.continue_with(one.meta(objective, {}))
@@ -136,7 +136,7 @@ def test_one_is_asked_for_as_soon_as_one_has_ended_and_all_that_runs_is_known(tm
             continue
         assert [point.tobytes() for point in more] == [key for key in asked if key not in told]
         asked += keys
-        # Half as many wait as are run.
+        # Half as many scenarios wait as are running.
         assert len(asked) - len(told) == min(6, 47 - len(told))
     assert len(told) == len(set(asked)) == 47
     with Study.open(tmp_path / "s.db", readonly=True) as study:
@@ -144,7 +144,7 @@ def test_one_is_asked_for_as_soon_as_one_has_ended_and_all_that_runs_is_known(tm
         points = {row.id: row.point.tobytes() for row in study.rows()}
         order = [scenario for scenario, _ in study.results()]
         assert [points[scenario] for scenario in order] == told
-        # The slow ones are overtaken.
+        # Fast scenarios overtake slow ones.
         assert order != sorted(order)
         away = [10 * abs(float(row.values["a"]) - float(row.values["b"])) for row in study.done()]
         np.testing.assert_allclose(study.scores("distance"), away, atol=1e-12)
@@ -158,7 +158,7 @@ def test_the_stored_order_gives_the_same_proposals_again_also_of_a_search_that_w
     interrupted = [explored(path, one, Slow(3, survives)).interrupted for survives in (14, 21, None)]
     assert interrupted == [True, True, False]
     with Study.open(path, readonly=True) as study:
-        # A grid of so few steps has 42 points, beside which there are audits.
+        # The grid has 42 points; audits come on top.
         count = 46 if optimizer == "grid" else 47
         assert len(study.rows()) == len(study.results()) == count
         assert len(study.done()) > 30
@@ -166,7 +166,7 @@ def test_the_stored_order_gives_the_same_proposals_again_also_of_a_search_that_w
     assert (again.same, again.reason) == (True, f"the same {count} scenarios were proposed again")
     if optimizer in ("sobol", "grid"):
         return
-    # An early result that is another gives other proposals.
+    # A different early result leads to other proposals.
     with sqlite3.connect(path) as connection:
         connection.execute("UPDATE courses SET score = 90 - score WHERE scenario < 40")
     reseal(path)
@@ -208,17 +208,17 @@ def test_patience_and_what_is_known_are_counted_in_results(tmp_path):
         assert not [row for row in study.rows() if row.state == "pending"]
     best = np.minimum.accumulate(order)
     last_new = 1 + max(np.flatnonzero(np.diff(best) < 0), default=-1)
-    # All that was on its way has ended, too.
+    # Pending scenarios have ended too.
     assert 10 <= len(order) - 1 - last_new <= 10 + 5
     stopped = explored(tmp_path / "t.db", about(budget=400, stop_when=("interval<0.4",)), Slow(3))
     assert "the critical share is known within" in stopped.reason
     assert stopped.ended < 200
-    # Once more it says so at once.
+    # A second call says so at once.
     assert explored(tmp_path / "t.db", about(budget=400, stop_when=("interval<0.4",))).ended == stopped.ended
 
 
 class Plain(Optimizer):
-    """An optimizer of another package, which knows nothing of searches without rounds."""
+    """A third-party optimizer without support for asynchronous search."""
 
     name = "plain"
 
@@ -252,13 +252,13 @@ def test_an_optimizer_that_only_asks_and_tells_is_told_the_mean_of_what_runs(tmp
         scores = dict(zip((row.id for row in study.done()), study.scores("distance"), strict=True))
         known = [scores[scenario] for scenario, turn in study.results() if turn == 2]
     assert len(order) == 12
-    # The second time that it is asked, some have ended, and the others are said to be as they are on average.
+    # At the second ask, some have ended, and the pending ones have the mean score as a pseudo-result.
     lies = Plain.lies[2]
     assert lies[-1] == pytest.approx(np.mean(known))
 
 
 class Noisy(Synthetic):
-    """Gives another distance each time that the same scenario is run."""
+    """Returns another distance each time that the same scenario is run."""
 
     def run(self, concretes):
         for k, found in enumerate(super().run(concretes)):

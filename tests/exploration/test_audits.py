@@ -1,4 +1,4 @@
-"""Scenarios that are drawn at random to judge a search."""
+"""Audits: scenarios that are drawn at random to assess a search."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ AUDITED: dict[str, Any] = {"optimizer": "bayes", "audit": 0.2, "budget": 60, "me
 
 
 class Listening(Optimizer):
-    """An optimizer, and everything that it was told."""
+    """Records everything that an optimizer was told."""
 
     def __init__(self, inner):
         super().__init__()
@@ -39,7 +39,7 @@ class Listening(Optimizer):
 
 
 def explored(path, simulator=None, **options):
-    """Explore a synthetic scenario with audits, or go on with it."""
+    """Start or resume the exploration of a synthetic scenario with audits."""
     about = Configuration(LOGICAL, "Ego", "B", seed=7, **AUDITED | options)
     objective = Objective([METRICS.create("distance")])
     optimizer = Listening(OPTIMIZERS.create(about.optimizer, space=SPACE, seed=7))
@@ -64,7 +64,7 @@ def test_the_search_is_never_told_of_audits_which_are_drawn_at_random(tmp_path):
     np.testing.assert_array_equal(audits, audits_of(SPACE, 7).ask(12))
     np.testing.assert_array_equal(told, [row.point for row in rows if not study.meta.is_audit(row.id)])
     assert table["audit"].sum() == 12
-    # Each round has its share of them.
+    # Each round contains its fraction of audits.
     assert table.groupby("round")["audit"].sum().eq(2).all()
 
 
@@ -111,7 +111,7 @@ def test_what_was_chosen_blindly_is_found_again(name):
     blindly = chosen_blindly(name, SPACE, 3, told)
     expected = {"bayes": 20 + 15, "bayes:filling=0": 20, "evolutionary": 40}.get(name, 70)
     assert expected <= blindly.sum() <= expected + 1
-    # They do not depend on the scores: the sequence alone says which they are.
+    # They are independent of scores: the sequence determines them.
     first = OPTIMIZERS.create("random" if name == "random" else "sobol", space=SPACE, seed=3).ask(20)
     assert name == "grid" or all(any((one == point).all() for point in told[blindly]) for one in first)
 

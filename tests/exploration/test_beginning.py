@@ -1,4 +1,4 @@
-"""What cannot begin leaves nothing behind that would keep out the corrected command."""
+"""An exploration that cannot start leaves no file that would block the corrected command."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ def test_what_no_scenario_can_be_run_with_is_said_before_there_is_a_study(tmp_pa
     study = tmp_path / "study.db"
     with pytest.raises(InputError, match="has no road '9'"):
         explored(roads(tmp_path, "9"), study, workers=workers)
-    # None of the values is of use.
+    # None of the values can be used.
     with pytest.raises(InputError, match=r"has no road '[789]'"):
         explored(roads(tmp_path, "$road"), study, "road=7:9:1", "s=0:100", workers=workers)
     assert list(tmp_path.glob("study.db*")) == []

@@ -1,4 +1,4 @@
-"""Searching what a condition says is critical: cut-ins that a reference driver would have prevented."""
+"""Search by a condition: cut-ins in which a reference driver would have prevented a collision."""
 
 from __future__ import annotations
 
@@ -52,7 +52,7 @@ def study(tmp_path_factory):
 
 def stored(path):
     with sqlite3.connect(path) as connection:
-        # The checksum of a row is of its round too.
+        # The checksum of a row includes its round.
         scenarios = "id, round, point, parameters, state, error, recording"
         tables = (f"SELECT {scenarios} FROM scenarios ORDER BY id", "SELECT * FROM courses ORDER BY scenario, metric")
         return [connection.execute(table).fetchall() for table in tables]
@@ -170,7 +170,7 @@ def test_without_rounds_the_same_is_decided(study, tmp_path):
     explored(tmp_path / "s.db", asynchronous=True)
     (scenarios, courses), (others, their) = stored(study), stored(tmp_path / "s.db")
     assert courses == their
-    # All but the number of the round.
+    # Everything except the number of the round.
     assert [row[:1] + row[2:] for row in scenarios] == [row[:1] + row[2:] for row in others]
 
 

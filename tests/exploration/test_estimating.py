@@ -72,7 +72,7 @@ def test_the_probability_is_the_true_one_and_failures_are_told(tmp_path):
 
 
 class Touching(Synthetic):
-    """Ego and B collide where they are less than 1 m apart."""
+    """Ego and B collide if they are less than 1 m apart."""
 
     def run(self, concretes):
         for one in super().run(concretes):
@@ -120,7 +120,7 @@ def test_of_a_small_space_all_is_run_and_nothing_is_unsure(tmp_path):
     with opened(tmp_path / "e.db", space) as study:
         found = estimator(study, logical=logical).run()
     assert found.scenarios == 121
-    # The ten of eleven values of a that run are met by the same value of b.
+    # Ten of the eleven values of a run, each with the same value of b.
     assert found.critical.value == pytest.approx(10 / 121)
     assert (found.critical.low, found.critical.high, found.critical.error) == (
         found.critical.value,
@@ -130,7 +130,7 @@ def test_of_a_small_space_all_is_run_and_nothing_is_unsure(tmp_path):
 
 
 SMALL = replace(LOGICAL, space=ParameterSpace.from_ranges(["a=0:1:0.05", "b=0:1:0.1"]))
-# Of 21 times 11 scenarios those with a of at most 0.9 and the same b.
+# Of 21 x 11 scenarios, those with a <= 0.9 and the same b.
 TRUTH = 10 / 231
 
 
@@ -207,7 +207,7 @@ def test_a_study_is_estimated_with_its_own_simulator(explored, tmp_path):
     with Study.open(tmp_path / "e.db", readonly=True) as study:
         assert len(study.done()) == 120
         assert study.meta.optimizer.startswith("importance-sampling:learn=48,known=20-")
-        # The result can be worked out from what the file holds.
+        # The result can be computed from the content of the file.
         arrays, _ = study.analysis("estimate")
         scores = dict(zip((row.id for row in study.done()), study.scores("wttc"), strict=True))
         met = np.array([scores[number] <= 0.2 for number in arrays["ids"].tolist()])
@@ -248,7 +248,7 @@ def test_a_study_that_cannot_be_estimated_is_named_without_the_option_of_the_out
     Study.create(file, about(LOGICAL.space, "distance", "wttc", pareto=True)).close()
     with pytest.raises(InputError) as refused:
         estimate(file, tmp_path / "e.db")
-    # On the command line `study` is what -o names.
+    # On the command line, `study` is the argument of -o.
     assert str(refused.value).startswith(f"{file}: was searched for a Pareto front")
 
 
@@ -267,7 +267,7 @@ def test_of_repeated_runs_is_told_how_many_are_critical_and_how_open_that_is(tmp
         given = [one for one in simulator.given[6 * k : 6 * k + 6] if one is not None]
         met = sum(one <= 30.0 for one in given)
         assert runs[k, 0] == met / len(given)
-        # What is critical less often than `low` says would give so many in one of twenty cases.
+        # With a probability below `low`, so many would occur in one of twenty cases.
         if met:
             assert binom.sf(met - 1, len(given), runs[k, 1]) == pytest.approx(0.05)
         if met < len(given):

@@ -32,7 +32,7 @@ def sample(logical, simulator, size):
 
 
 def outcome(recording, other):
-    """Return who is first where their ways meet: the ego, the other, or a collision."""
+    """Return who is first where their paths cross: the ego, the other, or a collision."""
     if recording.first_collision("Ego", other) is not None:
         return "collision"
     a, b = recording.center("Ego"), recording.center(other)
@@ -86,13 +86,13 @@ def test_clusters_by_wttc_separate_high_from_low_criticality(x_study):
     from cornercase.clustering import analyze
 
     with Study.open(x_study, readonly=False) as study:
-        # WTTC passes evenly from critical to harmless, which is one kind; settings by hand, as in the paper, divide it.
+        # WTTC changes gradually from critical to harmless: one cluster; manual settings as in the paper split it.
         labels = analyze(study, ["wttc"], gamma=1.0, eps=0.2)["wttc"].clustering.labels
         scores = study.scores("wttc")
     medians = [np.median(scores[labels == k]) for k in range(labels.max() + 1)]
     assert len(medians) >= 2
     harmless = scores[labels == int(np.argmax(medians))]
-    # The least critical cluster holds nothing critical, and the critical ones are elsewhere.
+    # The least critical cluster contains no critical scenario; they are in other clusters.
     assert harmless.min() > 0.5
     assert np.min(medians) < 0.3
     assert np.median(harmless) > 5 * np.min(medians)
@@ -108,7 +108,7 @@ def test_accidents_form_clusters_of_their_own_by_ego_trajectory(tmp_path):
         labels = analyze(study, ["ego-trajectory"])["ego-trajectory"].clustering.labels
         crashed = np.array([bool(study.recording(row.id).collisions) for row in study.done()])
     assert 0 < crashed.sum() < len(crashed)
-    # One or more, as who is hit from behind and who is hit while it stands are two kinds of accident.
+    # One or more: being hit from behind and being hit while standing are two types of accident.
     clustered = labels >= 0
     assert (crashed & clustered).sum() >= 0.9 * crashed.sum()
     for cluster in set(labels[crashed & clustered].tolist()):

@@ -1,4 +1,4 @@
-"""The loop of an exploration: stopped, killed and gone on with, always to the same bytes."""
+"""The exploration loop: stopped, killed and resumed, always with identical results."""
 
 from __future__ import annotations
 
@@ -128,7 +128,7 @@ def test_what_is_no_study_is_refused(tmp_path):
 
 
 def contents(path):
-    """All that must not depend on when it was computed, to the last bit."""
+    """Everything that must be bit-identical in all runs."""
     with sqlite3.connect(path) as connection:
         return [connection.execute(f"SELECT * FROM {table}").fetchall() for table in ("meta", "scenarios", "courses")]
 
@@ -161,7 +161,7 @@ def test_killed_again_and_again_it_ends_with_the_same_bytes(optimizer, deaths, t
 
 
 class Listening(Optimizer):
-    """A Sobol' sequence that keeps what it is told."""
+    """A Sobol' sequence that records what it is told."""
 
     name, needs = "listening", frozenset({"features"})
 
@@ -191,7 +191,7 @@ def test_an_optimizer_is_told_what_happened_also_when_it_goes_on(monkeypatch, tm
     assert failed.any()
     assert np.isnan(features[failed]).all()
     assert np.isfinite(features[~failed]).all()
-    # The other stands ahead, at the distance that is the score.
+    # The other stands ahead; its distance is the score.
     np.testing.assert_allclose(column["nearest-ahead"][~failed], scores[~failed], atol=1e-12)
     assert len(made[0].told) == 3
     np.testing.assert_array_equal(np.concatenate([one[2] for one in made[0].told]), features[:23])
@@ -219,7 +219,7 @@ def test_a_simulator_that_ends_early_fails_only_the_scenario_where_it_ends(tmp_p
 
 
 class Largest(Metric):
-    """The same distance, but large is critical."""
+    """The same distance, but critical when large."""
 
     name, unit, lower_is_critical, cap, source = "distance", "m", False, 0.0, ""
 
@@ -265,8 +265,8 @@ def scripted(rounds):
     ("rounds", "told"),
     [
         ([5, 4, 3, 3.5, 3.6, 2], 5),  # two rounds that are worse than the third
-        ([5, 4, 4, 4, 6, 4, 4.5, 4.5, 4], 8),  # as critical as the best before is another critical scenario
-        ([3, 2, 1], 3),  # the space is used up
+        ([5, 4, 4, 4, 6, 4, 4.5, 4.5, 4], 8),  # a score equal to the best counts as an improvement
+        ([3, 2, 1], 3),  # the space is exhausted
     ],
 )
 def test_patience_counts_rounds_without_news(tmp_path, rounds, told):
@@ -334,7 +334,7 @@ def test_an_interrupt_before_the_explorer_listens_is_none_that_is_lost(tmp_path,
     assert (result.ended, result.interrupted) == (0, True)
     monkeypatch.undo()
     assert explore_configuration(one, tmp_path / "s.db").ended == 2
-    # Before there is a study there is nothing to go on with.
+    # Without a study there is nothing to resume.
     monkeypatch.setattr("cornercase.exploration.exploring.Study.create", interrupted)
     with pytest.raises(KeyboardInterrupt):
         explore_configuration(one, tmp_path / "other.db")

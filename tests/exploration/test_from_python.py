@@ -1,4 +1,4 @@
-"""Exploring from Python: what it takes, and what it refuses in a sentence."""
+"""Exploring from Python: accepted and refused arguments."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ def test_from_python_a_scenario_is_explored_by_its_path_or_as_it_was_read(tmp_pa
     logical = LogicalScenario.read(file, space)
     normal = named_driver("normal")
     search(logical, str(tmp_path / "b.db"), budget=2)
-    # With a larger budget it goes on.
+    # A larger budget continues it.
     assert search(logical, tmp_path / "b.db", budget=3).ended == 3
     driven = search(logical, tmp_path / "c.db", budget=2, drivers={"Ego": normal})
     with Study.open(driven.study, readonly=True) as study:

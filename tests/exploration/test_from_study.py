@@ -1,4 +1,4 @@
-"""A search that begins from another study: what it takes of it, keeps and refuses."""
+"""Warm start of a search from another study: what is read, stored and refused."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ def searched(path, *, logical=WHOLE, driver="normal:reaction_time=0.8", metrics=
 
 @pytest.fixture(scope="module")
 def other(tmp_path_factory):
-    """A study of another driver, with one more metric than is searched."""
+    """A study with another driver, and one more metric than the searched one."""
     path = tmp_path_factory.mktemp("other") / "other.db"
     searched(path, driver="normal", metrics=("distance", "wttc"), optimizer="sobol", budget=40, batch=20)
     return path
@@ -64,7 +64,7 @@ def test_it_goes_on_as_it_was_without_the_other_study(tmp_path, other):
         assert "elsewhere" not in {key for key, *_ in content(cold.path)["meta"]}
         assert not np.array_equal(begun.points(), cold.points())
         assert StudyMeta.from_json(begun.meta.to_json()) == begun.meta
-        # What is said of the critical set is by the other study too, and of the scenarios of this one.
+        # The estimate of the critical set uses the other study and the scenarios of this one.
         scores = begun.scores("wttc")
         assert 0.0 < critical_set_of(begun, scores, 0.5).share.value < 1.0
         assert len(scores) == 30
@@ -175,7 +175,7 @@ def test_a_damaged_beginning_is_told(tmp_path, other):
     with closing(sqlite3.connect(tmp_path / "new.db")) as connection, connection:
         connection.execute("DELETE FROM elsewhere WHERE rowid = 1")
     for command in (("show",), ("report", "-o", tmp_path / "page.html")):
-        # What is known of the critical set is not left out, as if there were too few scores.
+        # The estimate of the critical set is not skipped as if there were too few scores.
         told = cornercase(command[0], tmp_path / "new.db", *command[1:])
         assert told.returncode == 2
         assert "elsewhere has missing or extra rows" in told.stderr

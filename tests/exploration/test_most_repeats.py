@@ -1,4 +1,4 @@
-"""Scenarios that are run more often while it is open whether they are critical."""
+"""Extra runs of scenarios while it is undecided whether they are critical."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ THRESHOLD, REPEATS, MOST = 30.0, 5, 17
 
 
 def distance(often, run):
-    """Distance in a run of a scenario, which is critical as often as its parameter says; None where it fails."""
+    """Distance in a run of a scenario that is critical with the probability of its parameter; None if it fails."""
     draw, where = np.random.default_rng([int(often * 2**40), run]).random(2)
     if 0.2 < often < 0.3 and where < 0.5:
         return None
@@ -41,7 +41,7 @@ def distance(often, run):
 
 
 class Wavering(Simulator):
-    """Gives another distance each time that it runs the same scenario, but the same ones each time that it is made."""
+    """Returns another distance for each run of a scenario, but the same sequence for each instance."""
 
     name = "wavering"
 
@@ -71,7 +71,7 @@ class Wavering(Simulator):
                     heading=still,
                     speed=still,
                     acceleration=still,
-                    # So small that they never touch.
+                    # Too small to touch.
                     length=np.full(2, 1e-6),
                     width=np.full(2, 1e-6),
                     center_x=np.zeros(2),
@@ -100,7 +100,7 @@ def contents(path):
 
 
 def runs_by(rule, often):
-    """Runs of a scenario by a rule that says after how many critical ones of how many it is enough."""
+    """Simulate the runs of a scenario with a stopping rule on the number of critical runs."""
     runs: list[float | None] = []
     while True:
         runs += [distance(often, len(runs) + k) for k in range(min(REPEATS, MOST - len(runs)))]
@@ -110,7 +110,7 @@ def runs_by(rule, often):
 
 
 def is_clear(met, ended):
-    """Whether a fair coin would give so many, or so few, in less than one of twenty cases."""
+    """Whether a fair coin would give a count this extreme in less than one of twenty cases."""
     return binom.sf(met - 1, ended, 0.5) <= 0.05 or binom.cdf(met, ended, 0.5) <= 0.05
 
 
@@ -140,7 +140,7 @@ def test_scenarios_are_run_until_it_is_clear_on_which_side_they_are(study):
         still_open = (shares[:, 1] <= 0.5) & (shares[:, 2] >= 0.5)
         assert all(simulator.ran[row.values["often"]] == MOST for row, one in zip(rows, still_open, strict=True) if one)
         lost = [row.values["often"] for row in opened.failed()]
-    # One that cannot be run at all costs no more than before.
+    # A scenario that always fails gets no extra runs.
     assert lost
     assert all(simulator.ran[one] == REPEATS for one in lost)
 
@@ -150,7 +150,7 @@ def test_what_is_open_in_a_round_is_run_again_in_one_batch(tmp_path):
     explored(tmp_path / "s.db", about(budget=8), simulator)
     first, *later = simulator.batches
     assert [len(set(first)), len(first)] == [8, 8 * REPEATS]
-    # Three more times they are run, the last time up to the most.
+    # They get three more batches, the last one up to the limit.
     assert [Counter(Counter(batch).values()).keys() for batch in later] == [{REPEATS}, {REPEATS}, {MOST - 3 * REPEATS}]
     assert set(later[0]) < set(first)
     for before, after in pairwise(simulator.batches):
@@ -160,7 +160,7 @@ def test_what_is_open_in_a_round_is_run_again_in_one_batch(tmp_path):
 
 def test_how_often_repeated_looks_mislead_is_as_the_documentation_says():
     def ends(probability):
-        """Chance to end as uncritical and as critical, and runs in the mean, of 5 to 50 runs."""
+        """Probability to end as uncritical and as critical, and mean number of runs, with 5 to 50 runs."""
         met, sides, mean = {0: 1.0}, [0.0, 0.0], 0.0
         for ran in range(5, 51, 5):
             mean += 5 * sum(met.values())
@@ -187,7 +187,7 @@ def test_how_often_repeated_looks_mislead_is_as_the_documentation_says():
 @pytest.mark.parametrize(("survives", "ended"), [(20, 1), (47, 3), (61, 3)])
 def test_a_search_that_was_ended_in_between_goes_on_with_the_same_bytes(study, tmp_path, survives, ended):
     found = explored(tmp_path / "s.db", about(), Wavering(interrupts=survives))
-    # Of eight, whose first runs are 40, those that are open then wait for their last run.
+    # Eight scenarios have 40 first runs; the open ones then wait for their last run.
     assert (found.interrupted, found.ended) == (True, ended)
     explored(tmp_path / "s.db", about(), Wavering())
     assert contents(tmp_path / "s.db") == contents(study[0])
@@ -240,7 +240,7 @@ def test_a_study_is_run_again_as_it_was(tmp_path):
     explore(one.logical, path, budget=2, repeats=2, most_repeats=5, critical=1.0, **given)
     with Study.open(path) as opened:
         again = configuration_of(opened, path, one.logical.path, None, {})
-        # All alike, they are open after two and after four.
+        # With equal results, they are open after two and after four runs.
         assert opened.table()["runs"].tolist() == [5, 5]
     assert (again.repeats, again.most_repeats) == (2, 5)
 

@@ -1,4 +1,4 @@
-"""What searches are told, several metrics at once, and when they stop."""
+"""Scores that searches receive, several metrics, and stop criteria."""
 
 from __future__ import annotations
 
@@ -27,13 +27,13 @@ NAMED = ParameterSpace([*CUBE.parameters, Parameter("kind", 0, 2, choices=("car"
 
 
 def bowl(points):
-    """Lowest at 0.3 in each direction, among trucks."""
+    """Minimum at 0.3 in each direction, for trucks."""
     truck = NAMED.parameters[3].numbers(points[:, 3]) == 1
     return np.linalg.norm(points[:, :3] - 0.3, axis=1) + np.where(truck, 0.0, 1.0)
 
 
 def between(points):
-    """Two scores, of which none can be better without the other being worse on the line from 0.3 to 0.7."""
+    """Two scores whose Pareto set is the line from 0.3 to 0.7."""
     return np.stack([np.linalg.norm(points[:, :3] - place, axis=1) for place in (0.3, 0.7)], axis=1)
 
 
@@ -46,7 +46,7 @@ def test_lower_is_always_more_critical():
     assert both.text == "2 ttc + 0.5 (-drac)"
     np.testing.assert_array_equal(Objective([TTC, DRAC], pareto=True).oriented(scores), [[1.5, -4.0], [0.5, -8.0]])
     assert Objective([DRAC]).threshold(3.0) == -3.0
-    # What does not count may be undefined.
+    # Unused scores may be undefined.
     np.testing.assert_array_equal(Objective([TTC, DRAC]).oriented(np.array([[1.5, np.nan]])), [1.5])
 
 
@@ -190,7 +190,7 @@ def test_the_command_line_searches_sums_and_fronts_and_says_what_matters(tmp_pat
     assert 0 < shown["critical"]["share"]["low"] < shown["critical"]["share"]["high"] < 1
     assert set(shown["sensitivity"]["parameters"]) == set(shown["parameters"])
     assert "p1_speed" in shown["sensitivity"]["of_little_influence"]
-    # Other weights are another search.
+    # Other weights define another search.
     other = cornercase(*common, "--critical", "0.5", "--optimizer", "level-set", "-o", tmp_path / "w.db")
     assert other.returncode == 2
     assert "other weights" in other.stderr

@@ -1,4 +1,4 @@
-"""What `verify --repair` does beside bringing rows back: it is alone, keeps what was there, and fits into memory."""
+"""`verify --repair`: locking, the copy of the damaged file, and the memory limit."""
 
 from __future__ import annotations
 
@@ -71,7 +71,7 @@ def test_there_is_a_study_of_its_name_whatever_stops_the_repair(whole, damaged, 
         patched.setattr("cornercase._common.pending_files.replace_file", killed)
         assert cornercase("verify", damaged, "--repair", "--scenario", X).returncode == 130
     assert damaged.read_bytes() == before
-    # It has two names now, which is one too many to write to it.
+    # It has two names now, so nobody may write to it.
     assert cornercase("verify", damaged, "--repair", "--scenario", X).returncode == 0
     assert contents(damaged) == contents(whole)
     assert sorted(one.name for one in damaged.parent.iterdir()) == ["s.db", "s.db.damaged"]
@@ -82,7 +82,7 @@ def test_rows_that_still_stood_in_the_log_are_brought_back(whole, tmp_path):
     shutil.copy(whole, original)
     damaged = tmp_path / "s.db"
     with Study.open(original):
-        # A reader keeps the log from being taken into the file.
+        # A reader prevents the log from being checkpointed into the file.
         write_note(original, 2, "looked at")
         for ending in ("", "-wal"):
             shutil.copy(f"{original}{ending}", f"{damaged}{ending}")
@@ -103,7 +103,7 @@ def test_what_does_not_fit_into_memory_is_said_before(damaged, monkeypatch):
 
 @pytest.fixture
 def meanwhile(monkeypatch):
-    """Let something happen while scenarios are run again, or before another step of the repair."""
+    """Run an action while scenarios are run again, or before another step of the repair."""
 
     def let(action, step="configured_simulator"):
         plain = getattr(repairing, step)
@@ -130,7 +130,7 @@ def test_42_s3_nobody_writes_to_a_study_while_it_is_repaired(whole, damaged, mea
         with pytest.raises(InputError) as error:
             write_note(damaged, 1, "brakes late")
         said.append(str(error.value))
-        # What every explorer does first, here without waiting half a minute for its turn.
+        # The first step of every explorer, without the usual wait for the lock.
         with closing(sqlite3.connect(damaged, timeout=0.1)) as explorer, pytest.raises(sqlite3.Error, match="locked"):
             Lease.take(damaged, explorer)
         # Reading is allowed.
@@ -172,7 +172,7 @@ def test_42_s3_a_note_that_is_written_while_a_damaged_study_is_read_stays(damage
 
 
 def explored_further(whole: Path, damaged: Path) -> None:
-    """Thirty scenarios, in a sound copy that took the place of the study."""
+    """Thirty scenarios in an intact copy that replaced the study."""
     other = damaged.with_name("other.db")
     shutil.copy(whole, other)
     os.replace(other, damaged)

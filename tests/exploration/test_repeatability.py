@@ -1,4 +1,4 @@
-"""Whether the runs of a study repeat themselves: its first scenario is run twice."""
+"""Check if runs are deterministic: the first scenario of a study is run twice."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ class Seeded(Driver):
 
 
 class Remembering(Driver):
-    """Keeps from one batch to the next how many there were."""
+    """Keeps a counter between batches."""
 
     batches = 0
 
@@ -49,14 +49,14 @@ class Remembering(Driver):
 
 
 class Sociable(Driver):
-    """Looks at the other scenarios of its batch."""
+    """Depends on the other scenarios of its batch."""
 
     def acceleration(self, situation):
         return np.full_like(situation.speed, -situation.speed.mean() / 100.0 - len(situation.speed) / 10.0)
 
 
 class Drifting(Simulator):
-    """Says that it repeats itself, and does so up to 1.5e-5 m."""
+    """Claims to be deterministic, and is, up to 1.5e-5 m."""
 
     name = "drifting"
     in_process = True
@@ -81,13 +81,13 @@ class Drifting(Simulator):
 
 
 class Steady(Drifting):
-    """Does what it says."""
+    """Is deterministic as declared."""
 
     name, drift = "steady-simulator", 0.0
 
 
 class Modest(Drifting):
-    """Does not say that it repeats itself."""
+    """Does not claim to be deterministic."""
 
     name, repeats_itself = "modest", False
 
@@ -166,7 +166,7 @@ def test_42_6_a_simulator_is_not_believed_that_it_repeats_itself(explore):
     found = {one.name: tried(explore(f"{one.name}.db", simulator=one.name)) for one in (Drifting, Steady, Modest)}
     assert found["drifting"] == {"scenario": 1, "same": False, "apart": pytest.approx(7.5e-5, rel=1e-6)}
     assert found["steady-simulator"]["same"]
-    # What nobody claims need not be tried.
+    # Without the claim there is no check.
     assert found["modest"] == {}
     assert cc.compare(
         explore("a.db", simulator="steady-simulator"), explore("b.db", simulator="steady-simulator")
@@ -194,7 +194,7 @@ def test_42_6_a_second_run_that_fails_is_told(explore, monkeypatch):
                 yield found
 
     SIMULATORS.register("once", Once)
-    # What fails by itself differs; what somebody else may have ended is tried again.
+    # An own failure counts as a difference; after an external one the check is repeated.
     assert tried(explore("a.db", simulator="once")) == {"scenario": 1, "same": False, "apart": None}
     Once.ran.clear()
     monkeypatch.setattr(Once, "wrong", SimulationError("no licence"))
@@ -209,7 +209,7 @@ def test_42_6_it_is_tried_once_and_also_when_a_search_goes_on(explore, monkeypat
     path = explore("s.db", simulator="steady-simulator", budget=4)
     explore("s.db", simulator="steady-simulator", budget=6)
     assert runs == [5, 2]
-    # A search that was killed before goes on with it; nothing else of the study is another.
+    # A search that was killed before resumes; nothing else in the study differs.
     other = explore("t.db", simulator="steady-simulator", budget=6)
     contents = [stored(one) for one in (path, other)]
     assert contents[0] == contents[1]

@@ -1,4 +1,4 @@
-"""Scenarios that failed by a cause outside: they are told of, and run once more."""
+"""Scenarios that failed for an external reason: they are reported, and run again."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ def test_what_failed_is_run_once_more_when_that_is_asked(tmp_path, asynchronous)
     assert (again.done, again.failed, again.reasons) == (6, 0, {})
     now = stored(path)
     if asynchronous:
-        # Their results came later.
+        # Their results arrived later.
         del before["tallies"], now["tallies"]
     assert now == before
 

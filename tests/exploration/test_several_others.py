@@ -27,7 +27,7 @@ NAMES = ("Ego", "Oncoming", "Slow", "Parked")
 
 @pytest.fixture(scope="module")
 def scenario(tmp_path_factory):
-    """Ego drives with constant speed towards a slower car, and a parked one behind that; one comes towards it."""
+    """Ego drives at constant speed towards a slower car and a parked one behind it; a third one is oncoming."""
     folder = tmp_path_factory.mktemp("several")
     starts = [moving("10", "$v"), moving("$from", "10", "Oncoming", "1")]
     starts += [moving("40", "8", "Slow"), moving("110", "0", "Parked")]
@@ -72,7 +72,7 @@ def test_a_study_holds_the_most_critical_and_whom_it_is_against(study):
                 if whom is not None:
                     assert scores[opened.meta.others.index(whom)] == worst
         assert set(opened.against("clearance").values()) == {"Slow", "Oncoming"}
-        # It looks at the scene, and with neither of them the ego collides otherwise.
+        # The ego collides with none of them otherwise.
         assert None in opened.against("traffic-quality").values()
 
 
@@ -101,7 +101,7 @@ def test_all_others_are_resolved_to_their_names(scenario, tmp_path):
     explored(scenario, tmp_path / "all.db", "*", budget=2)
     with Study.open(tmp_path / "all.db", readonly=True) as opened:
         assert opened.meta.others == NAMES[1:]
-    # The same again goes on, by star or by names; somebody else is another study.
+    # The same others, by star or by names, resume the study; different ones do not.
     assert explored(scenario, tmp_path / "all.db", list(NAMES[1:]), budget=3).ended == 3
     assert explored(scenario, tmp_path / "all.db", "*", budget=3).ended == 3
     with pytest.raises(InputError, match="metrics against another entity"):

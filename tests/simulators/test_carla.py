@@ -1,4 +1,4 @@
-"""The CARLA adapter against a stand-in that speaks CARLA's protocol: the protocol only, no CARLA.
+"""The CARLA adapter with a test server that implements CARLA's protocol, without CARLA.
 
 With CARLA_HOST set to a host or host:port, the tests of runs use the CARLA that listens there instead.
 """
@@ -39,7 +39,7 @@ T = EXAMPLES / "t_intersection" / "t_intersection.xosc"
 ROAD = T.with_suffix(".xodr")
 RUNNER = HERE / "fake_scenario_runner"
 STUB_ONLY = pytest.mark.skipif(bool(REAL), reason="what goes wrong is made by the stand-in")
-# A real car is not at its speed at once.
+# A real car needs time to reach its speed.
 NEAR = 3.0 if REAL else 0.3
 
 
@@ -52,7 +52,7 @@ def options(server, **more):
 
 @pytest.fixture
 def scenario(tmp_path):
-    """Ego goes east at 10 m/s, C stands on its way 40 m ahead, a walker crosses behind it."""
+    """Ego drives east at 10 m/s, C stands on its path 40 m ahead, a walker crosses behind it."""
 
     def vehicle(name):
         return f"""<ScenarioObject name="{name}"><Vehicle name="car" vehicleCategory="car"><ParameterDeclarations/>
@@ -102,7 +102,7 @@ def test_motion_is_in_the_axes_of_the_scenario_and_collisions_go_on(scenario):
     assert np.abs(found.y[0] + 1.75).max() < NEAR
     assert np.abs(found.speed[0][found.time > 1.0] - 10).max() < NEAR
     assert np.abs(found.x[1] + 40).max() < NEAR
-    # To the left of who goes east, as in the scenario and not as in CARLA.
+    # To the left of an entity that drives east, as in the scenario and unlike in CARLA.
     assert found.y[2][-1] - found.y[2][0] == pytest.approx(1.5 * (6.0 - found.time[still][-1]), abs=NEAR)
     assert found.heading[2][-1] == pytest.approx(np.pi / 2, abs=0.05)
     if not REAL:
@@ -136,7 +136,7 @@ def test_the_recorders_file_tells_the_same(scenario, tmp_path):
     assert [c.entities for c in other.collisions] == [("Ego", "C")]
     (kept,) = (tmp_path / "kept").iterdir()
     assert {"cornercase.xosc", "cornercase.log", "scenario_runner.log"} <= {file.name for file in kept.iterdir()}
-    # What a scenario names lies on no path of Python's modules.
+    # Files that a scenario names are not on Python's path.
     assert [file.name for file in (kept / "road").iterdir()] == ["road.xodr"]
     assert [file.name for file in (kept / "drivers").iterdir() if file.suffix] == ["cornercase_trajectory.py"]
     assert not [file for file in kept.iterdir() if file.suffix in (".py", ".xodr")]
@@ -248,7 +248,7 @@ def test_a_scenario_that_hangs_takes_its_scenario_runner_with_it(scenario, monke
         assert str(found) == "the simulator did not end within 4 s, tried once"
         until(lambda: not any(f"--port {server.port}" in " ".join(one) for one in command_lines()))
         monkeypatch.setenv("FAKE_RUNNER", "")
-        # What it left behind is cleared away before the next.
+        # Its leftovers are removed before the next run.
         assert run(server, scenario, {"end": 1.0}).names == ("Ego", "C", "Walker")
 
 
@@ -268,7 +268,7 @@ def test_the_command_explores_with_repeated_runs(scenario, tmp_path):
         spread = study.spread("ttc")
         assert spread is not None
         assert spread.shape == (3, 2)
-        # On another server the same command goes on.
+        # With another server, the same command resumes.
         with Served(ROAD) as other:
             given = ",".join(f"{name}={value}" for name, value in options(other).items())
             again = [f"carla:{given}" if str(one).startswith("carla:") else one for one in command]
@@ -291,7 +291,7 @@ def test_what_carla_cannot_do_is_refused_before_there_is_a_study(tmp_path):
 
 
 def old_runner(folder, version, *, options="", controller=""):
-    """ScenarioRunner as it was, as far as one can tell by its files."""
+    """An older ScenarioRunner, as far as its files show."""
     files = {
         "scenario_runner.py": f"VERSION = '0.9.13'\nparser.add_argument('--host')\n# as --frameRate\n{options}\n",
         "srunner/scenariomanager/actorcontrols/basic_control.py": f"class BasicControl:\n    _waypoints = []\n{controller}\n",
@@ -428,7 +428,7 @@ def test_a_behaviour_agent_gets_the_entitys_route(tmp_path):
     assert found["Ego"]["behavior"] == "cautious"
     waypoints = read_xml(T).findall(".//Private[@entityRef='Ego']//Waypoint")
     assert len(etree.fromstring(found["Ego"]["route"])) == len(waypoints)
-    # Who has none follows its route at the storyboard's speed.
+    # An entity without an agent follows its route at the storyboard's speed.
     assert "behavior" not in found["C"]
     assert root.find(".//Init//AssignRouteAction") is None
     assert root.find("FileHeader").get("description") == "cornercase"
@@ -580,7 +580,7 @@ def test_the_driver_follows_its_route_beyond_its_end_and_brakes_then(driver):
     made = driver(vehicle, {"behavior": "aggressive", "route": ROUTE})
     assert made._agent.behavior == "aggressive"
     plan = [point.transform.location.x for point, _ in made._agent.plan]
-    # The position at which it stands is no part of the way.
+    # Its current position is not part of the route.
     assert plan[:2] == pytest.approx([-60.0, -20.0], abs=0.1)
     assert plan[-1] > 20.0
     for _ in range(4):

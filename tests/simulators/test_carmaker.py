@@ -1,4 +1,4 @@
-"""The CarMaker adapter against a stand-in of its command port: the protocol only, no CarMaker."""
+"""The CarMaker adapter with a replacement for its command port, without CarMaker."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ from cornercase.simulators.carmaker.port import CommandPort
 from cornercase.simulators.carmaker.port_run import PortRun
 from cornercase.study import Study
 
-# The entities of a TestRun's scenario need no boxes, of which there is a test.
+# Entities without boxes; another test covers boxes.
 pytestmark = pytest.mark.filterwarnings("ignore:.* have no <BoundingBox>:UserWarning")
 
 SAMPLE = Path(__file__).parents[3] / "shared" / "reference" / "simulators" / "carmaker" / "example.erg"
@@ -46,7 +46,7 @@ SCENARIO = """<?xml version="1.0"?>
 
 
 class Port:
-    """A CarMaker that listens on its command port, and goes through its states as one does.
+    """A replacement for CarMaker that listens on a command port and goes through its states.
 
     After ``StartSim`` it prepares, adapts its driver, runs and postprocesses, each for some questions for its status;
     then it is idle, and its result lies in a new file; without a course it never begins. ``odd`` says what it answers instead, by the word a command
@@ -73,7 +73,7 @@ class Port:
             threading.Thread(target=self._talk, args=(line,), daemon=True).start()
 
     def _talk(self, line):
-        # Who asked may have hung up.
+        # The client may have disconnected.
         with suppress(OSError):
             self._answer_all(line)
 
@@ -132,14 +132,14 @@ class Port:
         return self._states[0]
 
     def _next(self):
-        """The state, after which it goes on to the next; the last one stays."""
+        """Return the state and move to the next; the last one stays."""
         state = self._state()
         if len(self._states) > 1:
             self._states.pop(0)
         return state
 
     def close(self):
-        # Wakes who waits for a call.
+        # Wakes up the thread that waits for a call.
         self._listener.shutdown(socket.SHUT_RDWR)
         self._listener.close()
 
@@ -155,7 +155,7 @@ def project(tmp_path):
 
 @pytest.fixture
 def quick(monkeypatch):
-    """Little patience, since what is waited for never comes."""
+    """Short time-outs, since the awaited event never comes."""
     monkeypatch.setattr(PortRun, "__init__", partialmethod(PortRun.__init__, waiting=0.3))
     monkeypatch.setattr("cornercase.simulators.carmaker.simulator.WAITING", -59.5)
 
@@ -194,7 +194,7 @@ SPEEDS = (10.0, 20.0, 30.0)
 @pytest.mark.parametrize("waits", ["waits", "at once", "error"])
 @pytest.mark.parametrize("course", [(-1, -5, 0, 0, -3), (-10, -11, -1, -4, 3), (), (-3,), (5,)])
 def test_three_speeds_give_three_recordings_however_the_waits_end(project, waits, course):
-    # Without any state it is idle again before anyone asks.
+    # Without any state it is idle again before the first poll.
     port = Port(waits=waits, course=course)
     found = [run(project, port, {"ego_speed": speed}) for speed in SPEEDS]
     assert [one.speed[0, 0] for one in found] == pytest.approx(SPEEDS)
@@ -468,7 +468,7 @@ def test_42_1_a_suite_gives_ipgs_module_the_named_values_too(cmapi, project):
 def test_refuses_in_one_sentence(tmp_path, options, words):
     with pytest.raises(InputError, match=words):
         CarMakerSimulator(**({"testrun": "a", "project": str(tmp_path)} | options))
-    # What is refused is at fault: the rest can be used.
+    # Only the refused option is wrong: the rest can be used.
     assert CarMakerSimulator(testrun="a", project=str(tmp_path)).name == "carmaker"
 
 
@@ -494,7 +494,7 @@ def test_entities_that_carmaker_does_not_have_are_refused(project):
 
 @pytest.fixture
 def cmapi(monkeypatch, project):
-    """IPG's module, as a stand-in that misbehaves as it is told."""
+    """A replacement for IPG's module with configurable failures."""
     (project / "Data" / "TestRun").mkdir(parents=True)
     (project / "Data" / "TestRun" / "Crossing").touch()
     monkeypatch.syspath_prepend(str(Path(__file__).parents[1] / "fake_cmapi"))
@@ -515,7 +515,7 @@ def test_ipgs_module_is_taken_where_it_is_there_and_starts_carmaker_once(cmapi, 
         assert found.names == ("Ego", "T00")
         np.testing.assert_allclose(found.speed[0], speed, atol=1e-4)
     said = (project / "said.txt").read_text().splitlines()
-    # A run that has ended is left before the next one is configured.
+    # A finished run is closed before the next one is configured.
     assert said == ["connected", '{"ego_speed": 42.5}', "stopped", '{"ego_speed": 50.0}']
     process = simulator._api._master.process  # type: ignore[union-attr]
     assert process.poll() is None
@@ -595,7 +595,7 @@ def test_a_carmaker_that_does_not_end_is_ended_by_force(cmapi, project, monkeypa
 def _begun_processes():
     alive = set()
     for one in psutil.Process().children():
-        # What has ended since is gone.
+        # The process may have ended meanwhile.
         with suppress(psutil.NoSuchProcess):
             if one.status() not in (psutil.STATUS_ZOMBIE, psutil.STATUS_DEAD):
                 alive.add(one.pid)

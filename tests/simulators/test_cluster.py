@@ -1,4 +1,4 @@
-"""Simulators on a Dask cluster, whose workers crash, are killed, and lie on other machines."""
+"""Simulators on a Dask cluster whose workers crash, are killed, or run on other machines."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ X = EXAMPLES / "x_intersection" / "x_intersection.xosc"
 
 @pytest.fixture(scope="module")
 def client():
-    """Clusters take long to start, so that these tests have one together."""
+    """Clusters are slow to start, so these tests share one."""
     with dask_client.connected("local", 2) as made:
         yield made
 
@@ -83,7 +83,7 @@ def test_who_crashes_costs_itself_alone(on_cluster, tmp_path):
 
 
 class Hard(Driver):
-    """Brakes harder than its car can, and ends Python where it begins far along its path."""
+    """Brakes harder than its car can, and ends Python if it starts far along its path."""
 
     def acceleration(self, situation):
         if (situation.active & (situation.distance > 60.0)).any():
@@ -91,7 +91,7 @@ class Hard(Driver):
         return np.full(len(situation.speed), -30.0)
 
 
-# Sent with its code, as one of a notebook is.
+# Sent with its code, like a class defined in a notebook.
 Hard.__module__ = "__main__"
 
 
@@ -126,7 +126,7 @@ def test_a_worker_that_is_killed_costs_nothing(on_cluster, client):
     concretes = varied(6)
     with SIMULATORS.create("builtin", duration=10.0) as here, on_cluster("builtin", {"duration": 10.0}) as there:
         first = list(there.run(concretes[:2]))
-        # The scenario's files were on it too.
+        # The scenario's files were on that worker too.
         os.kill(next(iter(client.run(os.getpid).values())), signal.SIGKILL)
         found = [*first, *there.run(concretes[2:])]
         for one, other in zip(here.run(concretes), found, strict=True):
@@ -155,7 +155,7 @@ def test_a_worker_that_is_started_again_may_start_processes_and_is_guarded(clien
 def test_a_scenario_that_kills_two_workers_is_failed_and_costs_no_third(on_cluster, tmp_path):
     plan = Plan(tmp_path, {1: ["kill"], 3: ["kill", "well"]})
     with on_cluster("inside", {"plan": plan}) as simulator:
-        # One at a time, as those with less time than scenarios do, and all in a batch for each of two workers.
+        # One at a time, and in one batch for each of two workers.
         one_by_one = [places(simulator.run([one]))[0] for one in fakes(4)]
     assert one_by_one == [0, "2 workers were lost while running the scenario", 2, 3]
     assert [(tmp_path / f"tries-{k}").stat().st_size for k in range(4)] == [1, 2, 1, 2]
@@ -189,7 +189,7 @@ def test_a_simulator_goes_to_no_others_after_the_workers_that_offer_it_were_lost
         plan = Plan(tmp_path, {1: ["hang"]})
         with ClusterSimulator("inside", {"plan": plan}, client) as simulator:
             assert places(simulator.run(fakes(1))) == [0]
-            # Lost while it runs the next one.
+            # The worker is lost while it runs the next scenario.
             threading.Timer(2.0, special.kill).start()
             for scenarios in (fakes(2)[1:], fakes(1)):
                 with pytest.raises(InputError, match="has no workers that offer inside; start some"):
@@ -223,7 +223,7 @@ def test_a_study_and_a_suite_are_those_of_one_process(client, tmp_path):
 
 
 def test_an_analysis_and_a_reduced_set_are_those_of_one_process(client, tmp_path):
-    """By the bytes of the study and of all files that are kept, mutants included."""
+    """Compare the bytes of the study and of all output files, including mutants."""
     configuration = replace(demonstration("x-intersection", budget=16), duration=10.0, batch=16)
     for place, cluster in (("here", None), ("there", client)):
         study = tmp_path / place / "study.db"
@@ -302,7 +302,7 @@ def test_a_driver_of_ones_own_is_found_in_the_current_folder(tmp_path, reduced_b
     )
     given = ["--driver", "Ego=mine:Calm", "--ego", "Ego", "--other", "Pedestrian", "--duration", "5"]
     for more in ([], ["--cluster", "local"]):
-        # As the console script does it, which has not the current folder on its path.
+        # Like the console script, without the current folder on Python's path.
         script = "import sys; sys.path.remove(''); from cornercase.cli import main; main()"
         command = [sys.executable, "-c", script, "test", "suite", *given, *more, "-o", f"{len(more)}.db"]
         done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, timeout=200, check=False)
@@ -337,7 +337,7 @@ def test_no_scheduler_is_told(tmp_path, monkeypatch):
 
 
 def test_another_program_that_listens_is_no_scheduler():
-    """Dask takes the first bytes that it gets for lengths, and would ask for exabytes of memory."""
+    """Dask interprets the first bytes as lengths, and would allocate exabytes of memory."""
     with socket.create_server(("127.0.0.1", 0)) as other:
 
         def answer():
@@ -381,7 +381,7 @@ def test_a_parcel_has_all_files_wherever_they_lie(tmp_path):
     parcel = ScenarioParcel.of(scenario)
     assert "catalogs" in text
     assert set(parcel.files) == {"scenarios/x.xosc", "roads/x.xodr", "catalogs/c.xosc"}
-    # What lies there later does not count.
+    # Later files in that folder are ignored.
     (tmp_path / "a" / "roads" / "x.xodr").write_text("changed")
     unpacked = parcel.unpack(tmp_path / "b")
     assert unpacked.root is not None

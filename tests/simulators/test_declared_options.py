@@ -1,4 +1,4 @@
-"""Options of simulators, metrics and others of one's own: declared, or refused."""
+"""Options of users' simulators, metrics and other classes: declared, or refused."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from fake_simulators import recording
 
 
 class Swallowing(Simulator):
-    """Takes everything, as constructors do that are written in a hurry."""
+    """Accepts any option, like a hastily written constructor."""
 
     name = "swallowing"
     in_process = True
@@ -30,7 +30,7 @@ class Swallowing(Simulator):
 
 
 class Terse(Swallowing):
-    """Takes a time step, and nothing else."""
+    """Accepts only a time step."""
 
     name = "terse"
 
@@ -40,7 +40,7 @@ class Terse(Swallowing):
 
 
 class Longer(BuiltinSimulator):
-    """Hands on to its base class what it does not take itself."""
+    """Passes other options to its base class."""
 
     name = "longer"
 
@@ -118,7 +118,7 @@ def test_42_7_what_nobody_asked_for_is_said_of_nobody():
     assert isinstance(start_simulator("terse", usual), Terse)
     made = start_simulator("swallowing:crash=15", usual)
     assert isinstance(made, Swallowing)
-    # Who takes others gets them, as before.
+    # A constructor with **options gets all of them.
     assert (made.settings, made.given) == ({"crash": 15.0}, usual)
 
 

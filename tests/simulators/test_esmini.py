@@ -1,4 +1,4 @@
-"""esmini as a simulator: with the real library where ``CORNERCASE_ESMINI`` names it, and what can be told without."""
+"""esmini as a simulator: with the real library if ``CORNERCASE_ESMINI`` is set, otherwise with a replacement."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ def expected(path):
         for row in csv.DictReader(file):
             values = [float(row[key] or "nan") for key in ("time", "x", "y", "heading", "speed")]
             track = rows.setdefault(row["entity"], [])
-            # The step in which the storyboard stops is written too, at the time of the one before.
+            # The step in which the storyboard stops is recorded too, with the previous time.
             if not track or values[0] > track[-1][0]:
                 track.append(values)
     return {name: np.array(track) for name, track in rows.items()}
@@ -108,7 +108,7 @@ def test_who_asks_for_a_driver_of_cornercase_is_refused_before_the_run():
         list(EsminiSimulator().run([ConcreteScenario(T, {})]))
 
 
-# A library that tells of one car; ``MORE`` makes its states longer, as those of another version are.
+# A library with one car; ``MORE`` makes its states longer, like those of another version.
 STUB = r"""
 #include <string.h>
 typedef struct { int id, model, ctrl; double t0, x, y, z, h, p, r; unsigned road, junction; double t; int lane;
@@ -145,7 +145,7 @@ int SE_SetParameterBool(const char *n, _Bool v) { return -1; }
 
 @pytest.fixture(scope="module")
 def stub(tmp_path_factory):
-    """Makes a stand-in for the library, with words that the compiler defines."""
+    """Builds a replacement for the library, with compiler definitions."""
     folder = tmp_path_factory.mktemp("stub")
     (folder / "stub.c").write_text(STUB)
 

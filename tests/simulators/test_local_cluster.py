@@ -1,4 +1,4 @@
-"""A cluster on this machine is for who started it: nobody else can connect to any of its processes."""
+"""Only the user who started a local cluster can connect to its processes."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from cornercase._common.errors import InputError
 
 distributed = pytest.importorskip("distributed")
 
-# Tries each address with each of these means, as a program of anybody else on the machine can, and says what answered.
+# Tries each address with each method, like another user's program, and prints what answered.
 _STRANGER = """
 import asyncio, json, sys
 from distributed.core import rpc
@@ -50,7 +50,7 @@ asyncio.run(main(json.loads(sys.argv[1])))
 """
 
 
-# Other tests of this process may listen, too.
+# Other tests of this process may listen too.
 _BEFORE: set[int] = set()
 
 
@@ -62,12 +62,12 @@ def client():
 
 
 def listening() -> list[Any]:
-    """Addresses at which this process, and all that it has started, listen."""
+    """Addresses at which this process and its children listen."""
     me = psutil.Process()
     processes = [me, *me.children(recursive=True)]
     found = []
     for each in processes:
-        # What other tests have started may just end.
+        # Processes of other tests may end meanwhile.
         with suppress(psutil.NoSuchProcess):
             found += [one.laddr for one in each.net_connections() if one.status == psutil.CONN_LISTEN]
     return [one for one in found if one.port not in _BEFORE]
@@ -87,7 +87,7 @@ def test_42_s4_nobody_else_can_connect_to_a_local_cluster(client):
         servers = [distributed.core.rpc(f"tls://127.0.0.1:{one.port}", connection_args=given) for one in addresses]
         return [(await server.identity())["type"] for server in servers]
 
-    # So that what is refused is the stranger, and not all.
+    # Make sure that only the stranger is refused.
     assert sorted(client.sync(each)) == sorted(["LocalScheduler", *2 * ["GuardedNanny", "LocalWorker"]])
     assert client.submit(os.getpid).result() != os.getpid()
 
@@ -112,7 +112,7 @@ def test_42_s4_without_what_makes_certificates_the_extra_is_named(monkeypatch):
 
 @pytest.mark.slow
 def test_a_cluster_of_ones_own_can_be_closed(client, tmp_path):
-    """As docs/cluster.md says it: with certificates, by Dask's own settings."""
+    """As in docs/cluster.md: with certificates from Dask's settings."""
     names = {
         "ca_file": client.security.tls_ca_file,
         "cert": client.security.tls_client_cert,

@@ -1,4 +1,4 @@
-"""What docs/howto/own-simulator.md says of simulators of one's own, by its own example."""
+"""The statements of docs/howto/own-simulator.md, checked with its example."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ def code() -> list[str]:
 
 @pytest.fixture
 def names(code, tmp_path, monkeypatch) -> dict[str, Any]:
-    """What the page's code makes, in a folder where the first demonstration lies."""
+    """Namespace of the page's code, run in a folder with the first demonstration."""
     monkeypatch.setattr(SIMULATORS, "_factories", dict(SIMULATORS._factories))
     (tmp_path / "x").mkdir()
     (tmp_path / "x" / "scenario").symlink_to(EXAMPLES / "x_intersection")
@@ -45,7 +45,7 @@ def test_42_11_the_page_runs_and_its_example_is_right(names):
         assert study.meta.repeatability["same"]
         collided = [bool(study.recording(row.id).collisions) for row in study.done()]
         gaps = study.scores("clearance")
-    # A collision is where the boxes touch, and nowhere else.
+    # A collision occurs exactly if the boxes touch.
     assert 0 < sum(collided) < len(collided)
     assert all(hit == (gap <= 0.0) for hit, gap in zip(collided, gaps.tolist(), strict=True))
 
@@ -60,7 +60,7 @@ def test_42_11_a_file_that_declares_parameters_and_entities_is_enough(names, tmp
         assert done.returncode == 0, done.stderr
     assert list((tmp_path / "set").glob("braking-*.xosc"))
     with Study.open("line.db") as study:
-        # Beyond what can brake within 10 s scenarios fail, and the search goes on.
+        # Scenarios that do not brake within 10 s fail, and the search continues.
         assert len(study.rows()) == 40
     concrete = ConcreteScenario(Path("braking.xosc"), {"ego_start": 1000.0})
     (outcome,) = SIMULATORS.create("braking").run([concrete])

@@ -1,4 +1,4 @@
-"""The real ScenarioRunner builds and ticks its behaviour trees of converted files, on the stand-in of CARLA.
+"""The real ScenarioRunner builds and ticks behaviour trees of converted files, on the test server of CARLA.
 
 CORNERCASE_SCENARIO_RUNNER names its folder, CORNERCASE_CARLA_PYTHON the Python of its environment, and CARLA_ROOT the
 folder in which PythonAPI/carla/agents lies.
@@ -39,7 +39,7 @@ def centers(recording, name):
 
 
 def apart(one, other):
-    """Largest distance of two ways, of which one may begin some frames later."""
+    """Largest distance of two paths, one of which may start some frames later."""
     found = []
     for later in range(-5, 25):
         a, b = one[:, max(later, 0) :], other[:, max(-later, 0) :]

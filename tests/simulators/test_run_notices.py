@@ -1,4 +1,4 @@
-"""What is said of runs: entities far from every road, runs that were cut off, and egos that nobody drives."""
+"""Notices about runs: entities far from every road, runs that were cut off, and egos without a driver."""
 
 from __future__ import annotations
 
@@ -101,7 +101,7 @@ CUT = (
 
 def test_43_5_a_run_whose_stop_trigger_has_not_come_is_cut_off(tmp_path):
     assert cut(tmp_path, time_trigger("2.1")) == [CUT]
-    # It ends at the last instant, or before.
+    # It ends at the last time step, or before.
     assert cut(tmp_path, time_trigger("2")) == []
     assert cut(tmp_path, time_trigger("1")) == []
 
@@ -181,7 +181,7 @@ def test_43_5_a_study_in_which_nobody_drives_the_ego_says_so(tmp_path):
     test = ["test", tmp_path / "suite", "--ego", "Ego", "--other", "C", "--require", "no collision", "--duration", 1]
     assert nobody in cornercase(*test, "-o", tmp_path / "undriven.db").stderr
     assert "Nobody drives" not in cornercase(*test, "--driver", "Ego=normal", "-o", tmp_path / "driven.db").stderr
-    # A single run is no study.
+    # A single run is not a study.
     assert "Nobody drives" not in cornercase("simulate", undriven, "-o", tmp_path / "r.csv").stderr
 
 

@@ -22,7 +22,7 @@ T = EXAMPLES / "t_intersection" / "t_intersection.xosc"
 
 
 def issues(path):
-    """What ASAM's checker finds."""
+    """Findings of ASAM's checker."""
     from qc_baselib import Configuration, Result
     from qc_openscenario import constants
     from qc_openscenario.main import run_checks
@@ -73,7 +73,7 @@ def test_values_are_those_of_the_concrete_scenario_and_others_move_the_same(tmp_
     for name in ("Truck", "C", "Pedestrian"):
         k, j = before.names.index(name), after.names.index(name)
         gap = np.hypot(before.x[k, :shared] - after.x[j, :shared], before.y[k, :shared] - after.y[j, :shared])
-        # A step later where a condition was "greater or equal".
+        # A step later if a condition was "greater or equal".
         assert gap.max() <= 0.07 * max(before.speed[k].max(), 1.0) + 1e-6
 
 
@@ -123,7 +123,7 @@ def test_what_cannot_be_said_is_refused_and_nothing_is_written(tmp_path, old, ne
 
 
 def changed(tmp_path, *pairs):
-    """The T-intersection with something of it replaced."""
+    """The T-intersection with a part replaced."""
     path, text = tmp_path / "in" / "t_intersection.xosc", T.read_text()
     path.parent.mkdir()
     for old, new in pairs:
@@ -208,7 +208,7 @@ def test_a_scenario_chooses_neither_names_of_files_nor_the_ego(tmp_path):
 
 
 class Eight(float):
-    """A number as NumPy 2 has them: a float that writes itself with its type."""
+    """A number as in NumPy 2: a float whose repr contains its type."""
 
     def __repr__(self):
         return f"np.float64({float(self)})"

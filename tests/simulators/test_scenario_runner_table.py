@@ -1,4 +1,4 @@
-"""What of OpenSCENARIO goes to ScenarioRunner, by the table of what it really does."""
+"""Handling of OpenSCENARIO for ScenarioRunner, according to the support table."""
 
 from __future__ import annotations
 
@@ -86,7 +86,7 @@ triggeringEntitiesRule="{rule}">{members}</TriggeringEntities><EntityCondition>{
 
 @pytest.fixture
 def write(tmp_path):
-    """Write a scenario in which the car Other does something, ahead of the car Ego."""
+    """Write a scenario in which the car Other acts ahead of the car Ego."""
 
     def written(action=speed(), condition=when(), event="", group="", init="", drivers=""):  # noqa: B008 - texts
         path = tmp_path / "scenario.xosc"
@@ -233,13 +233,13 @@ def test_what_it_does_otherwise_becomes_a_trajectory_with_times(write, tmp_path,
     (note,) = (note for note in found.notes if note.startswith("Other moves along a trajectory"))
     assert why in note
     root = read_xml(found.path)
-    # One, and another one where it jumps.
+    # One trajectory, and another one after a jump.
     trajectories = root.findall(".//FollowTrajectoryAction")
     times = [[float(one.get("time", "nan")) for one in way.iter("Vertex")] for way in trajectories]
     assert times[0][0] == 0.0
     assert 3.9 < times[-1][-1] < 4.2
     assert all((np.diff(of) > 0).all() for of in times)
-    # The ego goes on by the storyboard, and our own controller keeps the times.
+    # The ego follows the storyboard, and our own controller keeps the times.
     assert [one.get("value") for one in root.findall(".//Property[@name='module']")] == ["cornercase_trajectory.py"]
     assert (tmp_path / "out" / "cornercase_trajectory.py").exists()
     before, after = simulate(path), simulate(found.path)
@@ -267,7 +267,7 @@ def test_speeds_below_0_become_a_trajectory(write, tmp_path, action, tag):
     before, after = simulate(path), simulate(found.path)
     assert before.speed.min() < 0.0
     np.testing.assert_allclose(after.x, before.x, atol=0.02)
-    # At the instant in which it turns back, the trajectory has the amount of the speed only.
+    # When it reverses, the trajectory only has the absolute speed.
     assert (np.abs(after.speed - before.speed) > LIMITS[2]).sum() <= 1
 
 
@@ -400,7 +400,7 @@ def test_the_simulator_names_what_is_done_otherwise(write):
 
 
 def test_code_of_ours_runs_where_scenario_runner_does(monkeypatch):
-    """The controller of trajectories, with all that it would find there replaced."""
+    """The trajectory controller, with all of its imports replaced."""
     clock = SimpleNamespace(now=0.0)
     made = control_of(monkeypatch, clock)
     actor = Body()
@@ -412,7 +412,7 @@ def test_code_of_ours_runs_where_scenario_runner_does(monkeypatch):
         control.run_step()
         actor.move(0.05)
         if clock.now == pytest.approx(0.5):
-            # A step ahead, and ahead of the reference point by where the box is.
+            # A step ahead, and ahead of the reference point by the offset of the box.
             assert (actor.x, actor.y) == pytest.approx((10.0 + 5.5 + 1.4, 0.0))
     assert not control.check_reached_waypoint_goal()
     for _ in range(2):
@@ -421,12 +421,12 @@ def test_code_of_ours_runs_where_scenario_runner_does(monkeypatch):
         actor.move(0.05)
     assert control.check_reached_waypoint_goal()
     assert (actor.x, actor.y, actor.yaw) == pytest.approx((20.0, 11.4, 90.0), abs=1e-6)
-    # Who is far away is put there.
+    # An entity that is far away is placed there.
     assert actor.put == 1
 
 
 class Body:
-    """A vehicle that moves by the velocities that it is given."""
+    """A vehicle that moves with the velocities it is given."""
 
     is_alive = True
 
@@ -504,7 +504,7 @@ def control_of(monkeypatch, clock):
 
 
 def scenarios(folder):
-    """Scenario files of a folder, without those that vary others, and catalogs."""
+    """Scenario files of a folder, without catalogs and distribution files."""
     files = sorted((REFERENCE / "openscenario" / folder).rglob("*.xosc"))
     return [one for one in files if "<Storyboard" in one.read_text(errors="replace")]
 
@@ -518,7 +518,7 @@ def test_all_protocols_become_files_that_say_the_same(tmp_path, folder, count, e
     off = {}
     for file in files[::each]:
         ego = "Ego"
-        # What is not valid by the schema of 1.0 is not written.
+        # Invalid files by the schema of 1.0 are not written.
         found = convert(file, tmp_path / f"{file.stem}.xosc", ego=ego)
         worst = apart(simulate(file), simulate(found.path))
         wrong = {n: w for n, w in worst.items() if not all(a <= b for a, b in zip(w, LIMITS, strict=True))}

@@ -1,4 +1,4 @@
-"""Many concrete scenarios, with a recording of each in a folder."""
+"""Running many concrete scenarios into a folder of recordings."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What simulators declare, and where they run."""
+"""Declarations of simulators, and where they run."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from cornercase.simulators import (
 
 
 class Least(Simulator):
-    """All that a simulator has to have."""
+    """A minimal simulator."""
 
     name = "least"
 
@@ -34,7 +34,7 @@ class Least(Simulator):
 
 
 class Duck:
-    """Looks like a simulator, and is none."""
+    """Looks like a simulator, but is not one."""
 
     name = "duck"
 

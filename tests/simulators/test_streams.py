@@ -1,4 +1,4 @@
-"""Scenarios given one after the other to simulators that work side by side."""
+"""Scenarios submitted one at a time to parallel simulators."""
 
 from __future__ import annotations
 
@@ -68,9 +68,9 @@ def test_a_stream_that_is_closed_ends_what_hangs(tmp_path):
         stream.close()
     assert {one for one in psutil.Process().children(recursive=True) if one.is_running()} <= children
     child = int((tmp_path / "children").read_text())
-    # What was killed takes a moment to be gone.
+    # A killed process takes a moment to disappear.
     until(lambda: not lives(child))
-    # What had not begun never did.
+    # Scenarios that had not started never ran.
     assert not (tmp_path / "tries-3").exists()
 
 

@@ -50,7 +50,7 @@ def test_the_ego_drives_its_way_as_fast_as_it_is_asked_to(kind):
     assert (ego["x"][0], ego["y"][0]) == pytest.approx((1.75, -92.0), abs=0.05)
     assert ego["speed"].max() <= 10.0 + 1e-6
     steps = np.hypot(np.diff(ego["x"]), np.diff(ego["y"])) / 0.05
-    # Places and speeds are of one motion, also where the way bends and the rear axle cuts the corner.
+    # Positions and speeds are consistent, also in bends where the rear axle cuts the corner.
     assert np.abs(steps - 0.5 * (ego["speed"][1:] + ego["speed"][:-1])).max() < 1.0
     assert np.abs(np.diff(np.unwrap(ego["heading"]))).max() < 0.1
     if not recording.collisions:
@@ -76,7 +76,7 @@ def test_all_others_move_as_in_the_builtin_simulator():
 
 
 def test_the_ego_stops_for_a_pedestrian_in_its_lane_and_not_for_one_beside_the_road():
-    # The pedestrian steps out when the ego is not there yet, or after it has long passed.
+    # The pedestrian steps out before the ego arrives, or long after it has passed.
     early = of(run(X, {"ego_start": 20.0, "pedestrian_wait": 7.5}), "Ego")
     late = of(run(X, {"ego_start": 20.0, "pedestrian_wait": 20.0}), "Ego")
     assert early["speed"][20:].min() < 0.5
@@ -233,12 +233,12 @@ def test_a_killed_worker_changes_nothing(tmp_path):
     with subprocess.Popen([str(one) for one in command], stdout=subprocess.PIPE, stderr=subprocess.PIPE) as process:
         victim = None
         while process.poll() is None and victim is None:
-            # One that is just beginning or ending has no command line.
+            # A process that is starting or ending has no command line.
             with suppress(psutil.Error):
                 for child in psutil.Process(process.pid).children():
                     if "multiprocessing.spawn" in " ".join(child.cmdline()):
                         victim = child
-        # It is at the second one by then, or further.
+        # By then it has reached at least the second one.
         until(lambda: process.poll() is not None or one_is_done(killed))
         assert victim is not None
         victim.kill()

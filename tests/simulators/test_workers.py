@@ -1,4 +1,4 @@
-"""Simulators in worker processes, which crash, hang and lie."""
+"""Simulators in worker processes that crash, hang and misbehave."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ def results(folder, does, count=6, name="failing", **options):
 
 
 def places(results):
-    """Where the entity of each recording stands, and why there is none."""
+    """Position of the entity in each recording, or the error."""
     # Without the last lines of a traceback.
     words = (
         str(one).partition(" (fake_simulators.py line ")[0] if isinstance(one, SimulationError) else one
@@ -89,7 +89,7 @@ def test_a_process_that_somebody_kills_costs_nothing(tmp_path):
     process = simulator._workers[0]._process
 
     def kill():
-        # The file is there before the try is counted in it.
+        # The file is created before the attempt is counted in it.
         until(lambda: (tmp_path / "tries-1").exists() and tries(tmp_path, 1))
         psutil.Process(process.pid).kill()
 
@@ -139,7 +139,7 @@ def test_each_worker_gets_an_equal_share_in_one_batch(tmp_path, workers, batches
         ("crash", "the simulator's process ended with exit code 3, tried 2 times"),
         ("hang", "the simulator did not end within 1 s, tried 2 times"),
         *(
-            # In one process they are tried by day.
+            # The fast run covers these in a single process.
             pytest.param(*one, marks=pytest.mark.slow)
             for one in (
                 ("raise", RAISED),

@@ -1,4 +1,4 @@
-"""The loop of the paper's figure: from a logical scenario to a study."""
+"""Search a logical scenario for critical concrete scenarios: the loop of the paper's figure."""
 
 import lazy_loader as lazy
 

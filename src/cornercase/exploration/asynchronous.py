@@ -75,12 +75,12 @@ class AsynchronousExplorer(ScenarioExplorer):
             while True:
                 if bar is not None:
                     bar.update(proposed - len(self._pending), self._best.text)
-                wanted = pending_at_once(stream.places()) - len(self._pending)
-                if reason is None and wanted > 0:
+                n_free = pending_at_once(stream.places()) - len(self._pending)
+                if reason is None and n_free > 0:
                     self._tell_all()
                     reason = self._reason(proposed, time.monotonic() - start)
-                if reason is None and wanted > 0:
-                    rows = self._ask(number + 1, proposed, min(wanted, self._configuration.budget - proposed))
+                if reason is None and n_free > 0:
+                    rows = self._ask(number + 1, proposed, min(n_free, self._configuration.budget - proposed))
                     if rows:
                         self._give(stream, rows)
                         proposed, number = proposed + len(rows), number + 1

@@ -87,7 +87,9 @@ class ExplorationResult:
         # Reported once, when the study reaches the minimum number of scenarios.
         notes = tuple(messages.values()) if before is not None and before < ENOUGH_ALIKE else ()
         failed = study.failed()
-        reasons = {why: len(rows) for why, rows in group_reasons(row.error or "" for row in failed).items()}
+        reasons = {
+            reason_text: len(rows) for reason_text, rows in group_reasons(row.error or "" for row in failed).items()
+        }
         return cls(
             study.path, len(study.done()), len(failed), reason, interrupted, tuple(searched), notes, reasons=reasons
         )

@@ -186,7 +186,7 @@ def _keep(file: Path) -> Path:
 
 
 def _take_back(file: Path) -> None:
-    """Undo `_keep` if a killed repair left the damaged file with two names."""
+    """Undo `_keep_damaged_file` if a killed repair left the damaged file with two names."""
     for damaged_copy in takewhile(Path.exists, _names(file)):
         if not damaged_copy.samefile(file):
             continue

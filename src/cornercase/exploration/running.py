@@ -149,7 +149,7 @@ class ScenarioRunner:
     def settled(self, one: RepeatedScenario, outcomes: Sequence[Recording | SimulationError]) -> Any:
         """Measure finished runs, and store the scenario if it needs no further run.
 
-        Returns its minimized score or scores, `RepeatedScenario` or `Undecided` if more runs are needed, None if it
+        Returns its minimized score or scores, `RepeatedRun` or `PendingCondition` if more runs are needed, None if it
         failed.
         """
         row = one.row

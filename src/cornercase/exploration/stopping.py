@@ -112,7 +112,7 @@ class Stopping:
             self._scores = np.concatenate([self._scores, scores])
 
     def tell_audits(self, points: FloatArray, scores: FloatArray) -> None:
-        """Add audits as in `tell`."""
+        """Add audits as in `add_results`."""
         if self._criteria:
             self._audits = np.concatenate([self._audits, points])
             self._audited = np.concatenate([self._audited, scores])

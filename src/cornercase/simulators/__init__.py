@@ -1,4 +1,4 @@
-"""How scenarios are run: simulators by name, and the interface of one's own."""
+"""Simulators by name, and the base class for your own."""
 
 import lazy_loader as lazy
 

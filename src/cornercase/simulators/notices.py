@@ -14,7 +14,7 @@ from cornercase.scenario import Scenario
 from cornercase.simulators.base import Simulator
 from cornercase.simulators.builtin.prepared import PreparedScenario
 
-# Distance in m to the nearest lane from which entities in `_BESIDE` are far from the road; for others it is `NEAR`.
+# Distance in m to the nearest lane from which pedestrians and misc objects are far from the road; for others: `NEAR`.
 _FAR_BESIDE: Final = 50.0
 # Not checked: they follow their vehicle, or are on rails.
 _NOT_ASKED: Final = ("trailer", "semitrailer", "train", "tram")
@@ -96,7 +96,11 @@ def warn_if_nobody_drives(simulator: Simulator, scenarios: Iterable[Scenario], e
     drivers = simulator.settings.get("drivers")
     has_driver = isinstance(drivers, dict) and ego in drivers
     # Other simulators drive the ego themselves, or have no drivers.
-    if simulator.name.partition(":")[0] != "builtin" or has_driver or any(one.may_drive(ego) for one in scenarios):
+    if (
+        simulator.name.partition(":")[0] != "builtin"
+        or has_driver
+        or any(scenario.may_drive(ego) for scenario in scenarios)
+    ):
         return
     warn(
         f"nobody drives {ego}: it follows the scenario and does not react; give it a driver with `drivers` {ego}=normal"

@@ -12,14 +12,14 @@ from cornercase.simulators.base import Availability, Simulator
 SIMULATORS: Final[Registry[Simulator]] = Registry("simulator", "cornercase.simulators", Simulator)
 """Simulators by name; each is a subclass of `Simulator`."""
 
-for _name, _place in (
+for _name, _target in (
     ("builtin", "builtin.simulator:BuiltinSimulator"),
     ("carla", "carla.simulator:CarlaSimulator"),
     ("carmaker", "carmaker.simulator:CarMakerSimulator"),
     ("esmini", "esmini.simulator:EsminiSimulator"),
     ("sumo", "sumo.simulator:SumoSimulator"),
 ):
-    SIMULATORS.register(_name, f"cornercase.simulators.{_place}")
+    SIMULATORS.register(_name, f"cornercase.simulators.{_target}")
 
 
 def availabilities() -> dict[str, Availability]:

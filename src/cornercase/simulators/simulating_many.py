@@ -197,7 +197,7 @@ def simulate_many(
     with started:
         if table is None:
             refused = refusals_of(started, [plan.concrete for plan in planned])
-            failures |= {planned[k].file: of_file(planned[k].concrete.path, why) for k, why in refused.items()}
+            failures |= {planned[k].file: of_file(planned[k].concrete.path, reason) for k, reason in refused.items()}
             planned = [plan for k, plan in enumerate(planned) if k not in refused]
             scenario_files = [
                 scenario for scenario in scenario_files if any(plan.concrete.source is scenario for plan in planned)

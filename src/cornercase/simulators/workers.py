@@ -19,12 +19,12 @@ from cornercase.simulators.elsewhere import SimulatorElsewhere
 from cornercase.simulators.outcomes import Outcome
 from cornercase.simulators.worker_process import Noticed, Task, Worker
 
-# Default number of consecutive failures after which the simulator, not the scenarios, is considered at fault.
 MOST_FAILURES: Final = 5
+"""Default number of consecutive failures after which the simulator, not the scenarios, is considered at fault."""
 # In s.
 _LONGEST_WAIT: Final = 3600.0
-# More than any machine has cores, and few enough to be started.
 MOST_WORKERS: Final = 1024
+"""Maximum number of worker processes: more than any machine has cores, and few enough to be started."""
 
 
 @dataclass

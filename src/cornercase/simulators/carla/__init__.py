@@ -1,1 +1,1 @@
-"""CARLA by its ScenarioRunner."""
+"""CARLA, through its ScenarioRunner."""

@@ -164,9 +164,7 @@ def write_1_0(
         try:
             file.set("filepath", town or road_file)
         except ValueError as error:
-            raise InputError(
-                f"{target}: the name contains characters that XML does not allow; choose another."
-            ) from error
+            raise InputError(f"{target}: its name has characters that XML cannot hold; choose another one.") from error
     violations = schema_errors(root)
     if violations is None:
         notes.append("It was not validated against the schema of 1.0; pip install 'cornercase[validate]'.")

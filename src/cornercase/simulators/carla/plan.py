@@ -98,7 +98,7 @@ def kept_ends(root: etree._Element, made: Plan, driven: Collection[str]) -> list
 
     Adds a note to the plan for each group that does not stay.
     """
-    kept = []
+    groups = []
     for group in root.iterfind("Storyboard/StopTrigger/ConditionGroup"):
         all_findings = [*findings(group), *_between_the_lines(group, root)]
         unsupported = [finding for finding in all_findings if finding.row.status is Status.SAMPLED]
@@ -107,10 +107,10 @@ def kept_ends(root: etree._Element, made: Plan, driven: Collection[str]) -> list
                 _sampled(group, "one condition of a group is enough for ScenarioRunner to end an act")
             ]
         if not unsupported:
-            kept.append(group)
+            groups.append(group)
         elif driven:
             made.notes.append(f"The stop trigger is without {_reason(unsupported[0])}.")
-    return kept
+    return groups
 
 
 def _driven(name: str, parts: list[etree._Element], made: Plan) -> None:
@@ -206,15 +206,15 @@ def _backwards(part: etree._Element, driven: Collection[str], slowest: Mapping[s
 
 def _init(private: etree._Element) -> Iterator[Finding]:
     """Find initial actions that ScenarioRunner does not execute, besides the first position and speed."""
-    for kind in ("LateralAction", "SynchronizeAction", "LongitudinalDistanceAction", "SpeedProfileAction"):
-        for action in private.iter(kind):
+    for action_tag in ("LateralAction", "SynchronizeAction", "LongitudinalDistanceAction", "SpeedProfileAction"):
+        for action in private.iter(action_tag):
             yield _sampled(action, "ScenarioRunner does not do it in <Init> as the standard says")
     is_walker = not any(
         element.get("name") == private.get("entityRef") and element.find("Vehicle") is not None
         for element in private.getroottree().iterfind("Entities/ScenarioObject")
     )
-    for kind in ("AssignRouteAction", "AcquirePositionAction") if is_walker else ():
-        for action in private.iter(kind):
+    for action_tag in ("AssignRouteAction", "AcquirePositionAction") if is_walker else ():
+        for action in private.iter(action_tag):
             yield _sampled(action, "CARLA's route planner is for vehicles")
     for relative in private.iter("RelativeTargetSpeed"):
         if relative.get("continuous") in ("true", "1"):

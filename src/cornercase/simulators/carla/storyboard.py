@@ -81,7 +81,7 @@ def set_beginning(root: etree._Element, recording: Recording, names: Iterable[st
     keeps_route, routes = set(names), {}
     for private in actions.findall("Private"):
         for action in private.findall("PrivateAction"):
-            if any(action.find(f"RoutingAction/{kind}") is not None for kind in _ROUTES):
+            if any(action.find(f"RoutingAction/{action_tag}") is not None for action_tag in _ROUTES):
                 routes[private.get("entityRef", "")] = action
     for child in list(actions):
         actions.remove(child)

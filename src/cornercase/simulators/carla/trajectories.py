@@ -60,8 +60,8 @@ def add_trajectories(root: etree._Element, recording: Recording | None, names: l
     act = etree.SubElement(story, "Act", name="cornercase trajectories")
     notes = [] if recording is None else [note for name in names for note in _move(act, recording, name)]
     # An event that never happens keeps the act, and so ScenarioRunner, running until the stop trigger.
-    never = _group(act, ego, "never")
-    _event(never, "never", _speed(0.0), at_time("never", _NEVER))
+    idle_maneuver = _group(act, ego, "never")
+    _event(idle_maneuver, "never", _speed(0.0), at_time("never", _NEVER))
     etree.SubElement(act, "StartTrigger").append(at_time("from the beginning", -1.0))
     return notes
 

@@ -1,1 +1,1 @@
-"""CarMaker by IPG's Python module or its command port."""
+"""CarMaker, through IPG's Python module or its command port."""

@@ -1,1 +1,1 @@
-"""esmini by its library."""
+"""esmini, through its library."""

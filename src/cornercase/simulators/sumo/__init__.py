@@ -1,1 +1,1 @@
-"""SUMO at the ego's wheel."""
+"""SUMO, which drives the ego."""
