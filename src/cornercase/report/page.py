@@ -172,7 +172,7 @@ def page_details(data: ReportData) -> Iterator[Part]:
 
 def fill_frame(title: str) -> str:
     """Render a page without a study: it loads its contents from the live server and grows with the study."""
-    empty = {"left_out": "", "about": "", "contents": None, "answers": [], "details": [], "blocks": ()}
+    empty: dict[str, Any] = {"left_out": "", "about": "", "contents": None, "answers": [], "details": [], "blocks": ()}
     return _fill(live=True, title=title, provenance=Markup(), **empty)
 
 

@@ -72,8 +72,8 @@ def tell_reasons(failed: Sequence[Row]) -> str:
 
 def tell_provenance(study: str, summary: Summary) -> Markup:
     """Render how the study was made: command, settings and versions; `study` is the file name."""
-    meta, empty = summary.meta, ({}, [], None, "")
-    settings = {key: value for key, value in meta.settings.items() if key != "drivers" and value not in empty}
+    meta = summary.meta
+    settings = {k: v for k, v in meta.settings.items() if k != "drivers" and v not in ({}, [], None, "")}
     facts: dict[str, Any] = {
         "study": study,
         "scenario file": meta.file_name,
