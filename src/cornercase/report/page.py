@@ -32,8 +32,8 @@ from cornercase.report.sections.kept import show_kept
 from cornercase.report.sections.kinds import compare_kinds, show_kinds
 from cornercase.report.sections.knowledge import show_knowledge
 from cornercase.report.sections.overview import tell_failures, tell_provenance, tell_scores
-from cornercase.report.sections.part import Part
 from cornercase.report.sections.verdicts import show_verdicts
+from cornercase.report.tables import Part
 from cornercase.report.templates import fill_template
 from cornercase.scenario import Scenario
 from cornercase.study import Study, open_study

@@ -15,10 +15,9 @@ from cornercase._common.texts import plain_text
 from cornercase._common.version import __version__
 from cornercase.drivers import driver_text
 from cornercase.report.data import ReportData
-from cornercase.report.sections.part import Part, make_part
 from cornercase.report.study_files import name_command, tell_limits
 from cornercase.report.summary import Summary
-from cornercase.report.tables import make_table
+from cornercase.report.tables import Part, make_part, make_table
 from cornercase.report.words import find_reasons, format_value, list_scenarios, name_range
 from cornercase.study import Row, StudyMeta
 
