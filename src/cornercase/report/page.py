@@ -147,7 +147,7 @@ def write_report(
 
 
 def fill_page(data: ReportData, packed: PackedRecordings, roads: Mapping[str, Any]) -> str:
-    """Render the report; `roads` holds ``roads``, ``roads_missing`` (why there are none) and ``rerun``."""
+    """Render the report; `road_payload` holds ``roads``, ``roads_missing`` (why there are none) and ``rerun``."""
     recording_payload = {"recordings": packed.index, "recordings_left_out": tell_left_out(data, packed)}
     contents = page_contents(data) | recording_payload | dict(roads)
     return _fill(

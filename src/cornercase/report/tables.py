@@ -39,7 +39,7 @@ def make_part(name: str, title: str, lines: Iterable[str]) -> Part:
 
 
 def make_table(head: Sequence[str], rows: Sequence[Sequence[str]], text: Sequence[int] = (0,)) -> str:
-    """Render an HTML table of plain texts; columns in `text` are left-aligned (-1: the last)."""
+    """Render an HTML table of plain texts; columns in `left_aligned` are left-aligned (-1: the last)."""
     left = {k % len(head) for k in text}
 
     # A control character for the writing direction would affect all text after it.

@@ -83,7 +83,7 @@ def _holds(old: Region | None, new: Region | None) -> bool:
 class Finder:
     """Recomputes the analysis in a thread whenever the study changes, but never most of the time.
 
-    `known` is the latest result; it never covers more scenarios than the follower has read.
+    `latest` holds the last result, which never covers more scenarios than the follower has read.
     """
 
     def __init__(self, follower: Follower, scenario: Path | None = None) -> None:
@@ -117,7 +117,7 @@ class Finder:
             self._end.wait(max(_LEAST, _TIMES * (time.monotonic() - start)))
 
     def _is_followed(self, epoch: str, count: int) -> bool:
-        """Wait until the follower has read `count` scenarios; False if it never will."""
+        """Wait until the follower has read `n_scenarios`; False if it never will."""
         while self._follower.epoch == epoch and not self._end.is_set():
             if self._follower.state.ended >= count:
                 return True

@@ -71,7 +71,7 @@ class Teller:
         """Return the next event for a page: new cursor, event name, data; None if there is nothing new.
 
         ``contents``: reload everything; ``scenarios``: new digests, with ``state`` if complete; ``knowledge``: new
-        analysis; ``state``: progress that differs from `shown`, the last one sent.
+        analysis; ``state``: progress that differs from `last_state`, the last one sent.
         """
         analysis = self._finder.known
         epoch, meta, digests, _ = self.follower.known()

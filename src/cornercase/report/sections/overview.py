@@ -70,7 +70,7 @@ def tell_reasons(failed: Sequence[Row]) -> str:
 
 
 def tell_provenance(study: str, summary: Summary) -> Markup:
-    """Render how the study was made: command, settings and versions; `study` is the file name."""
+    """Render how the study was made: command, settings and versions; `file_name` is the study's."""
     meta = summary.meta
     settings = {k: v for k, v in meta.settings.items() if k != "drivers" and v not in ({}, [], None, "")}
     facts: dict[str, Any] = {
