@@ -23,9 +23,9 @@ LONGEST_MODULE, LONGEST_FUNCTION, MOST_PARAMETERS = 800, 80, 10
 # Functions that are longer, or have more parameters, and why.
 LARGE = {
     "cli/estimating.py estimate": "one parameter for each option of the command",
-    "cli/running.py explore": "one parameter for each option of the command",
-    "cli/studies.py analyze": "one parameter for each option of the command",
-    "cli/studies.py reduce": "one parameter for each option of the command",
+    "cli/explore.py explore": "one parameter for each option of the command",
+    "cli/study.py analyze": "one parameter for each option of the command",
+    "cli/study.py reduce": "one parameter for each option of the command",
     "cli/simulating.py simulate": "one parameter for each option of the command",
     "cli/testing.py test_": "one parameter for each option of the command",
     "clustering/analyzing.py analyze": "part of the API: one parameter for each option of the command",

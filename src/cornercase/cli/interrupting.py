@@ -49,5 +49,5 @@ def tell_of_interrupt() -> None:
 
 
 def exit_code() -> int:
-    """Return the exit code that shells give: 130 for Ctrl-C, 143 for SIGTERM, 129 for SIGHUP."""
+    """Return the exit code that shells give: 130 for Ctrl-C, 143 for SIGTERM, 129 for a closed terminal."""
     return 128 + last_request()
