@@ -209,12 +209,12 @@ def test_a_page_is_told_of_each_scenario_once(tmp_path, whole):
         recording = study.recording(1)
         courses = {name: (study.course(1, name), 1.0) for name in meta.metrics}
     with followed(tmp_path / "new.db") as teller:
-        until(lambda: teller.state()["why"] == "new.db is not there yet.")
+        until(lambda: teller.follower.state.why == "new.db is not there yet.")
         assert set(teller.contents()) == {"live"}
         with Study.create(tmp_path / "new.db", meta) as study:
             points = np.array([row.point for row in rows])
             study.writer.propose(1, points, [row.values for row in rows])
-            until(lambda: teller.state()["name"] == "live")
+            until(lambda: teller.follower.state.name == "live")
             study.writer.finish(3, recording, courses)
             # What is known of all is found in the background, and told with everything when it is first there.
             until(lambda: teller.contents().get("details"))
@@ -223,7 +223,7 @@ def test_a_page_is_told_of_each_scenario_once(tmp_path, whole):
             cursor = Cursor.of(contents["live"]["cursor"])
             study.writer.fail(1, cc.SimulationError("the road <ends>"))
             study.writer.finish(2, recording, courses)
-            until(lambda: teller.state()["run"] == 2 and teller.state()["failed"] == 1)
+            until(lambda: teller.follower.state.run == 2 and teller.follower.state.failed == 1)
             events = news(teller, cursor)
             ((_, columns),) = [one for one in events if one[0] == "scenarios"]
             assert columns["scenarios"]["id"] == [1, 2]
@@ -237,11 +237,11 @@ def test_a_page_is_told_of_each_scenario_once(tmp_path, whole):
             assert teller.contents()["scenarios"]["id"] == [1, 2, 3]
         # Something else of that name: everything is asked for anew.
         (tmp_path / "new.db").unlink()
-        until(lambda: teller.state()["name"] == "waiting")
+        until(lambda: teller.follower.state.name == "waiting")
         with Study.create(tmp_path / "new.db", meta) as study:
             study.writer.propose(1, points[:1], [rows[0].values])
             study.writer.finish(1, recording, courses)
-            until(lambda: teller.state()["run"] == 1)
+            until(lambda: teller.follower.state.run == 1)
         assert news(teller, again)[0][0] == "contents"
         write_note(tmp_path / "new.db", 1, "seen")
         until(lambda: teller.follower.notes == {1: "seen"})
@@ -352,10 +352,10 @@ def test_42_16_scenarios_that_are_run_again_are_counted_once(tmp_path, whole):
         until(lambda: teller.contents()["live"]["failed"] == 1)
         cursor = Cursor.of(teller.contents()["live"]["cursor"])
         study.writer.retry_failed()
-        until(lambda: teller.state()["pending"] == 1)
+        until(lambda: teller.follower.state.pending == 1)
         study.writer.finish(2, recording, courses)
-        until(lambda: teller.state()["run"] == 3)
-        assert teller.state()["failed"] == 0
+        until(lambda: teller.follower.state.run == 3)
+        assert teller.follower.state.failed == 0
         assert sorted(teller.contents()["scenarios"]["id"]) == [1, 2, 3]
         assert news(teller, cursor)[0][0] == "contents"
 
@@ -372,8 +372,8 @@ def test_a_cursor_that_was_made_up_asks_for_everything(whole, text):
 def test_what_is_no_study_is_waited_for(tmp_path):
     (tmp_path / "s.db").write_text("no study")
     with followed(tmp_path / "s.db") as teller:
-        until(lambda: "not a database" in teller.state()["why"])
-        assert "s.db" in teller.state()["why"]
+        until(lambda: "not a database" in teller.follower.state.why)
+        assert "s.db" in teller.follower.state.why
 
 
 def test_a_port_that_is_taken_is_said(tmp_path):

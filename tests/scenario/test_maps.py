@@ -17,7 +17,7 @@ from cornercase import check, convert, explore
 from cornercase import test as run_suite
 from cornercase._common.errors import InputError
 from cornercase.report.data import read_report_data
-from cornercase.report.live.surroundings import Surroundings
+from cornercase.report.live.knowing import Surroundings
 from cornercase.scenario import ConcreteScenario, LogicalScenario, Scenario, ScenarioParcel, write_concrete
 from cornercase.scenario.maps import MAPS_VARIABLE, looking_in
 from cornercase.simulators import EsminiSimulator, WorkerSimulator, simulate

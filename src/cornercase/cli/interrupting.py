@@ -17,14 +17,14 @@ class InterruptedGroup(TyperGroup):
     """Command group that reports interrupts in a sentence; typer would exit silently."""
 
     def make_context(self, *given: Any, **more: Any) -> Any:
-        """Parse the command line; an interrupt raises `typer.Exit` with `exit_code`."""
+        """Parse the command line; an interrupt raises `typer.Exit` with `interrupt_exit_code`."""
         with _end_in_a_sentence():
             # Again, as typer has replaced one of the hooks.
             hear_requests()
             return super().make_context(*given, **more)
 
     def invoke(self, ctx: Any) -> Any:
-        """Run the command; an interrupt raises `typer.Exit` with `exit_code`."""
+        """Run the command; an interrupt raises `typer.Exit` with `interrupt_exit_code`."""
         with _end_in_a_sentence():
             return super().invoke(ctx)
 
@@ -49,5 +49,5 @@ def tell_of_interrupt() -> None:
 
 
 def exit_code() -> int:
-    """Return the exit code that shells give: 130 for Ctrl-C, 143 for SIGTERM, 129 for SIGHUP."""
+    """Return the exit code that shells give: 130 for Ctrl-C, 143 for SIGTERM, 129 for a closed terminal."""
     return 128 + last_request()

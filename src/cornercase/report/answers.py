@@ -63,7 +63,7 @@ class Answer:
 
 
 def page_answers(data: ReportData) -> Iterator[Answer]:
-    """Answer all questions in the order of the page; every number also appears in `put_in_words`."""
+    """Answer all questions in the order of the page; every number also appears in `summary_to_dict`."""
     summary = data.summary
     estimates = summary.knowledge
     if data.verdicts:
@@ -83,7 +83,7 @@ def page_answers(data: ReportData) -> Iterator[Answer]:
 
 
 def tell_about(data: ReportData, *, counts: bool = True) -> str:
-    """Describe the study: roles, search and, unless the page counts itself (`counts`), numbers of scenarios."""
+    """Describe the study: roles, search and, unless the page counts itself (`include_counts`), numbers of scenarios."""
     summary, meta = data.summary, data.summary.meta
     sentences = [tell_roles(meta)]
     begin = f"{_scenarios(summary.run)} " if counts else "Scenarios "

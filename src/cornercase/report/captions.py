@@ -119,7 +119,7 @@ def of_scores(data: ReportData, metric: Metric) -> str:
 
 
 def of_front(count: int) -> str:
-    """Caption of the figure of a Pareto front of `count` scenarios."""
+    """Caption of the figure of a Pareto front with `n_scenarios`."""
     return f"The scores of each scenario that was run. {tell_front(count)}"
 
 
@@ -135,7 +135,7 @@ def of_sensitivity(found: Sensitivity, searched: str) -> str:
 
 
 def of_examples(left_out: int) -> str:
-    """Caption of the figure of one scenario per cluster; `left_out` clusters are not drawn."""
+    """Caption of the figure of one scenario per cluster; `n_not_drawn` are left out."""
     return (
         "One scenario of each kind: the one with the smallest sum of distances to the others of its kind. Seen from"
         " above, with times in s along the trajectories and the boxes where they are closest; and speeds over time."

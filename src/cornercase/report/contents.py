@@ -19,7 +19,7 @@ from cornercase.scenario import Parameter
 from cornercase.study import Row, StudyMeta
 
 FORMAT: Final = 1
-"""Version of what `page_contents` returns."""
+"""Version of what `page_payload` returns."""
 
 
 def page_contents(data: ReportData) -> dict[str, Any]:
@@ -28,7 +28,7 @@ def page_contents(data: ReportData) -> dict[str, Any]:
 
 
 def scenario_part(data: ReportData) -> dict[str, Any]:
-    """Return the part of `page_contents` that lists single scenarios and grows with each run."""
+    """Return the part of `page_payload` that lists single scenarios and grows with each run."""
     meta, rows = data.summary.meta, _rows(data)
     indices = _places(rows)
     done = [indices[row.id] for row in data.rows]
@@ -66,7 +66,7 @@ def scenario_part(data: ReportData) -> dict[str, Any]:
 def tell_against(meta: StudyMeta, whom: Sequence[Sequence[str | None] | None]) -> dict[str, Any]:
     """Return the column ``against``: the index in ``other`` whose score counts, per scenario and metric.
 
-    Empty if there is only one other; `whom` has None for failed scenarios.
+    Empty if there is only one other; `others` has None for failed scenarios.
     """
     if len(meta.others) == 1:
         return {}
@@ -75,7 +75,7 @@ def tell_against(meta: StudyMeta, whom: Sequence[Sequence[str | None] | None]) -
 
 
 def knowledge_part(data: ReportData) -> dict[str, Any]:
-    """Return the part of `page_contents` that depends on all scenarios together."""
+    """Return the part of `page_payload` that depends on all scenarios together."""
     meta, rows = data.summary.meta, _rows(data)
     indices = _places(rows)
     selected = () if data.summary.reduced is None else data.summary.reduced.kept
@@ -107,7 +107,7 @@ def knowledge_part(data: ReportData) -> dict[str, Any]:
 
 
 def tell_subject(meta: StudyMeta, study: str) -> dict[str, Any]:
-    """Return the part of `page_contents` that is known before a scenario was run; `study` is the file name."""
+    """Return the part of `page_payload` that is known before a scenario was run; `file_name` is the study's."""
     return {
         "format": FORMAT,
         "title": meta.title,

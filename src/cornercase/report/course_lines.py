@@ -32,7 +32,7 @@ def draw_course(time: FloatArray, course: Float32Array, lower_is_critical: bool)
 def pack_courses(courses: Sequence[FloatArray | None], spans: Sequence[tuple[float, float]]) -> dict[str, Any]:
     """Encode resampled courses (None: no course) of all scenarios as 16-bit integers for the page's ``courses``.
 
-    `spans` are begin and end of each recording in s; 65535 stands for no value.
+    `time_spans` are begin and end of each recording in s; 65535 stands for no value.
     """
     present = [course for course in courses if course is not None]
     low = min((float(np.nanmin(course)) for course in present), default=0.0)

@@ -76,7 +76,7 @@ def read_report_data(
 ) -> ReportData:
     """Read all data of a report in one pass over the recordings; InputError if it exceeds the memory limit.
 
-    `figures` also keeps whole courses; `tell` is called with the number of recordings read so far.
+    `figures` also keeps whole courses; `on_read` is called with the number of recordings read so far.
     """
     rows = study.done()
     metrics = tuple(METRICS.create(name) for name in study.meta.metrics)

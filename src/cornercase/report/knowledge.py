@@ -35,12 +35,12 @@ class CriticalSetKnowledge:
 
     share: Estimate  # critical share of the space
     missed: Estimate  # share of the critical set that was not found
-    overlooked: float  # probability that a critical region of size `region` contains no run
-    unvisited: float  # share of the space whose surrounding region of size `region` contains no run
+    overlooked: float  # probability that a critical region of size `region_fraction` contains no run
+    unvisited: float  # share of the space whose surrounding region of size `region_fraction` contains no run
     region: float  # share of the space
     hidden: float  # share of the critical set that a region without runs could hold
-    share_doubt: str | None = None  # why `share` has no interval; None if it has
-    missed_doubt: str | None = None  # why `missed` has no interval; None if it has
+    share_doubt: str | None = None  # why `critical_fraction` has no interval; None if it has
+    missed_doubt: str | None = None  # why `missed_fraction` has no interval; None if it has
     by_committee: bool = False  # predicted by a committee, not by a Gaussian process of the scores
 
 
@@ -65,7 +65,7 @@ class Knowledge:
 
 @dataclass(frozen=True)
 class MissedAfter:
-    """Share of the critical set that was not found after `run` scenarios."""
+    """Share of the critical set that was not found after `n_run` scenarios."""
 
     run: int
     share: Estimate

@@ -28,7 +28,7 @@ class PackedRecordings:
 
 
 def pack_recordings(study: Study, ids: Sequence[int], *, most: int | None = None) -> PackedRecordings:
-    """Pack recordings in the order of `ids`, up to about `most` characters; neighbours are viewed together."""
+    """Pack recordings in the order of `ids`, up to about `max_characters`; neighbours are viewed together."""
     blocks: list[str] = []
     index: dict[str, list[int]] = {}
     size = 0

@@ -32,8 +32,8 @@ from cornercase.report.sections.kept import show_kept
 from cornercase.report.sections.kinds import compare_kinds, show_kinds
 from cornercase.report.sections.knowledge import show_knowledge
 from cornercase.report.sections.overview import tell_failures, tell_provenance, tell_scores
-from cornercase.report.sections.part import Part
 from cornercase.report.sections.verdicts import show_verdicts
+from cornercase.report.tables import Part
 from cornercase.report.templates import fill_template
 from cornercase.scenario import Scenario
 from cornercase.study import Study, open_study
@@ -147,7 +147,7 @@ def write_report(
 
 
 def fill_page(data: ReportData, packed: PackedRecordings, roads: Mapping[str, Any]) -> str:
-    """Render the report; `roads` holds ``roads``, ``roads_missing`` (why there are none) and ``rerun``."""
+    """Render the report; `road_payload` holds ``roads``, ``roads_missing`` (why there are none) and ``rerun``."""
     recording_payload = {"recordings": packed.index, "recordings_left_out": tell_left_out(data, packed)}
     contents = page_contents(data) | recording_payload | dict(roads)
     return _fill(
@@ -172,7 +172,7 @@ def page_details(data: ReportData) -> Iterator[Part]:
 
 def fill_frame(title: str) -> str:
     """Render a page without a study: it loads its contents from the live server and grows with the study."""
-    empty = {"left_out": "", "about": "", "contents": None, "answers": [], "details": [], "blocks": ()}
+    empty: dict[str, Any] = {"left_out": "", "about": "", "contents": None, "answers": [], "details": [], "blocks": ()}
     return _fill(live=True, title=title, provenance=Markup(), **empty)
 
 

@@ -141,7 +141,7 @@ def estimate_to_dict(stored: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def with_words(values: Mapping[str, Any], levels: int = 0) -> dict[str, Any]:
-    """Replace identifiers by words, except names in the first `levels` levels."""
+    """Replace identifiers by words, except names in the first `name_levels` levels."""
     renamed = {}
     for key, value in values.items():
         below = levels - 1 if levels else NAMED.get(key, 0)
@@ -305,7 +305,7 @@ def _shape(one: ClusterShape) -> dict[str, Any]:
 def _labelled(
     found: Coverage | CriticalCoverage | HeldOut | HeldOutCritical, labels: Mapping[str, str]
 ) -> dict[str, Any]:
-    """Return the known numbers of `found` under their labels."""
+    """Return the known numbers of `values` under their labels."""
     plain: dict[str, Any] = {}
     for key, label in labels.items():
         value = getattr(found, key)

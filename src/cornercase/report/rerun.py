@@ -26,7 +26,8 @@ def tell_rerun(study: Study, given: Path | str | Scenario | None = None, *, whol
     """Return what the page needs to run a scenario again: name, key per search, command, and scenario file.
 
     ``command`` holds the words before and after the parameters, or None (``why``). ``file`` holds the pieces of
-    the scenario file around its ``slots``, or None (``file_why``); without `whole` it is left out, as a server has it.
+    the scenario file around its ``slots``, or None (``file_why``); left out without
+    `include_file`, if a server has it.
     """
     meta = study.meta
     why = _why_no_command(meta)
@@ -67,7 +68,7 @@ def why_kept(study: Study) -> dict[int, str]:
 
 
 def write_one(meta: StudyMeta, scenario: Scenario, row: Row, why: str | None) -> bytes:
-    """Return the file of a concrete scenario (UTF-8 XML) as `reduce` writes it; `why` it was selected, if it was."""
+    """Return the file of a concrete scenario (UTF-8 XML) as `reduce` writes it, with its `selection_reason`."""
     return _fill(meta, scenario, row.values, _describe(meta, str(row.id), why))
 
 

@@ -57,7 +57,7 @@ def find_roads(
 
 
 def is_of_map(missing: str) -> bool:
-    """Return whether a message of `find_roads` says that a map is missing in the map folders."""
+    """Return whether a message of `find_road_outline` says that a map is missing in the map folders."""
     return MAPS_VARIABLE in missing
 
 

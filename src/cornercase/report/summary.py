@@ -176,7 +176,7 @@ def summarize(study: Study | Path | str, *, critical: float | None = None) -> Su
     Examples
     --------
     >>> import cornercase as cc
-    >>> cc.summarize("study.db").collisions  # doctest: +SKIP
+    >>> cc.summarize("study.db").n_collisions  # doctest: +SKIP
     12
     """
     with open_study(study, readonly=True, critical=critical) as opened:

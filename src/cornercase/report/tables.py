@@ -1,11 +1,14 @@
-"""Tables of the report, as HTML."""
+"""Sections and tables of the report, as HTML."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
 from html import escape
 from typing import Final
+
+from markupsafe import Markup
 
 from cornercase._common.texts import plain_text
 from cornercase.clustering import Candidate, Clustering, Profile
@@ -21,8 +24,22 @@ _ARCHETYPES: Final = {
 }
 
 
+@dataclass(frozen=True)
+class Part:
+    """Section of the page's details that opens when its title is clicked."""
+
+    name: str  # for addresses and tests
+    title: str  # plain text
+    html: Markup  # all texts are escaped
+
+
+def make_part(name: str, title: str, lines: Iterable[str]) -> Part:
+    """Join lines of HTML (texts already escaped) into a section."""
+    return Part(name, title, Markup("\n".join(lines)))
+
+
 def make_table(head: Sequence[str], rows: Sequence[Sequence[str]], text: Sequence[int] = (0,)) -> str:
-    """Render an HTML table of plain texts; columns in `text` are left-aligned (-1: the last)."""
+    """Render an HTML table of plain texts; columns in `left_aligned` are left-aligned (-1: the last)."""
     left = {k % len(head) for k in text}
 
     # A control character for the writing direction would affect all text after it.

@@ -221,7 +221,7 @@ def find_reasons(failed: Sequence[Row]) -> dict[str, list[int]]:
 
 
 def tell_front(count: int) -> str:
-    """Describe a Pareto front of `count` scenarios."""
+    """Describe a Pareto front with `n_scenarios`."""
     if count == 1:
         return "One scenario is as critical as any other in every metric."
     return f"{count} scenarios: no other is at least as critical in every metric and more critical in one."

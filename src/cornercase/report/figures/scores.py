@@ -49,7 +49,7 @@ def draw_courses(
 def draw_coverage(curves: Mapping[str, tuple[Gaps, BoolArray]], units: Sequence[str]) -> Figure:
     """Draw the share of scenarios within a distance of the reduced set, one panel per aspect.
 
-    `curves` holds per aspect the gaps and the mask of critical scenarios; `units` the units of the distances.
+    `gaps_and_critical` holds the gaps and the mask of critical scenarios by aspect, `units` the units of distances.
     """
     columns = min(3, len(curves))
     rows = -(-len(curves) // columns)
@@ -105,7 +105,7 @@ def draw_sensitivities(found: Sensitivity) -> Figure:
 
 
 def draw_front(scores: Sequence[FloatArray], metrics: Sequence[Metric], chosen: IntArray) -> Figure:
-    """Draw the scores of up to six pairs of metrics with the Pareto front, whose rows are `chosen`."""
+    """Draw the scores of up to six pairs of metrics with the Pareto front, whose rows are `front_rows`."""
     pairs = list(combinations(range(len(metrics)), 2))[:6]
     figure = Figure(figsize=(5.0 * min(3, len(pairs)) + 1.6, 4.2 * -(-len(pairs) // 3)), layout="constrained")
     for axis, (i, j) in zip(figure.subplots(-(-len(pairs) // 3), min(3, len(pairs)), squeeze=False).ravel(), pairs,

@@ -42,7 +42,7 @@ class State:
 class Follower:
     """Follows a study in a background thread, even if it appears later, is replaced, or its writer restarts.
 
-    Attributes: `state`; `changes`, a counter of changes to the study; `notes` by scenario id.
+    Attributes: `state`; `n_changes`, a counter of changes to the study; `notes` by scenario id.
     """
 
     def __init__(self, path: Path) -> None:
@@ -80,7 +80,7 @@ class Follower:
             return self.epoch, self._meta, list(self._digests), self.state
 
     def since(self, epoch: str, count: int, most: int = _AT_ONCE) -> tuple[Sequence[Digest], State | None] | None:
-        """Return up to `most` digests after the first `count`, with the state if these are all.
+        """Return up to `max_digests` after the first `n_known`, with the state if these are all.
 
         None if `epoch` is over.
         """

@@ -10,13 +10,16 @@ from pathlib import Path
 from typing import Any, Final
 
 from cornercase._common.errors import InputError
+from cornercase._common.ledger import warn
 from cornercase.report.answers import tell_about
 from cornercase.report.contents import knowledge_part, scenario_part
-from cornercase.report.data import read_report_data
+from cornercase.report.data import ReportData, read_report_data
 from cornercase.report.live.follower import Follower
-from cornercase.report.live.surroundings import Surroundings
 from cornercase.report.page import page_details
+from cornercase.report.rerun import tell_rerun
+from cornercase.report.roads import find_roads, is_of_map, pack_roads
 from cornercase.report.sections.overview import tell_provenance
+from cornercase.roads import Region
 from cornercase.study import Study
 
 # Pause between two computations: at least this many seconds, and this many times the computation time.
@@ -26,6 +29,9 @@ _TIMES: Final = 4.0
 _PAUSE: Final = 0.25
 # Parts whose change makes the browser reload all contents.
 _COLUMNS: Final = ("kinds", "kept", "outcomes", "roads", "rerun", "default_aspect")
+
+# Additional margin in m, so that the road is not redrawn for each scenario.
+_MORE: Final = 60.0
 
 
 @dataclass(frozen=True)
@@ -43,10 +49,41 @@ class Knowledge:
         return self if self.epoch == epoch else Knowledge(epoch, self.number, self.layout)
 
 
+class Surroundings:
+    """Caches the road drawing and redraws it only if scenarios leave the drawn region."""
+
+    def __init__(self, scenario: Path | None) -> None:
+        self._scenario = scenario
+        self._fingerprint = ""
+        self._region: Region | None = None
+        self._roads: dict[str, Any] = {}
+        self._said: set[str] = set()
+
+    def of(self, study: Study, data: ReportData) -> dict[str, Any]:
+        """Return ``roads``, ``roads_missing`` and ``rerun`` of the page's contents."""
+        new, old = data.region, self._region
+        is_known = study.meta.fingerprint == self._fingerprint and bool(self._roads.get("roads"))
+        if not is_known or not _holds(old, new):
+            region = None if new is None else (new[0] - _MORE, new[1] - _MORE, new[2] + _MORE, new[3] + _MORE)
+            sketch, missing = find_roads(study, region, self._scenario, data.rows[0].values)
+            self._roads = {"roads": None if sketch is None else pack_roads(sketch), "roads_missing": missing}
+            if is_of_map(missing) and missing not in self._said:
+                self._said.add(missing)
+                warn(missing.removesuffix("."))
+            self._fingerprint, self._region = study.meta.fingerprint, region
+        return self._roads | {"rerun": tell_rerun(study, self._scenario, whole=False)}
+
+
+def _holds(old: Region | None, new: Region | None) -> bool:
+    if old is None or new is None:
+        return new is None
+    return old[0] <= new[0] and old[1] <= new[1] and old[2] >= new[2] and old[3] >= new[3]
+
+
 class Finder:
     """Recomputes the analysis in a thread whenever the study changes, but never most of the time.
 
-    `known` is the latest result; it never covers more scenarios than the follower has read.
+    `latest` holds the last result, which never covers more scenarios than the follower has read.
     """
 
     def __init__(self, follower: Follower, scenario: Path | None = None) -> None:
@@ -80,7 +117,7 @@ class Finder:
             self._end.wait(max(_LEAST, _TIMES * (time.monotonic() - start)))
 
     def _is_followed(self, epoch: str, count: int) -> bool:
-        """Wait until the follower has read `count` scenarios; False if it never will."""
+        """Wait until the follower has read `n_scenarios`; False if it never will."""
         while self._follower.epoch == epoch and not self._end.is_set():
             if self._follower.state.ended >= count:
                 return True

@@ -56,33 +56,29 @@ class Teller:
         # In this order, so that the analysis never covers scenarios that are not in the contents.
         analysis = self._finder.known
         epoch, meta, digests, state = self.follower.known()
-        knowledge = analysis.of(epoch)
-        live = {"cursor": str(Cursor(epoch, len(digests), knowledge.number, knowledge.layout))} | asdict(state)
+        current = analysis.of(epoch)
+        live = {"cursor": str(Cursor(epoch, len(digests), current.number, current.layout))} | asdict(state)
         if meta is None or not digests:
             return {"live": live}
         digests.sort(key=lambda one: one.row.id)
-        contents = _plain(meta, self.follower.path) | knowledge.parts | tell_scenarios(meta, digests)
+        contents = _plain(meta, self.follower.path) | current.parts | tell_scenarios(meta, digests)
         contents["courses"] = tell_courses(meta, digests)
         contents["notes"] = {str(scenario): note for scenario, note in self.follower.notes.items()}
-        _add_knowledge(contents, knowledge)
+        _add_knowledge(contents, current)
         return contents | {"recordings": {}, "live": live}
-
-    def state(self) -> dict[str, Any]:
-        """Return the fields of the follower's state."""
-        return asdict(self.follower.state)
 
     def news(self, cursor: Cursor, shown: Mapping[str, Any] | None = None) -> tuple[Cursor, str, Any] | None:
         """Return the next event for a page: new cursor, event name, data; None if there is nothing new.
 
         ``contents``: reload everything; ``scenarios``: new digests, with ``state`` if complete; ``knowledge``: new
-        analysis; ``state``: progress that differs from `shown`, the last one sent.
+        analysis; ``state``: progress that differs from `last_state`, the last one sent.
         """
         analysis = self._finder.known
         epoch, meta, digests, _ = self.follower.known()
-        knowledge = analysis.of(epoch)
+        current = analysis.of(epoch)
         update = self.follower.since(cursor.epoch, cursor.count)
-        if update is None or cursor.layout != knowledge.layout:
-            return Cursor(epoch, len(digests), knowledge.number, knowledge.layout), "contents", None
+        if update is None or cursor.layout != current.layout:
+            return Cursor(epoch, len(digests), current.number, current.layout), "contents", None
         new_digests, state = update
         if new_digests and meta is not None:
             courses = {name: [_rounded(digest.courses.get(name)) for digest in new_digests] for name in meta.metrics}
@@ -90,9 +86,9 @@ class Teller:
             progress = None if state is None else asdict(state)
             columns = tell_scenarios(meta, new_digests) | {"courses": courses, "spans": spans, "state": progress}
             return Cursor(epoch, cursor.count + len(new_digests), cursor.knowledge, cursor.layout), "scenarios", columns
-        if cursor.knowledge != knowledge.number:
-            parts = {name: value for name, value in knowledge.parts.items() if name not in _APART}
-            return Cursor(epoch, cursor.count, knowledge.number, knowledge.layout), "knowledge", parts
+        if cursor.knowledge != current.number:
+            parts = {name: value for name, value in current.parts.items() if name not in _APART}
+            return Cursor(epoch, cursor.count, current.number, current.layout), "knowledge", parts
         if state is not None and asdict(state) != shown:
             return cursor, "state", asdict(state)
         return None

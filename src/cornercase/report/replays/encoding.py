@@ -28,7 +28,7 @@ def gif_rate(fps: float) -> float:
 
 
 def write_gif(frames: Iterator[Frame], path: Path, fps: float) -> None:
-    """Write frames, shape (height, width, 3), as a GIF at a rate of `gif_rate`; same frames, same bytes."""
+    """Write frames, shape (height, width, 3), as a GIF at a rate of `nearest_gif_rate`; same frames, same bytes."""
     first = Image.fromarray(next(frames)).copy()
     # One palette for all frames, so that static parts keep their colour.
     palette = first.quantize(_COLOURS, method=Image.Quantize.MEDIANCUT, dither=Image.Dither.NONE)

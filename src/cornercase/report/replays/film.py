@@ -46,7 +46,7 @@ Frame = npt.NDArray[np.uint8]
 
 
 class Film:
-    """Renders the frames of a replay; a frame of one scenario is 9.6 by 7.2 inches with `dots` pixels per inch."""
+    """Renders the frames of a replay; a frame of one scenario is 9.6 by 7.2 inches with `dpi` pixels per inch."""
 
     def __init__(self, footage: Footage, *, dots: int = 100) -> None:
         self._footage = footage

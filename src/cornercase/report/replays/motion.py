@@ -28,18 +28,18 @@ class Motion(NamedTuple):
     width: FloatArray
 
     def corners(self, entity: int, k: int) -> FloatArray:
-        """Return the corners of a box at time index `k`, in m, shape (4, 2)."""
+        """Return the corners of a box at `time_index`, in m, shape (4, 2)."""
         size = self.length[entity], self.width[entity]
         return box_corners(self.x[entity, k], self.y[entity, k], self.heading[entity, k], *size)
 
     def eye(self, entity: int, k: int) -> FloatArray:
-        """Return the eye position of a driver at time index `k`, in m, shape (2,)."""
+        """Return the eye position of a driver at `time_index`, in m, shape (2,)."""
         heading, ahead = self.heading[entity, k], EYE_AHEAD * self.length[entity]
         x, y = self.x[entity, k], self.y[entity, k]
         return np.array([x + ahead * np.cos(heading), y + ahead * np.sin(heading)])
 
     def there(self, k: int) -> list[int]:
-        """Return the entities that exist at time index `k`."""
+        """Return the entities that exist at `time_index`."""
         return [int(entity) for entity in np.flatnonzero(np.isfinite(self.x[:, k] + self.y[:, k]))]
 
 
@@ -71,7 +71,7 @@ def motion_at(recording: Recording, times: FloatArray) -> Motion:
 
 
 def sees(motion: Motion, driver: int, target: int, k: int) -> bool:
-    """Return whether a driver sees an entity at time index `k`, by the same rule as the drivers."""
+    """Return whether a driver sees an entity at `time_index`, by the same rule as the drivers."""
     obstacles = [entity for entity in motion.there(k) if entity not in (driver, target)]
     watched = [target, *obstacles]
     poses = np.stack((motion.x[:, k], motion.y[:, k], motion.heading[:, k]))

@@ -80,7 +80,7 @@ class Scene:
         return EGO if entity == self._ego else OTHER if entity in self._others else _THIRD
 
     def draw(self, motion: Motion, k: int, time: float) -> None:
-        """Draw the moving parts at time index `k`, which is `time` in s."""
+        """Draw the moving parts at `time_index`, which is `time` in s."""
         existing = motion.there(k)
         if self._ego in existing:
             for other in existing:

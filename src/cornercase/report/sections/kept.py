@@ -8,7 +8,7 @@ from html import escape
 from cornercase.reduction import ReducedSet
 from cornercase.report import tables
 from cornercase.report.data import ReportData
-from cornercase.report.sections.part import Part, make_part
+from cornercase.report.tables import Part, make_part
 from cornercase.report.words import format_value, name_axis, tell_chosen
 
 

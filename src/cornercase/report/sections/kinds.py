@@ -11,7 +11,7 @@ from cornercase._common.typing import IntArray
 from cornercase.clustering import Agreement, Analysis
 from cornercase.report import tables
 from cornercase.report.data import ReportData
-from cornercase.report.sections.part import Part, make_part
+from cornercase.report.tables import Part, make_part
 from cornercase.report.words import judge_clusters, list_scenarios, name_cluster, name_joining, tell_how_found
 
 

@@ -8,8 +8,7 @@ from html import escape
 from cornercase.evidence import Estimate, Sensitivity
 from cornercase.report.data import ReportData
 from cornercase.report.knowledge import CriticalKnowledge
-from cornercase.report.sections.part import Part, make_part
-from cornercase.report.tables import make_table
+from cornercase.report.tables import Part, make_part, make_table
 from cornercase.report.words import format_value, name_axis, name_criterion, tell_asked, tell_front, tell_unforetold
 
 

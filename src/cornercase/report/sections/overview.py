@@ -15,10 +15,9 @@ from cornercase._common.texts import plain_text
 from cornercase._common.version import __version__
 from cornercase.drivers import driver_text
 from cornercase.report.data import ReportData
-from cornercase.report.sections.part import Part, make_part
 from cornercase.report.study_files import name_command, tell_limits
 from cornercase.report.summary import Summary
-from cornercase.report.tables import make_table
+from cornercase.report.tables import Part, make_part, make_table
 from cornercase.report.words import find_reasons, format_value, list_scenarios, name_range
 from cornercase.study import Row, StudyMeta
 
@@ -71,9 +70,9 @@ def tell_reasons(failed: Sequence[Row]) -> str:
 
 
 def tell_provenance(study: str, summary: Summary) -> Markup:
-    """Render how the study was made: command, settings and versions; `study` is the file name."""
-    meta, empty = summary.meta, ({}, [], None, "")
-    settings = {key: value for key, value in meta.settings.items() if key != "drivers" and value not in empty}
+    """Render how the study was made: command, settings and versions; `file_name` is the study's."""
+    meta = summary.meta
+    settings = {k: v for k, v in meta.settings.items() if k != "drivers" and v not in ({}, [], None, "")}
     facts: dict[str, Any] = {
         "study": study,
         "scenario file": meta.file_name,

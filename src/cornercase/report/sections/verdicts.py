@@ -5,8 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 from cornercase.report.data import ReportData
-from cornercase.report.sections.part import Part, make_part
-from cornercase.report.tables import make_table
+from cornercase.report.tables import Part, make_part, make_table
 
 
 def show_verdicts(data: ReportData) -> Iterator[Part]:

@@ -129,7 +129,7 @@ def _findings(findings: Sequence[Finding], found: Comparison) -> list[dict[str, 
 
 
 def _both(k: int, telling: Telling, old: Study, new: Study) -> tuple[tuple[int, Study, int], ...]:
-    """Return the page's number, study and scenario id of each scenario of example `k`."""
+    """Return the page's number, study and scenario id of each scenario of example `index`."""
     return (2 * k + 1, old, telling.pair.ids[0]), (2 * k + 2, new, telling.pair.ids[1])
 
 
