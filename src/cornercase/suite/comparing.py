@@ -26,7 +26,7 @@ from cornercase.suite.comparing_verdict import find_tolerances, find_verdict, ju
 from cornercase.suite.verdicts import verdicts_of
 
 _DRIVER: Final = "drivers "
-# What is named where it differs; seed and search say which scenarios were run, not what with.
+# Fields listed as differences; seed and optimizer only determine which scenarios were run.
 _NAMED: Final = {"simulator": "simulator", "version": "version of cornercase", "runs_of_each": "runs of each scenario"}
 
 
@@ -158,7 +158,7 @@ def _tests(
     tested = [pair for pair in pairs if certain or pair.unselected]
     tests_ = tests_of_pairs(tested, metrics) if any(pair.run != "in neither" for pair in tested) else []
     n_filling = len(old.filling()), len(new.filling())
-    # Where the fillings are mostly the same scenarios, pairs say more.
+    # If both designs are mostly the same scenarios, pairs are more powerful.
     if sum(pair.unselected for pair in pairs) < FEWEST <= min(n_filling):
         (old_scores, old_facts), (new_scores, new_facts) = sample_of(old, metrics), sample_of(new, metrics)
         both = {name: fact for name, fact in old_facts.items() if name in new_facts}
@@ -180,7 +180,7 @@ def _judged(pairs: Sequence[Pair], tests: Sequence[ChangeTest], certain: bool) -
     if n_different := certain and runs["otherwise"]:
         return (
             True,
-            f"{n_different} of {n_ran} scenarios that both ran went otherwise, and both simulators repeat themselves",
+            f"{n_different} of {n_ran} scenarios that ran with both differ, and both simulators are deterministic",
         )
     if certain and runs["not in one"]:
         return True, f"{runs['not in one']} of {len(pairs)} scenarios could be run with one version only"
@@ -281,7 +281,7 @@ def _kinds(old: Study, new: Study, pairs: Sequence[Pair]) -> dict[str, tuple[Kin
             continue
         label_of = dict(zip(analysis.ids.tolist(), analysis.labels.tolist(), strict=True))
         ran = [pair for pair in pairs if pair.ran and pair.ids[0] in label_of]
-        # What ran the same stays where it is, also at the edge of a kind.
+        # Unchanged scenarios keep their cluster, also at its edge.
         changed = [pair for pair in ran if pair.run != "the same"]
         assigned = join_kinds(old, analysis, new, [pair.ids[1] for pair in changed]).tolist()
         after = {pair.ids: label_of[pair.ids[0]] for pair in ran}

@@ -18,9 +18,9 @@ from cornercase.suite.fault import is_at_fault
 from cornercase.suite.requirement import Kind, Requirement
 from cornercase.suite.verdict import State, Verdict
 
-# Instants of a simulator's clock that differ by less are the same.
+# Tolerance of a simulator's clock in s.
 _CLOCK: Final = 1e-6
-# Of verdicts against several others the first of these counts.
+# The verdict against several others is the first of these that occurs.
 _WORST_FIRST: Final = ("failed", "passed", "inconclusive")
 
 
@@ -117,7 +117,7 @@ def _judge_collision(requirement: Requirement, recording: Recording, ego: str) -
     if entity:
         is_present &= np.isfinite(recording.x[recording.index(entity)])
     if not is_present.any():
-        reason = f"{quoted_name(ego)} and {quoted_name(entity)} are never there together" if entity else _never(ego)
+        reason = f"{quoted_name(ego)} and {quoted_name(entity)} are never present together" if entity else _never(ego)
         return Verdict("inconclusive", requirement.text, reason)
     collisions = [
         collision
@@ -125,7 +125,7 @@ def _judge_collision(requirement: Requirement, recording: Recording, ego: str) -
         if ego in collision.entities and (not entity or entity in collision.entities)
     ]
     if not collisions:
-        return Verdict("passed", requirement.text, f"{quoted_name(ego)} does not touch {_whom(entity)}")
+        return Verdict("passed", requirement.text, f"{quoted_name(ego)} does not collide{_whom(entity)}")
     return _collided(requirement, recording, ego, collisions[0])
 
 
@@ -147,7 +147,7 @@ def _judge_fault(requirement: Requirement, recording: Recording, ego: str) -> Ve
     if at_fault is not None:
         return _collided(requirement, recording, ego, at_fault, f", as {quoted_name(ego)} drives into it")
     if not collisions:
-        return Verdict("passed", requirement.text, f"{quoted_name(ego)} does not touch anybody")
+        return Verdict("passed", requirement.text, f"{quoted_name(ego)} does not collide")
     first = collisions[0]
     reason = f"{_pair(first, ego)} collide at {first.time:.6g} s, but {quoted_name(ego)} does not drive into it"
     return Verdict("passed", requirement.text, reason, first.time)
@@ -170,12 +170,12 @@ def _judge_place(requirement: Requirement, recording: Recording, ego: str) -> Ve
         return Verdict("passed", requirement.text, reason, at, float(distances[arrivals[0]]))
     if not len(inside):
         return Verdict(
-            "inconclusive", requirement.text, f"{quoted_name(ego)} is not there before {elapsed[present[0]]:.6g} s"
+            "inconclusive", requirement.text, f"{quoted_name(ego)} is absent before {elapsed[present[0]]:.6g} s"
         )
     nearest = inside[distances[inside].argmin()]
     at, value = float(recording.time[nearest]), float(distances[nearest])
     text = f"{quoted_name(ego)} comes no nearer to {position} than {value:.4g} m, at {at:.6g} s"
-    # Where the ego leaves the scenario before, it will not come there any more.
+    # If the ego left the scenario before, it can no longer arrive.
     if elapsed[-1] < requirement.within - _CLOCK and present[-1] == len(elapsed) - 1:
         reason = f"{text}, but was observed for {elapsed[-1]:.6g} s only"
         return Verdict("inconclusive", requirement.text, reason, at, value)
@@ -210,7 +210,7 @@ def _judge_each(
     signals = [signals_of(recording, ego, other) for other in others]
     verdicts = [_judge_formula(requirement, formula, verdict) for verdict in signals]
     if all(verdict == verdicts[0] for verdict in verdicts):
-        # It does not depend on the other, or speaks of what never arose with any.
+        # It does not depend on the other entity, or is inconclusive against all.
         return verdicts[0]
     margins = [np.nan_to_num(float(formula.robustness(verdict)[0]), nan=np.inf) for verdict in signals]
     index = min(range(len(others)), key=lambda k: (_WORST_FIRST.index(verdicts[k].state), margins[k]))
@@ -224,7 +224,7 @@ def _judge_formula(requirement: Requirement, formula: Formula, signals: Signals)
         unobserved = [
             comparison.text for comparison in formula.comparisons if np.isnan(comparison.margin(signals)).all()
         ]
-        reason = f"what {' and '.join(unobserved)} speaks of never arose"
+        reason = f"what {' and '.join(unobserved)} refers to never occurred"
         return Verdict("inconclusive", requirement.text, reason)
     if formula.bound is not None:
         return _judge_bound(requirement, formula.bound, signals, failed)
@@ -232,7 +232,7 @@ def _judge_formula(requirement: Requirement, formula: Formula, signals: Signals)
     text = f"'{formula.text}' {'does not hold' if failed else 'holds'}"
     decisive = formula.decisive(signals)
     if decisive is None:
-        reason = f"{text}; what decides is infinite, or an interval that holds no instant"
+        reason = f"{text}; the decisive value is infinite, or the interval contains no sample"
         return Verdict(state, requirement.text, reason)
     comparison, k = decisive
     at, value = float(signals.time[k]), float(comparison.left.values(signals)[k])
@@ -247,7 +247,7 @@ def _judge_bound(requirement: Requirement, bound: Predicate, signals: Signals, f
     at, value = float(signals.time[worst]), float(values[worst])
     lower = bound.relation in (">", ">=")
     if not failed and np.isinf(value):
-        reason = f"{bound.left.text} is infinite all the time"
+        reason = f"{bound.left.text} is infinite throughout"
         return Verdict("passed", requirement.text, reason)
     if not failed:
         reason = f"{bound.left.text} is {bound.left.tell_value(value)} at {'least' if lower else 'most'}, at {at:.6g} s"
@@ -282,11 +282,11 @@ def _pair(one: Collision, ego: str) -> str:
 
 
 def _whom(name: str) -> str:
-    return quoted_name(name) if name else "anybody"
+    return f" with {quoted_name(name)}" if name else ""
 
 
 def _never(ego: str) -> str:
-    return f"{quoted_name(ego)} is never there"
+    return f"{quoted_name(ego)} is never present"
 
 
 _JUDGES: Final[dict[Kind, Callable[[Requirement, Recording, str], Verdict]]] = {

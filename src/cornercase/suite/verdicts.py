@@ -27,14 +27,12 @@ def judge_row(study: Study, row: Row, requirements: list[Requirement]) -> list[V
     file, kind = (_of(row, names) if meta.suite else "" for names in (meta.files, meta.kinds))
     applicable = [requirement for requirement in requirements if requirement.concerns(file, kind)]
     if row.state == "failed":
-        return [
-            Verdict("inconclusive", requirement.text, f"it could not be run: {row.error}") for requirement in applicable
-        ]
+        return [Verdict("inconclusive", requirement.text, f"it failed: {row.error}") for requirement in applicable]
     recording = study.recording(row.id)
     formula_metrics = {
         name for requirement in applicable if requirement.formula is not None for name in requirement.formula.metrics
     }
-    # Of several others it is not known which of them a course is against at an instant.
+    # With several others it is unknown which one a course refers to at each time.
     formula_metrics = formula_metrics if len(meta.others) == 1 else set()
     courses = {name: study.course(row.id, name) for name in meta.metrics if name in formula_metrics}
     return [
