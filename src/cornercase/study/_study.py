@@ -215,6 +215,12 @@ class Study:
         require(isinstance(turn, int) and isinstance(error, str | None), f"the scenario {number} is damaged")
         return row
 
+    def _rows_where(self, condition: str, value: int | str) -> list[Row]:
+        self._database.require_all("scenarios")
+        stored = self._database.rows("scenarios", condition, value)
+        with damage_told(self.path):
+            return [self._row(*columns) for columns in stored]
+
     def rows_of(self, turn: int) -> list[Row]:
         """List the scenarios of a round.
 
@@ -227,10 +233,7 @@ class Study:
         list of ScenarioRecord
             In the order in which they were proposed.
         """
-        self._database.require_all("scenarios")
-        stored = self._database.rows("scenarios", "round = ?", turn)
-        with damage_told(self.path):
-            return [self._row(*columns) for columns in stored]
+        return self._rows_where("round = ?", turn)
 
     def rows_from(self, first: int) -> list[Row]:
         """List the scenarios from an id on.
@@ -244,10 +247,7 @@ class Study:
         list of ScenarioRecord
             In the order in which they were proposed.
         """
-        self._database.require_all("scenarios")
-        stored = self._database.rows("scenarios", "id >= ?", first)
-        with damage_told(self.path):
-            return [self._row(*columns) for columns in stored]
+        return self._rows_where("id >= ?", first)
 
     def done(self) -> list[Row]:
         """List the scenarios that ran successfully.
@@ -265,10 +265,7 @@ class Study:
         -------
         list of ScenarioRecord
         """
-        self._database.require_all("scenarios")
-        stored = self._database.rows("scenarios", "state = ?", "failed")
-        with damage_told(self.path):
-            return [self._row(*columns) for columns in stored]
+        return self._rows_where("state = ?", "failed")
 
     def points(self) -> FloatArray:
         """Points of the scenarios that ran.
