@@ -94,10 +94,10 @@ class Study:
         InputError
             The file exists already, or cannot be written.
         """
-        plain = sorted(meta.to_json().items())
-        rows = [(key, json.dumps(value, sort_keys=True)) for key, value in plain]
+        items = sorted(meta.to_json().items())
+        rows = [(key, json.dumps(value, sort_keys=True)) for key, value in items]
         try:
-            require_whole(json.dumps(plain, ensure_ascii=False))
+            require_whole(json.dumps(items, ensure_ascii=False))
         except ValueError as error:
             raise InputError(f"{path}: cannot be created, since {error}; rename it.") from error
         return cls(Database.create(Path(path), rows, *optional_tables(meta)))

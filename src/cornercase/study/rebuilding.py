@@ -135,8 +135,8 @@ def _sort_out(found: dict[str, Rows], meta: StudyMeta, rounds: dict[int, int]) -
     """Make incomplete scenarios pending; return their ids."""
     metrics: dict[str, dict[int, set[str]]] = {name: defaultdict(set) for name in _OF_SCENARIOS}
     for name in _OF_SCENARIOS:
-        for one in found[name].values():
-            metrics[name][one[0]].add(one[1])
+        for stored in found[name].values():
+            metrics[name][stored[0]].add(stored[1])
     is_required = {"courses": True, "repeats": meta.repeats > 1, "against": len(meta.others) > 1}
     to_rerun = []
     for number in rounds:

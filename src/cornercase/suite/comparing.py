@@ -23,7 +23,7 @@ from cornercase.suite.comparing_space import find_space_change
 from cornercase.suite.comparing_telling import choose_telling
 from cornercase.suite.comparing_tests import FEWEST, correct, moved_by, tests_of_pairs, tests_of_samples
 from cornercase.suite.comparing_verdict import find_tolerances, find_verdict, judge_version
-from cornercase.suite.verdicts import verdicts_of
+from cornercase.suite.judging import verdicts_of
 
 _DRIVER: Final = "drivers "
 # Fields listed as differences; seed and optimizer only determine which scenarios were run.
@@ -161,8 +161,8 @@ def _tests(
     # If both designs are mostly the same scenarios, pairs are more powerful.
     if sum(pair.unselected for pair in pairs) < FEWEST <= min(n_filling):
         (old_scores, old_facts), (new_scores, new_facts) = sample_of(old, metrics), sample_of(new, metrics)
-        both = {name: fact for name, fact in old_facts.items() if name in new_facts}
-        tests_ += tests_of_samples((old_scores, new_scores), (both, new_facts))
+        shared = {name: fact for name, fact in old_facts.items() if name in new_facts}
+        tests_ += tests_of_samples((old_scores, new_scores), (shared, new_facts))
     if not tests_ and all(pair.run == "in neither" for pair in pairs):
         raise InputError(
             f"{old.study.path} and {new.study.path}: no scenario was run with both, and only {n_filling[0]} and"
@@ -185,7 +185,7 @@ def _judged(pairs: Sequence[Pair], tests: Sequence[ChangeTest], certain: bool) -
     if certain and runs["not in one"]:
         return True, f"{runs['not in one']} of {len(pairs)} scenarios could be run with one version only"
     if significant:
-        first = min(significant, key=lambda one: one.corrected)
+        first = min(significant, key=lambda test: test.corrected)
         rest = f" and {len(significant) - 1} more" if len(significant) > 1 else ""
         return True, (
             f"{first.about} differs ({first.method}, p = {first.corrected:.2g} corrected for {len(tests)} tests){rest}"
@@ -249,7 +249,7 @@ def _unlike(name: str, old: Any, new: Any) -> Iterator[str]:
     if isinstance(old, str) != isinstance(new, str):
         old, new = _spelt(old), _spelt(new)
     if isinstance(old, Mapping) and isinstance(new, Mapping) and old.get("driver") == new.get("driver"):
-        for key in [*old, *(one for one in new if one not in old)]:
+        for key in [*old, *(key_ for key_ in new if key_ not in old)]:
             yield from _unlike(f"{name} {key}".lstrip(), old.get(key), new.get(key))
     else:
         yield f"{name.replace('_', ' ')}: {_plain(old)} → {_plain(new)}"
@@ -295,6 +295,6 @@ def _kinds(old: Study, new: Study, pairs: Sequence[Pair]) -> dict[str, tuple[Kin
                 counts[0][cluster],
                 counts[1][cluster],
             )
-            for cluster in sorted({*counts[0], *counts[1]}, key=lambda one: (one < 0, one))
+            for cluster in sorted({*counts[0], *counts[1]}, key=lambda number: (number < 0, number))
         )
     return clusters

@@ -187,8 +187,10 @@ def require_comparable(old: Study, new: Study, metrics: Sequence[str] | None) ->
     a, b = old.meta, new.meta
     # The fingerprint of an import is that of its recordings.
     if not _of_the_same(a, b) and IMPORTED not in (a.simulator, b.simulator):
-        what = "suites" if a.suite and b.suite else "scenarios"
-        versions = f"different versions of the same {what[:-1]}" if a.file_name == b.file_name else f"other {what}"
+        subject = "suites" if a.suite and b.suite else "scenarios"
+        versions = (
+            f"different versions of the same {subject[:-1]}" if a.file_name == b.file_name else f"other {subject}"
+        )
         raise InputError(f"{pair}: are of {versions} ({a.file_name}, {b.file_name}); compare studies of the same.")
     if a.space.parameters != b.space.parameters:
         raise InputError(

@@ -208,8 +208,8 @@ class Finding:
     def _trend(self, worse: bool) -> str:
         if self.kind == "score":
             return f"scores by {self.about} {'more' if worse else 'less'} critical"
-        what = {"collision": "collisions", "critical": "critical scenarios"}[self.kind]
-        return f"{'more' if worse else 'fewer'} {what}"
+        subject = {"collision": "collisions", "critical": "critical scenarios"}[self.kind]
+        return f"{'more' if worse else 'fewer'} {subject}"
 
     def name_scenarios(self, most: int = _NAMED) -> str:
         """Name the scenarios.

@@ -40,7 +40,7 @@ def choose_telling(pairs: Sequence[Pair], metrics: Sequence[str], searched: str 
             tiers.setdefault(tier, []).append((size, pair, reason))
     chosen: list[Telling] = []
     for tier in sorted(tiers):
-        candidates = sorted(tiers[tier], key=lambda one: (-one[0], one[1].ids))
+        candidates = sorted(tiers[tier], key=lambda item: (-item[0], item[1].ids))
         candidates = [candidate for candidate in candidates if candidate[0] >= _CLOSE * candidates[0][0]]
         while candidates and len(chosen) < MOST:
             distances = [_distance(candidate[1], chosen) for candidate in candidates]
@@ -97,7 +97,7 @@ def _change(pair: Pair, spreads: Mapping[str, float], searched: str) -> tuple[_T
     size, description, worse = _largest(pair, spreads)
     if pair.turned:
         # Prefer one that newly fails.
-        old, new = min(pair.turned, key=lambda one: one[1].state != "failed")
+        old, new = min(pair.turned, key=lambda verdicts: verdicts[1].state != "failed")
         return (0, new.state != "failed"), size, f"{old.requirement}: {old.state}, now {new.state}"
     ending = f"{pair.outcomes[0]}; now {pair.outcomes[1]}"
     if pair.collides[0] != pair.collides[1]:

@@ -83,12 +83,14 @@ def find_verdict(
     other. Tests of unpaired scenarios always count. The most important findings come first.
     """
     steps = [step for pair in pairs if certain or pair.unselected for step in _steps(pair, tolerances)]
-    counted, within = [one for one in steps if one.counts], [one for one in steps if not one.counts]
+    counted, within = [change for change in steps if change.counts], [change for change in steps if not change.counts]
     findings = list(_grouped(counted, tolerances)) if certain else []
     for test in tests:
         if test.corrected <= LEVEL and test.direction is not None and (not certain or test.differ is None):
             findings += _tested(test, test.direction, counted, tolerances)
-    worse, better = (tuple(one for one in findings if one.direction == direction) for direction in ("worse", "better"))
+    worse, better = (
+        tuple(change for change in findings if change.direction == direction) for direction in ("worse", "better")
+    )
     return worse, better, tuple(_grouped(within, tolerances))
 
 

@@ -115,7 +115,7 @@ def _pairs(found: Comparison) -> Iterator[Section]:
             ),
         )
     changed = sorted(
-        (pair for pair in found.outcomes.items() if pair[0][0] != pair[0][1]), key=lambda one: (-one[1], one[0])
+        (pair for pair in found.outcomes.items() if pair[0][0] != pair[0][1]), key=lambda item: (-item[1], item[0])
     )
     if changed:
         rows = tuple((before, after, str(count)) for (before, after), count in changed)

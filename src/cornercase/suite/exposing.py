@@ -122,7 +122,7 @@ def find_exposure(
     choosing, judging = slice(0, n_mutants), slice(n_mutants, None)
 
     def part(which: slice, held_out: Exposure | None) -> Exposure:
-        required = tuple(one.text for one in parsed)
+        required = tuple(requirement.text for requirement in parsed)
         return Exposure(driver, required, tuple(ids), failed, mutants_[which], killed[:, which], held_out)
 
     return part(choosing, part(judging, None))
@@ -142,7 +142,7 @@ def draw_mutants(
     not the same in all files, or if a requirement needs a reference driver.
     """
     _require_no_reference(requirements)
-    driver = driver_of_ego(ego, drivers, [one.scenario for one in suite.usable])
+    driver = driver_of_ego(ego, drivers, [scenario.scenario for scenario in suite.usable])
     return driver, mutants_of(driver, whole_number("mutants", count, 1), seed)
 
 
@@ -192,15 +192,15 @@ def driver_of_ego(ego: str, drivers: Mapping[str, Any], scenarios: Sequence[Scen
     """
     if ego in drivers:
         return name_driver(drivers[ego])
-    found = {scenario.drivers.get(ego) for scenario in scenarios}
-    if found == {None}:
+    drivers_in_files = {scenario.drivers.get(ego) for scenario in scenarios}
+    if drivers_in_files == {None}:
         raise InputError(f"Mutants need a driver of {ego}; name one with `drivers`.")
-    if len(found) > 1:
-        text = ", ".join(sorted(scenario or "nobody" for scenario in found))
+    if len(drivers_in_files) > 1:
+        text = ", ".join(sorted(scenario or "nobody" for scenario in drivers_in_files))
         raise InputError(
             f"Mutants need one driver of {ego}, but the files name several ({text}); choose one with `drivers`."
         )
-    (driver,) = found
+    (driver,) = drivers_in_files
     assert driver is not None
     return name_driver(driver)
 

@@ -34,9 +34,9 @@ def read_manifest(path: Path) -> SuiteContents:
     """
     if path.name == MANIFEST:
         finish_set(path.parent)
-    plain = _loaded(path)
+    manifest = _loaded(path)
     try:
-        return _contents(path, plain)
+        return _contents(path, manifest)
     except InputError as error:
         if str(path.parent) in str(error):
             raise
@@ -52,40 +52,40 @@ def read_manifest(path: Path) -> SuiteContents:
 
 def _loaded(path: Path) -> dict[str, Any]:
     try:
-        plain = loaded_json(read_file(path).decode("utf-8"))
+        manifest = loaded_json(read_file(path).decode("utf-8"))
     except (ValueError, RecursionError) as error:
         if isinstance(error, InputError):
             raise
         raise InputError(
             f"{path}: is not valid JSON ({str(error)[:200]}); name the manifest.json that `reduce` wrote."
         ) from error
-    if not isinstance(plain, dict) or not isinstance(plain.get("scenarios"), list):
+    if not isinstance(manifest, dict) or not isinstance(manifest.get("scenarios"), list):
         raise InputError(
             f"{path}: is not a manifest; name the manifest.json that `reduce` wrote, or a folder of files."
         )
-    if plain.get("simulator") == IMPORTED:
+    if manifest.get("simulator") == IMPORTED:
         raise InputError(f"{path}: its recordings were imported, so there are no scenario files to run.")
-    if "format" not in plain:
+    if "format" not in manifest:
         raise InputError(
             f"{path}: an earlier version of cornercase wrote it, without what it takes to run it again; run `reduce`"
             " again."
         )
-    if plain["format"] == 1:
+    if manifest["format"] == 1:
         # Format 1 had other keys.
-        plain = plain | {"format": MANIFEST_FORMAT, "critical_threshold": plain.get("critical threshold")}
-    if plain["format"] != MANIFEST_FORMAT:
+        manifest = manifest | {"format": MANIFEST_FORMAT, "critical_threshold": manifest.get("critical threshold")}
+    if manifest["format"] != MANIFEST_FORMAT:
         raise InputError(
-            f"{path}: has the format {str(plain['format'])[:20]}, and this version of cornercase reads"
+            f"{path}: has the format {str(manifest['format'])[:20]}, and this version of cornercase reads"
             f" {MANIFEST_FORMAT}; use the version that wrote it, or run `reduce` again."
         )
-    return plain
+    return manifest
 
 
 def _contents(path: Path, plain: Mapping[str, Any]) -> SuiteContents:
     folder = path.parent
-    digests = {str(place): str(digest) for place, digest in plain["files"].items()}
-    for place, digest in digests.items():
-        _require_file(path, place, digest)
+    digests = {str(name_): str(digest) for name_, digest in plain["files"].items()}
+    for name_, digest in digests.items():
+        _require_file(path, name_, digest)
     space = ParameterSpace.from_json(plain["space"])
     if len({str(entry["file"]) for entry in plain["scenarios"]}) < len(plain["scenarios"]):
         raise InputError(f"{path}: names a file twice; run `reduce` again.")

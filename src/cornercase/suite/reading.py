@@ -48,8 +48,8 @@ def read_suite(place: Path | str) -> SuiteContents:
 def _of_files(folder: Path, files: Sequence[Path]) -> SuiteContents:
     for file in files:
         # Names are stored as UTF-8.
-        if (plain := plain_text(file.name).replace("\n", "\\n").encode(errors="replace").decode()) != file.name:
-            raise InputError(f"{folder}: the name of its file '{plain}' is not plain text; rename the file.")
+        if (readable := plain_text(file.name).replace("\n", "\\n").encode(errors="replace").decode()) != file.name:
+            raise InputError(f"{folder}: the name of its file '{readable}' is not plain text; rename the file.")
     scenarios, errors = list[Scenario](), dict[Path, InputError]()
     ignored = []
     for file in files:

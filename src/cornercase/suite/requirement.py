@@ -106,21 +106,22 @@ class Requirement:
         >>> Requirement.parse("for *-00012.xosc:  reach 60, -1.75 within 20 s").text
         'for *-00012.xosc: reach 60,-1.75,2 within 20'
         """
-        plain = " ".join(text("require", requirement).split())
+        normalized = " ".join(text("require", requirement).split())
         try:
-            require_whole(plain)
+            require_whole(normalized)
         except ValueError as error:
-            raise InputError(f"`require` {plain}: {error}.") from error
+            raise InputError(f"`require` {normalized}: {error}.") from error
         prefix = _FOR.fullmatch(requirement)
         by_kind, pattern, body = (
-            (bool(prefix[1]), _unquoted(prefix[2], plain), prefix[3]) if prefix else (False, "", plain)
+            (bool(prefix[1]), _unquoted(prefix[2], normalized), prefix[3]) if prefix else (False, "", normalized)
         )
         body = " ".join(body.split())
-        if not prefix and plain.startswith("for "):
+        if not prefix and normalized.startswith("for "):
             raise InputError(
-                f"`require` {plain}: has no pattern; write 'for PATTERN: REQUIREMENT', with a space after the colon."
+                f"`require` {normalized}: has no pattern; write 'for PATTERN: REQUIREMENT', with a space after the"
+                " colon."
             )
-        parsed = _collision(body) or _place(body) or _distance(body) or _formula(body, plain)
+        parsed = _collision(body) or _place(body) or _distance(body) or _formula(body, normalized)
         full_text = f"{prefix_for(pattern, by_kind=by_kind)}{parsed.text}" if pattern else parsed.text
         return replace(parsed, text=full_text, pattern=pattern, by_kind=by_kind)
 

@@ -23,6 +23,7 @@ from cornercase.suite.asking import ask_references
 from cornercase.suite.contents import SuiteContents
 from cornercase.suite.criteria import required_by_files
 from cornercase.suite.exposing import draw_mutants, expose_suite, require_builtin
+from cornercase.suite.judging import judge_row
 from cornercase.suite.junit import JUNIT, write_junit
 from cornercase.suite.origin import find_differences, find_origin
 from cornercase.suite.reading import read_suite
@@ -32,7 +33,6 @@ from cornercase.suite.result import ScenarioResult, SuiteResult
 from cornercase.suite.running import run_suite, sort_out
 from cornercase.suite.summary import HEADING, write_summary
 from cornercase.suite.verdict import Verdict, worst_state
-from cornercase.suite.verdicts import judge_row
 
 if TYPE_CHECKING:
     from distributed import Client
@@ -161,7 +161,7 @@ def test(
     outputs = _outputs(junit, summary, path, read)
     contents, entities = _entities(contents, ego, other, parsed, drivers or {})
     workers = whole_number("workers", workers, 1, MOST_WORKERS)
-    options = {name: contents.settings.get(name, plain) for name, plain in _PLAIN.items()}
+    options = {name: contents.settings.get(name, default) for name, default in _PLAIN.items()}
     overrides = {"time_step": time_step, "duration": duration, "on_collision": on_collision}
     options |= {name: value for name, value in overrides.items() if value is not None}
     name = _simulator(contents, simulator)
@@ -242,7 +242,7 @@ def _require_own(name: str, place: Path, begin: bytes) -> None:
 
 
 def _required(require: Sequence[str], requirements: Path | str | None) -> list[Requirement]:
-    parsed = [Requirement.parse(one) for one in texts("require", require)]
+    parsed = [Requirement.parse(item) for item in texts("require", require)]
     if requirements is not None:
         parsed += read_requirements(path_argument("requirements", requirements))
     return _distinct(parsed)
