@@ -411,7 +411,7 @@ def test_the_scenarios_that_tell_versions_apart_are_few_and_far_from_each_other(
     points = np.array([one.pair.point for one in chosen])
     apart = np.linalg.norm(points[:, None] - points, axis=2)[np.triu_indices(5, 1)]
     assert apart.min() > 0.4
-    # One place in the space shows one thing once; a collision goes before any score.
+    # Each point in the space is shown once; a collision comes before any score.
     there = [replace(one, point=(0.5, 0.5)) for one in pairs]
     there[17] = plain_pair(17, 0.9, collides=(False, True), outcomes=("Ego first", "Ego and B collide"))
     (one,) = choose_telling(there, ["distance"])

@@ -293,7 +293,7 @@ def test_scenarios_that_are_not_the_same_ones_are_judged_by_the_tests(tmp_path):
 
 
 def random_pairs(random, count, certain=True):
-    """Pairs with everything that a verdict looks at; metrics of which low and high is critical."""
+    """Pairs with everything that a verdict uses; metrics with low and with high critical values."""
     pairs = []
     for k in range(1, count + 1):
         run: Any = random.choice(["otherwise", "otherwise", "otherwise", "the same", "not in one"])

@@ -20,7 +20,7 @@ T = EXAMPLES / "t_intersection" / "t_intersection.xosc"
 
 @pytest.fixture(scope="module")
 def study(tmp_path_factory):
-    """T-intersection, of which 16 scenarios that fill the space have run with `normal`."""
+    """T-intersection with 16 space-filling scenarios, run with `normal`."""
     path = tmp_path_factory.mktemp("mutants") / "study.db"
     logical = cc.LogicalScenario.read(T, T.with_suffix(".space.xosc"))
     cc.explore(logical, path, ego="Ego", other="C", metrics=["ttc"], optimizer="sobol", budget=16, seed=2)

@@ -67,7 +67,7 @@ def test_the_one_who_drives_into_the_other_is_at_fault(case):
     found = judged("no collision at fault", recording)
     assert found.state == ("failed" if at_fault else "passed"), found.reason
     assert "Ego and Other collide at 0.5 s" in found.reason
-    # By whomever, it is a collision.
+    # It is a collision, whoever is at fault.
     assert judged("no collision", recording).state == "failed"
     assert judged("no collision with Other", recording).time == 0.5
 

@@ -34,7 +34,7 @@ SCHEMA = etree.XMLSchema(etree.parse(str(Path(__file__).parents[1] / "data" / "j
 
 
 def differences(result: SuiteResult) -> list[Difference]:
-    """All of them, of which none may be missing."""
+    """All of them; none may be missing."""
     found = [one.difference for one in result.scenarios if one.difference is not None]
     assert len(found) == len(result.scenarios)
     return found
@@ -399,7 +399,7 @@ def test_a_collision_that_a_reference_prevents_fails_and_any_other_does_not(expl
         assert (
             f"; aggressive does not prevent it either, and collides at {by_cautious.time:.6g} s" in by_aggressive.reason
         )
-        # Who turns into a road at a junction is nobody that the regulation knows.
+        # The regulation does not cover vehicles that turn into a road at a junction.
         assert (by_human.state == "inconclusive") == ("cc-human says nothing of it" in by_human.reason)
     told = cc.summarize(path).references["cautious"]
     assert (told.prevents, told.collides, told.says_nothing) == (len(collide), 0, 0)
