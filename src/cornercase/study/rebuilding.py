@@ -29,19 +29,9 @@ _OF_SCENARIOS = ("courses", "repeats", "against")
 class Remains:
     """What is left of a damaged study, and what has to be run again.
 
-    Attributes
-    ----------
-    meta : StudyMeta
-    rounds : dict of int to int
-        Round of each scenario by id; 0 if it is unknown.
-    again : tuple of int
-        Ids of scenarios that have to be run again.
-    lost : tuple of str
-        What cannot be restored by running scenarios, in words.
-    tallies : dict of str to tuple of (int, int)
-        Row count and XOR of the checksums by table, if known.
-    counted : bool
-        Whether the original number of scenarios is known.
+    `rounds` are by scenario id, 0 if unknown; `to_rerun` are ids of scenarios to run again; `lost` describes what
+    cannot be restored by running scenarios. `checksum_totals` are known row counts and XORs of checksums by table;
+    `is_count_known` tells whether the original number of scenarios is known.
     """
 
     meta: StudyMeta
