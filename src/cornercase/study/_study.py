@@ -799,8 +799,8 @@ class Study:
         -------
         DataFrame
             One row per scenario, in the order of the ids, with the columns ``id``, ``round`` and ``state``, and
-            ``audit`` if there are audits; a column for each parameter; for each metric one of the score, and ``lowest
-            …`` and ``highest …`` of its runs if each scenario was run several times, ``critical runs`` as in
+            ``audit`` if there are audits; a column for each parameter; for each metric one of the score, and
+            ``lowest …`` and ``highest …`` of its runs if each scenario was run several times, ``critical runs`` as in
             `critical_run_rates`, and ``runs``, the number of runs that did not fail, if it may vary; with several
             others ``other by …`` for each metric, the entity that the score is against; ``cluster by …`` for each
             aspect that the study was analyzed by, -1 for noise; ``outcome`` once it was analyzed; ``note`` if there are
