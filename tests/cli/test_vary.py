@@ -173,7 +173,7 @@ def through_all_commands(scenario: Path, vary: list[str], folder: Path, *measure
         done = cornercase(*line, cwd=folder)
         assert done.returncode in ((0, 1) if line[0] == "test" else (0,)), f"{line}\n{done.stderr}"
         if line[0] == "test":
-            assert "3 of 3 recordings are byte for byte those in study.db" in done.stdout
+            assert "3 of 3 recordings are identical to those in study.db" in done.stdout
     page = (folder / "report.html").read_text("utf-8")
     with Study.open(folder / "study.db", readonly=True) as opened:
         assert len(opened.done()) == budget
@@ -191,7 +191,7 @@ def test_43_12_a_study_with_its_scenario_is_reduced_and_tested_elsewhere(tmp_pat
     ):
         done = cornercase(*line, cwd=tmp_path)
         assert done.returncode in ((0, 1) if line[0] == "test" else (0,)), f"{line}\n{done.stderr}"
-    assert "2 of 2 recordings are byte for byte those in" in done.stdout
+    assert "2 of 2 recordings are identical to those in" in done.stdout
 
 
 @pytest.mark.slow

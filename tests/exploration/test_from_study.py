@@ -182,7 +182,7 @@ def test_a_damaged_beginning_is_told(tmp_path, other):
     with pytest.raises(InputError, match="elsewhere has missing or extra rows"):
         searched(tmp_path / "new.db", budget=30)
     reseal(tmp_path / "new.db")
-    with pytest.raises(InputError, match="what the search began from"):
+    with pytest.raises(InputError, match="the warm-start data is incomplete"):
         searched(tmp_path / "new.db", budget=30)
 
 

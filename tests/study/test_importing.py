@@ -199,7 +199,7 @@ def test_recordings_may_lack_some_of_several_others(tmp_path):
         assert list(study.against("clearance").values()) == ["A", "B", "A", "B", "A"]
         np.testing.assert_allclose(study.scores("clearance"), [16.0, 15.0, 14.0, 13.0, 12.0])
         analyze(study)
-        # Told of the one that most are against.
+        # The main other is the one that most scores are against.
         assert list(study.outcomes().values()) == [
             "A ahead",
             "A is never there",

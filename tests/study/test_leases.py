@@ -65,7 +65,7 @@ def test_a_file_of_several_names_is_not_written(path):
 def test_nothing_beside_the_study_is_its_lock(path):
     with Study.open(path, readonly=False):
         assert sorted(one.name for one in path.parent.iterdir()) == ["s.db", "s.db-shm", "s.db-wal"]
-        # Reading is the default, and keeps nobody from writing.
+        # Reading is the default, and does not block writers.
         with Study.open(path) as reader:
             assert reader.readonly
     with Study.open(path), Study.open(path, readonly=False):
@@ -141,7 +141,7 @@ def test_a_study_that_is_moved_takes_all_with_it_that_was_stored(path):
     moved = path.rename(path.with_name("moved.db"))
     with pytest.raises(StudyLostError, match="was removed while this command was writing to it"):
         study.writer.fail(2, SimulationError("there"))
-    # Whoever cleans up afterwards is told the same.
+    # Later calls get the same error.
     with pytest.raises(StudyLostError, match="was removed while this command was writing to it"):
         study.rows()
     with Study.open(moved) as opened:

@@ -45,7 +45,7 @@ def test_a_study_of_something_else_is_refused(change, words):
 
 
 def test_a_range_without_a_unit_is_the_same_range():
-    """As an option it has none: what `show --config` writes goes on with a study whose file names units."""
+    """A range given as an option has no unit; `show --config` writes such options, also for files with units."""
     in_metres = ParameterSpace((replace(SPACE.parameters[0], unit="m"), SPACE.parameters[1]))
     for mine, given in ((in_metres, SPACE), (SPACE, in_metres)):
         replace(FULL, space=mine).require_same(replace(FULL, space=given), Path("s.db"))

@@ -129,7 +129,7 @@ def test_42_s6_the_same_layout_elsewhere_gives_the_same_study(written, tmp_path)
         for table in tables:
             rows = [one.execute(f"SELECT * FROM {table}").fetchall() for one in (mine, theirs)]
             assert rows[0] == rows[1], table
-    # And it goes on, where it lies and where it is moved together with its scenario.
+    # It can be continued in place, and after moving it together with its scenario.
     moved = folder.rename(folder.with_name("moved"))
     done = cornercase(*search[:-2], "--budget", "14", "-o", study, cwd=moved)
     assert done.returncode == 0, done.stderr
@@ -205,7 +205,7 @@ def test_42_10_the_scenario_is_taken_from_where_the_study_says(apart, tmp_path):
     done = cornercase("verify", apart, "--repair")
     assert done.returncode == 0, done.stderr
     assert cornercase("analyze", apart).returncode == 0
-    # Another content is told of as what it is, and where nothing is, all places are named.
+    # Other content is reported as such; if there is no file, all searched folders are named.
     file = apart.parent.parent / X.name
     file.write_text(file.read_text().replace("<FileHeader ", "<!-- new --><FileHeader ", 1))
     done = cornercase("reduce", apart, "-o", tmp_path / "again")

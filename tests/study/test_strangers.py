@@ -156,7 +156,7 @@ def claims(name, shape, body=b"", *, zeros=0):
 
 
 def as_header(name, header, method=zipfile.ZIP_STORED):
-    """An archive of an array of which there is only a header."""
+    """An archive with the header of an array only."""
     stream = io.BytesIO()
     with zipfile.ZipFile(stream, "w", method) as archive:
         archive.writestr(f"{name}.npy", b"\x93NUMPY\x01\x00" + len(header).to_bytes(2, "little") + header)
@@ -452,7 +452,7 @@ def test_names_are_no_formulas_in_tables(oddly_named, tmp_path):
             for cell in (cell for row in csv.reader(file) for cell in row):
                 assert cell[:1] not in tuple("=@\t\r") or not cell
                 assert cell[:1] not in tuple("+-") or not cell or np.isfinite(float(cell))
-    # The way back.
+    # Undo it.
     with Study.open(oddly_named, readonly=True) as study:
         first, again = study.recording(1), read_recording(tmp_path / "recordings" / "00001.csv")
         assert (first.names, first.kinds, first.collisions) == (again.names, again.kinds, again.collisions)

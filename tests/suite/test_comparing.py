@@ -176,7 +176,7 @@ def test_searches_that_share_nothing_are_compared_by_what_fills_the_space(tmp_pa
     assert same.space.sets.change.low <= 0.0 <= same.space.sets.change.high
     assert same.space.sets.gained.low == same.space.sets.lost.low == 0.0
     assert other.space.gained is None
-    assert "only 0 scenarios were run with both" in other.space.pairs_doubt
+    assert "only 0 scenarios ran with both" in other.space.pairs_doubt
 
 
 def test_pairs_that_fill_the_space_bound_what_is_critical_in_one_only(tmp_path):
@@ -215,7 +215,7 @@ def test_a_scenario_that_one_version_could_not_run_is_a_change(tmp_path):
     broken = written(tmp_path / "broken.db", GAPS, failed=range(36))
     with pytest.raises(InputError, match="no scenario was run with both"):
         compared(broken, broken)
-    assert [(one.pair.ids, one.why) for one in found.telling] == [((9, 9), "could not be run with the new version")]
+    assert [(one.pair.ids, one.why) for one in found.telling] == [((9, 9), "failed with the new version")]
     assert next(one for one in found.tests if one.about == "not run").differ == 1
 
 
@@ -304,7 +304,7 @@ def test_one_threshold_for_both_takes_the_place_of_their_own(tmp_path):
     critical = [pair.critical for pair in found.pairs]
     assert critical == [(gap <= between,) * 2 for gap in GAPS]
     assert found.to_json()["critical"] == between
-    assert f"from a score of {between:g} on" in tell_comparison(found)[0].sentences[-1]
+    assert f"Threshold of criticality: {between:g}" in tell_comparison(found)[0].sentences[-1]
     result = cornercase("compare", old, new, "--critical", between, "-o", tmp_path / "page.html")
     assert result.returncode == 0, result.stderr
     with Study.open(new) as study:
@@ -411,7 +411,7 @@ def test_the_scenarios_that_tell_versions_apart_are_few_and_far_from_each_other(
     points = np.array([one.pair.point for one in chosen])
     apart = np.linalg.norm(points[:, None] - points, axis=2)[np.triu_indices(5, 1)]
     assert apart.min() > 0.4
-    # One place in the space shows one thing once; a collision goes before any score.
+    # Each point in the space is shown once; a collision comes before any score.
     there = [replace(one, point=(0.5, 0.5)) for one in pairs]
     there[17] = plain_pair(17, 0.9, collides=(False, True), outcomes=("Ego first", "Ego and B collide"))
     (one,) = choose_telling(there, ["distance"])

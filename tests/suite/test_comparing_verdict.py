@@ -147,7 +147,7 @@ def test_a_threshold_that_is_crossed_within_the_tolerance_does_not_count(tmp_pat
     ]  # fmt: skip
     code, out, _ = run("compare", old, new)
     assert code == 0
-    assert "Within the tolerances, so that it does not count: 1 scenario newly critical (5), 1 scenario no" in out
+    assert "Within the tolerances, so it does not count: 1 scenario newly critical (5), 1 scenario no" in out
     code, out, _ = run("compare", old, new, "--tolerance", "distance=0", "--json")
     plain = json.loads(out)
     assert (code, plain["verdict"], plain["tolerances"]) == (0, "better", {"distance": 0.0})
@@ -215,7 +215,7 @@ def test_a_place_that_is_missed_by_less_than_the_tolerance_is_the_same(tmp_path)
 @pytest.mark.parametrize(
     ("given", "words"),
     [
-        ("ttc=0.1", "--tolerance ttc: is none of the metrics that are compared; known are: distance."),
+        ("ttc=0.1", "--tolerance ttc: is not a compared metric; known are: distance."),
         ("distance=-0.1", "--tolerance distance=-0.1: give a number of 0 or more."),
         ("distance=nan", "--tolerance distance=nan: give a number of 0 or more."),
         ("distance=wide", "--tolerance distance=wide: write it as METRIC=NUMBER."),
@@ -271,7 +271,7 @@ def test_where_simulators_do_not_repeat_themselves_the_tests_decide_and_say_whic
     near = written(tmp_path / "near.db", GAPS + noise[0] - 0.02, simulator="synthetic")
     found = compared(old, near)
     assert found.changed
-    assert (found.verdict, found.verdict_reason) == ("the same", "nothing that the tests show is beyond the tolerances")
+    assert (found.verdict, found.verdict_reason) == ("the same", "no significant change exceeds the tolerances")
     # One collision more may be chance; many are none.
     hit = [written(tmp_path / f"{n}.db", GAPS, hits=set(range(n)), simulator="synthetic") for n in (0, 1, 12)]
     assert [compared(hit[0], one).verdict for one in hit] == ["the same", "the same", "worse"]
@@ -289,11 +289,11 @@ def test_scenarios_that_are_not_the_same_ones_are_judged_by_the_tests(tmp_path):
     found = compared(studies[0], studies[2])
     assert (found.verdict, compared(studies[2], studies[0]).verdict) == ("worse", "better")
     assert {one.about or one.kind for one in found.worse} == {"critical", "distance"}
-    assert "scores by distance more critical among the scenarios that fill the space (Mann-Whitney" in found.headline
+    assert "scores by distance more critical among the space-filling scenarios (Mann-Whitney" in found.headline
 
 
 def random_pairs(random, count, certain=True):
-    """Pairs with everything that a verdict looks at; metrics of which low and high is critical."""
+    """Pairs with everything that a verdict uses; metrics with low and with high critical values."""
     pairs = []
     for k in range(1, count + 1):
         run: Any = random.choice(["otherwise", "otherwise", "otherwise", "the same", "not in one"])

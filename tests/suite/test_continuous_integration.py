@@ -31,7 +31,7 @@ LATER = ('"reaction_time": 0.3', '"reaction_time": 0.5')
 
 @pytest.fixture
 def repository(tmp_path, monkeypatch) -> Iterator[Path]:
-    """A repository of somebody's own, in which one stands."""
+    """A user's repository, as the current folder."""
     shutil.copytree(EXAMPLE, tmp_path / "own", ignore=shutil.ignore_patterns("*.db*", "__pycache__"))
     monkeypatch.chdir(tmp_path / "own")
     monkeypatch.setenv("GITHUB_STEP_SUMMARY", str(tmp_path / "own" / "summary.md"))
@@ -55,7 +55,7 @@ def run(command: str) -> int:
 
 
 def run_as_installed(command: str) -> subprocess.CompletedProcess[str]:
-    """Run it as the console script does, for which the current folder is not among the places of modules."""
+    """Run it like the console script, which does not import modules from the current folder."""
     words = shlex.split(os.path.expandvars(command))[1:]
     starting = [sys.executable, "-P", "-c", "from cornercase.cli import main; main()"]
     return subprocess.run([*starting, *words], capture_output=True, text=True, timeout=300, check=False)
@@ -92,7 +92,7 @@ def test_the_commands_make_the_suite_again(repository):
     shutil.rmtree("suite")
     assert [run(one) for one in commands] == [0, 0, 0]
     after = {file.name: file.read_bytes() for file in Path("suite").iterdir()}
-    # Of which a few numbers come from a surrogate, whose fit depends on the last digits of the processor's sums.
+    # A few numbers come from a surrogate, whose fit depends on the last digits of sums.
     same(json.loads(after.pop("manifest.json")), json.loads(before.pop("manifest.json")), "manifest")
     assert after == before
     with Study.open("study.db", readonly=True) as study:

@@ -17,7 +17,7 @@ from cornercase.suite import Requirement, judge
 from cornercase.suite.judging import find_margin
 from two_cars import met
 
-pytestmark = pytest.mark.filterwarnings("ignore:adapted:UserWarning", "ignore:not taken:UserWarning")
+pytestmark = pytest.mark.filterwarnings("ignore:adapted:UserWarning", "ignore:not used:UserWarning")
 
 
 def asks(name: str, parameter: str = "", value: str = "") -> str:
@@ -52,7 +52,7 @@ def test_43_6_criteria_of_files_become_requirements_and_the_others_are_named(tmp
     assert done.returncode == 1, done.stderr
     said = " ".join(done.stderr.split())
     assert (
-        "Not taken as requirements from the scenarios of set: KeepLaneTest; what they ask is not in a recording" in said
+        "Not used as requirements from the scenarios of set: KeepLaneTest; a recording cannot answer them" in said
     )
     told = {one["file"]: one for one in json.loads(done.stdout)["scenarios"]}
     states = {file: {one["requirement"]: one["state"] for one in each["verdicts"]} for file, each in told.items()}
@@ -88,10 +88,10 @@ def test_43_6_a_concrete_file_keeps_what_its_scenario_asks_for(tmp_path):
 @pytest.mark.parametrize(
     ("criteria", "words"),
     [
-        ((), "holds none of ScenarioRunner's criteria that can be taken"),
+        ((), "has none of ScenarioRunner's criteria that can be used"),
         (
             (asks("RunningRedLightTest"), asks("DrivenDistanceTest")),
-            "not taken: RunningRedLightTest, DrivenDistanceTest;",
+            "not used: RunningRedLightTest, DrivenDistanceTest;",
         ),
         ((asks("DrivenDistanceTest", "d", "far"),), "value of <ParameterCondition>"),
         ((asks("DrivenDistanceTest", "d", "-5"),), "write 'drive D', above 0"),
@@ -125,7 +125,7 @@ def test_43_the_notice_of_a_reduced_set_names_its_scenarios(tmp_path):
     reduce(tmp_path / "s.db", tmp_path / "set", scenario=path)
     with pytest.warns(NoticeWarning) as told:
         run_suite(tmp_path / "set", tmp_path / "run.db", require_from_file=True)
-    (said,) = [str(one.message) for one in told if "not taken" in str(one.message)]
+    (said,) = [str(one.message) for one in told if "not used" in str(one.message)]
     files = sorted(one.name for one in (tmp_path / "set").glob("*.xosc"))
     names = files[0] if len(files) == 1 else "the scenarios of set"
-    assert said.startswith(f"not taken as requirements from {names}: KeepLaneTest; ")
+    assert said.startswith(f"not used as requirements from {names}: KeepLaneTest; ")

@@ -20,7 +20,7 @@ T = EXAMPLES / "t_intersection" / "t_intersection.xosc"
 
 @pytest.fixture(scope="module")
 def study(tmp_path_factory):
-    """T-intersection, of which 16 scenarios that fill the space have run with `normal`."""
+    """T-intersection with 16 space-filling scenarios, run with `normal`."""
     path = tmp_path_factory.mktemp("mutants") / "study.db"
     logical = cc.LogicalScenario.read(T, T.with_suffix(".space.xosc"))
     cc.explore(logical, path, ego="Ego", other="C", metrics=["ttc"], optimizer="sobol", budget=16, seed=2)
@@ -103,11 +103,11 @@ def test_the_command_line_tells_what_is_exposed(study, tmp_path):
 
 def test_where_there_can_be_no_mutants_one_sentence_says_so(study, tmp_path):
     cc.reduce(study, tmp_path / "reduced", size=3, scenario=T)
-    with pytest.raises(InputError, match="builtin simulator only, not in 'sumo'"):
+    with pytest.raises(InputError, match="builtin simulator, not 'sumo'"):
         cc.test(tmp_path / "reduced", tmp_path / "run.db", simulator="sumo", mutants=5)
     with pytest.raises(InputError, match="driver cc-human has no mutants"):
         cc.test(tmp_path / "reduced", tmp_path / "run.db", drivers={"Ego": "cc-human"}, mutants=5)
-    with pytest.raises(InputError, match="mutants are not judged by a reference driver"):
+    with pytest.raises(InputError, match="mutants cannot be judged with a reference driver"):
         cc.test(tmp_path / "reduced", tmp_path / "run.db", require=["no collision unless rss collides"], mutants=5)
     assert not (tmp_path / "run.db").exists()
     with pytest.raises(InputError, match="`exposure`, `cover`: give one of them"):

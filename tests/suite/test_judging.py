@@ -67,7 +67,7 @@ def test_the_one_who_drives_into_the_other_is_at_fault(case):
     found = judged("no collision at fault", recording)
     assert found.state == ("failed" if at_fault else "passed"), found.reason
     assert "Ego and Other collide at 0.5 s" in found.reason
-    # By whomever, it is a collision.
+    # It is a collision, whoever is at fault.
     assert judged("no collision", recording).state == "failed"
     assert judged("no collision with Other", recording).time == 0.5
 
@@ -75,7 +75,7 @@ def test_the_one_who_drives_into_the_other_is_at_fault(case):
 def test_no_collision_is_passed_where_nobody_is_touched_and_open_where_nobody_was_there():
     assert judged("no collision", met(along(DRIVES), FAR)).state == "passed"
     never = met(along(np.full(6, np.nan)), FAR)
-    assert judged("no collision", never).reason == "Ego is never there"
+    assert judged("no collision", never).reason == "Ego is never present"
     assert {judged(one, never).state for one in ("no collision", "no collision at fault", "reach 0,0 within 1")} == {
         "inconclusive"
     }
@@ -120,9 +120,9 @@ def test_a_bound_names_the_worst_instant_and_the_value_there():
 def test_a_bound_on_what_never_arose_is_open():
     apart = met(along(-DRIVES, -10.0), along(np.full(6, 20.0), 0.0))
     found = judged("pet >= 1", apart)
-    assert (found.state, found.reason) == ("inconclusive", "what pet >= 1 speaks of never arose")
+    assert (found.state, found.reason) == ("inconclusive", "what pet >= 1 refers to never occurred")
     # They are not on a collision course, which is known.
-    assert judged("ttc > 1.5", apart).reason == "ttc is infinite all the time"
+    assert judged("ttc > 1.5", apart).reason == "ttc is infinite throughout"
 
 
 def test_temporal_logic_names_the_number_that_decides():
@@ -137,7 +137,7 @@ def test_temporal_logic_names_the_number_that_decides():
     assert (found.state, found.time, found.value) == ("failed", pytest.approx(0.5), pytest.approx(11.0))
     found = judged("always[0:0.1] (clearance > 3) or eventually[9:10] (clearance > 3)", recording)
     assert (found.state, found.time, found.value) == ("passed", pytest.approx(0.1), pytest.approx(15.0))
-    assert judged("eventually[9:10] (clearance > 3)", recording).reason.endswith("an interval that holds no instant")
+    assert judged("eventually[9:10] (clearance > 3)", recording).reason.endswith("the interval contains no sample")
 
 
 @settings(max_examples=examples(25), deadline=None)
@@ -171,7 +171,7 @@ def test_what_decides_is_the_robustness_and_changes_it(values, text):
         ("no collision with", "is not a requirement"),
         ("reach 3 within 5", "write 'reach X,Y"),
         ("reach 3,4 within 5 km", "the unit 'km' does not fit; give the time in s"),
-        ("reach 3,4,0 within 5", "a radius and a time above 0"),
+        ("reach 3,4,0 within 5", "a positive radius and time"),
         ("tcc > 1.5", "ttc"),
         ("ttc > 1.5 m", "unit 'm' does not fit"),
         ("ttc >", "ttc >"),

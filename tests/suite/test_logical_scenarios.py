@@ -71,7 +71,7 @@ def overlaps(recording, one, other):
 
 
 def touched(recording, ego):
-    """Whether the ego touches anybody, by the recording's places; what it says of collisions has to agree."""
+    """Whether the ego touches another entity by positions; the collisions of the recording have to agree."""
     said = any(ego in hit.entities for hit in recording.collisions)
     depths = [overlaps(recording, ego, other) for other in recording.names if other != ego]
     if max(depths) > CLEARLY:
@@ -110,7 +110,7 @@ def read(path):
 
 
 def require_told(old, new, ego):
-    """What is told of two studies is what their recordings say."""
+    """The comparison of two studies agrees with their recordings."""
     told = cc.compare(old, new)
     before, after = read(old), read(new)
     both = {one: (before[one], after[one]) for one in before if one in after}

@@ -34,7 +34,7 @@ SCHEMA = etree.XMLSchema(etree.parse(str(Path(__file__).parents[1] / "data" / "j
 
 
 def differences(result: SuiteResult) -> list[Difference]:
-    """All of them, of which none may be missing."""
+    """All of them; none may be missing."""
     found = [one.difference for one in result.scenarios if one.difference is not None]
     assert len(found) == len(result.scenarios)
     return found
@@ -59,7 +59,7 @@ def test_the_suite_of_a_study_gives_its_recordings_byte_for_byte(explored, ran):
         assert {one.id: list(one.verdicts) for one in ran.scenarios} == verdicts_of(again)
     assert 0 < len(collide) < 6
     assert {one.id for one in ran.scenarios if one.state == "failed"} == collide
-    assert "6 of 6 recordings are byte for byte" in ran.comparison
+    assert "6 of 6 recordings are identical" in ran.comparison
 
 
 def test_the_command_fails_with_those_that_collide_and_passes_a_cautious_ego(reduced, ran, tmp_path):
@@ -218,7 +218,7 @@ def test_a_run_is_compared_with_an_earlier_run(explored, ran, tmp_path):
 
 def test_a_folder_of_files_is_run_with_what_differs_as_parameters(reduced, ran, tmp_path):
     (reduced / "manifest.json").unlink()
-    with pytest.raises(cc.InputError, match="does not say it; name an entity"):
+    with pytest.raises(cc.InputError, match="does not define it; name an entity"):
         cc.test(reduced, tmp_path / "run.db")
     about: dict[str, Any] = {"ego": "Ego", "other": "C", "metrics": ["ttc"], "on_collision": "stop"}
     result = cc.test(reduced, tmp_path / "run.db", **about, against=ran.study)
@@ -391,7 +391,7 @@ def test_a_collision_that_a_reference_prevents_fails_and_any_other_does_not(expl
         by_cautious, by_aggressive, by_human = one.verdicts
         if one.id not in collide:
             assert [verdict.state for verdict in one.verdicts] == ["passed"] * 3
-            assert "does not touch anybody" in by_cautious.reason
+            assert "does not collide" in by_cautious.reason
             continue
         # The driver of the files is the aggressive one, which collides a second time as it did the first.
         assert (by_cautious.state, by_aggressive.state) == ("failed", "passed")
@@ -399,7 +399,7 @@ def test_a_collision_that_a_reference_prevents_fails_and_any_other_does_not(expl
         assert (
             f"; aggressive does not prevent it either, and collides at {by_cautious.time:.6g} s" in by_aggressive.reason
         )
-        # Who turns into a road at a junction is nobody that the regulation knows.
+        # The regulation does not cover vehicles that turn into a road at a junction.
         assert (by_human.state == "inconclusive") == ("cc-human does not cover this scenario" in by_human.reason)
     told = cc.summarize(path).references["cautious"]
     assert (told.prevents, told.collides, told.says_nothing) == (len(collide), 0, 0)

@@ -94,10 +94,10 @@ class Study:
         InputError
             The file exists already, or cannot be written.
         """
-        plain = sorted(meta.to_json().items())
-        rows = [(key, json.dumps(value, sort_keys=True)) for key, value in plain]
+        items = sorted(meta.to_json().items())
+        rows = [(key, json.dumps(value, sort_keys=True)) for key, value in items]
         try:
-            require_whole(json.dumps(plain, ensure_ascii=False))
+            require_whole(json.dumps(items, ensure_ascii=False))
         except ValueError as error:
             raise InputError(f"{path}: cannot be created, since {error}; rename it.") from error
         return cls(Database.create(Path(path), rows, *optional_tables(meta)))
@@ -215,6 +215,12 @@ class Study:
         require(isinstance(turn, int) and isinstance(error, str | None), f"the scenario {number} is damaged")
         return row
 
+    def _rows_where(self, condition: str, value: int | str) -> list[Row]:
+        self._database.require_all("scenarios")
+        stored = self._database.rows("scenarios", condition, value)
+        with damage_told(self.path):
+            return [self._row(*columns) for columns in stored]
+
     def rows_of(self, turn: int) -> list[Row]:
         """List the scenarios of a round.
 
@@ -227,10 +233,7 @@ class Study:
         list of ScenarioRecord
             In the order in which they were proposed.
         """
-        self._database.require_all("scenarios")
-        stored = self._database.rows("scenarios", "round = ?", turn)
-        with damage_told(self.path):
-            return [self._row(*columns) for columns in stored]
+        return self._rows_where("round = ?", turn)
 
     def rows_from(self, first: int) -> list[Row]:
         """List the scenarios from an id on.
@@ -244,10 +247,7 @@ class Study:
         list of ScenarioRecord
             In the order in which they were proposed.
         """
-        self._database.require_all("scenarios")
-        stored = self._database.rows("scenarios", "id >= ?", first)
-        with damage_told(self.path):
-            return [self._row(*columns) for columns in stored]
+        return self._rows_where("id >= ?", first)
 
     def done(self) -> list[Row]:
         """List the scenarios that ran successfully.
@@ -265,10 +265,7 @@ class Study:
         -------
         list of ScenarioRecord
         """
-        self._database.require_all("scenarios")
-        stored = self._database.rows("scenarios", "state = ?", "failed")
-        with damage_told(self.path):
-            return [self._row(*columns) for columns in stored]
+        return self._rows_where("state = ?", "failed")
 
     def points(self) -> FloatArray:
         """Points of the scenarios that ran.
@@ -802,8 +799,8 @@ class Study:
         -------
         DataFrame
             One row per scenario, in the order of the ids, with the columns ``id``, ``round`` and ``state``, and
-            ``audit`` if there are audits; a column for each parameter; for each metric one of the score, and ``lowest
-            …`` and ``highest …`` of its runs if each scenario was run several times, ``critical runs`` as in
+            ``audit`` if there are audits; a column for each parameter; for each metric one of the score, and
+            ``lowest …`` and ``highest …`` of its runs if each scenario was run several times, ``critical runs`` as in
             `critical_run_rates`, and ``runs``, the number of runs that did not fail, if it may vary; with several
             others ``other by …`` for each metric, the entity that the score is against; ``cluster by …`` for each
             aspect that the study was analyzed by, -1 for noise; ``outcome`` once it was analyzed; ``note`` if there are

@@ -69,8 +69,8 @@ class StudyWriter:
         if updated == self._study.meta:
             return
         with self._database.writing() as connection:
-            plain = updated.to_json()
-            put(connection, "meta", [(key, json.dumps(plain[key], sort_keys=True)) for key in _CHANGING])
+            values = updated.to_json()
+            put(connection, "meta", [(key, json.dumps(values[key], sort_keys=True)) for key in _CHANGING])
         self._study.meta, self._study.space = updated, updated.space
 
     def keep_elsewhere(self, points: FloatArray, scores: FloatArray) -> None:
@@ -100,8 +100,8 @@ class StudyWriter:
             for name in optional_tables(meta):
                 connection.execute(STATEMENTS[name].replace("CREATE TABLE", "CREATE TABLE IF NOT EXISTS"))
             remove(connection, "meta")
-            plain = meta.to_json().items()
-            put(connection, "meta", [(key, json.dumps(value, sort_keys=True)) for key, value in plain])
+            items = meta.to_json().items()
+            put(connection, "meta", [(key, json.dumps(value, sort_keys=True)) for key, value in items])
         self._study.meta, self._study.space = meta, meta.space
 
     def propose(

@@ -98,7 +98,7 @@ def _square(rows: _Rows, analysis: str, scenarios: int) -> npt.NDArray[Any]:
     matrix: npt.NDArray[Any] | None = None
     row = 0
     for piece in _pieces(rows, analysis, DISTANCES):
-        require(piece.ndim == 1 and piece.dtype.kind == "f", "distances that are no numbers")
+        require(piece.ndim == 1 and piece.dtype.kind == "f", "distances that are not numbers")
         if matrix is None:
             matrix = np.zeros((n, n), piece.dtype)
         offset = 0
@@ -107,7 +107,7 @@ def _square(rows: _Rows, analysis: str, scenarios: int) -> npt.NDArray[Any]:
             matrix[row, row + 1 :] = piece[offset : offset + count]
             offset, row = offset + count, row + 1
         require(offset == len(piece), "distances of other scenarios")
-    require(matrix is not None and row >= n - 1, "distances that are missing")
+    require(matrix is not None and row >= n - 1, "missing distances")
     assert matrix is not None
     _mirror(matrix)
     return matrix

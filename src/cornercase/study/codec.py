@@ -79,9 +79,9 @@ def unpack_arrays(
     try:
         members = _members(data)
         if (size := sum(member.file_size for member in members)) > largest:
-            raise ValueError(f"{size} bytes where at most {largest} are read")
+            raise ValueError(f"{size} bytes, the limit is {largest}")
         if any(member.compress_type not in _METHODS for member in members):
-            raise ValueError("a way of packing that NumPy does not use")
+            raise ValueError("a compression method that NumPy does not use")
         named = [(member.filename.removesuffix(".npy"), member) for member in members]
         return {name: _array(_content(data, member)) for name, member in named if only is None or name in only}
     except _BROKEN as error:
@@ -105,8 +105,8 @@ def _members(data: bytes) -> Sequence[_Member | zipfile.ZipInfo]:
     end = len(data) - _END.size
     if end >= 0:
         sign, disk, first_disk, _, _, size, start, comment = _END.unpack_from(data, end)
-        plain = sign == b"PK\5\6" and start + size == end and not (disk or first_disk or comment)
-        if plain and (members := _listed(data, start, end)) is not None:
+        is_simple = sign == b"PK\5\6" and start + size == end and not (disk or first_disk or comment)
+        if is_simple and (members := _listed(data, start, end)) is not None:
             return members
     with zipfile.ZipFile(io.BytesIO(data)) as archive:
         return archive.infolist()
@@ -121,8 +121,8 @@ def _listed(data: bytes, at: int, end: int) -> list[_Member] | None:
             listed
         )
         name = data[at + _LISTED.size : at + _LISTED.size + name_length]
-        plain = sign == b"PK\1\2" and version <= _NEEDED and not (flags or extra or comment) and name.isascii()
-        if not plain or b"\0" in name or b"\\" in name or _ELSEWHERE in (packed_size, size, start):
+        is_simple = sign == b"PK\1\2" and version <= _NEEDED and not (flags or extra or comment) and name.isascii()
+        if not is_simple or b"\0" in name or b"\\" in name or _ELSEWHERE in (packed_size, size, start):
             return None
         members.append(_Member(name.decode(), start, flags, method, packed_size, size, crc))
         at += _LISTED.size + name_length
@@ -152,7 +152,7 @@ def _array(member: bytes) -> npt.NDArray[Any]:
     start = size.stop + int.from_bytes(member[size], "little")
     shape, by_columns, dtype = _read_header(member[:start])
     if dtype.hasobject:
-        raise ValueError("an array of Python objects, which would have to run code")
+        raise ValueError("an array of Python objects, which would run code")
     if dtype.itemsize == 0 and math.prod(shape):
         raise ValueError(f"an array of {shape} with nothing in it")
     if math.prod(shape) * dtype.itemsize != len(member) - start or min(shape, default=0) < 0:
@@ -195,7 +195,7 @@ def unpack_recording(data: bytes) -> Recording:
         raise InputError("The study holds a recording whose time does not increase.")
     names, kinds = tuple(map(str, arrays["names"])), tuple(map(str, arrays["kinds"]))
     if len(set(names)) < n_entities or len(kinds) != n_entities:
-        raise InputError("The study holds a recording whose entities have no names and kinds of their own.")
+        raise InputError("The study holds a recording whose entities lack unique names or types.")
     return Recording(
         **{name: arrays[name] for name in _ARRAYS},  # type: ignore[arg-type]
         names=names,

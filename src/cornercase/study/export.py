@@ -51,9 +51,9 @@ def _require_pyarrow(path: Path) -> None:
         importlib.import_module("pyarrow")
     except ImportError as error:
         # An installed version may be incompatible with NumPy.
-        why = "" if isinstance(error, ModuleNotFoundError) else f" ({error})"
+        reason = "" if isinstance(error, ModuleNotFoundError) else f" ({error})"
         raise InputError(
-            f"{path}: Parquet needs pyarrow{why}; install it with 'pip install cornercase[parquet]'."
+            f"{path}: Parquet needs pyarrow{reason}; install it with 'pip install cornercase[parquet]'."
         ) from None
 
 
@@ -62,7 +62,7 @@ def _as_cells(table: pd.DataFrame) -> pd.DataFrame:
     cells = table.copy()
     for name in table.columns:
         if any(isinstance(value, str) for value in table[name]):
-            cells[name] = table[name].map(lambda one: cell_text(one) if isinstance(one, str) else one)
+            cells[name] = table[name].map(lambda value: cell_text(value) if isinstance(value, str) else value)
     return cells.set_axis([cell_text(str(name)) for name in table.columns], axis="columns")
 
 

@@ -132,10 +132,10 @@ class HeldFile:
     def _require(self, same: bool) -> None:
         if same:
             return
-        state, before = _State.of(self._path), self._known[0]
+        state, initial = _State.of(self._path), self._known[0]
         if state is None:
             change = "was removed"
-        elif before is None or state.identity != before.identity:
+        elif initial is None or state.identity != initial.identity:
             change = "was replaced by another file"
         else:
             change = "was written to"

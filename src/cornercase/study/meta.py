@@ -273,36 +273,40 @@ class StudyMeta:
             The values do not describe a study.
         """
         # Empty and default values are stored as None.
-        known = [item.name for item in fields(cls) if item.name in plain or item.name not in _LATER]
-        given = {name: plain[name] for name in known if plain[name] is not None}
-        for name, value in given.items():
+        names = [item.name for item in fields(cls) if item.name in plain or item.name not in _LATER]
+        values = {name: plain[name] for name in names if plain[name] is not None}
+        for name, value in values.items():
             if name in _TYPES and (
                 not isinstance(value, _TYPES[name]) or isinstance(value, bool) != (name in _YES_OR_NO)
             ):
                 raise ValueError(f"its {name} is {str(value)[:60]!r}")
-        if isinstance(given["other"], list):
-            given["other"] = _several(given["other"])
+        if isinstance(values["other"], list):
+            values["other"] = _several(values["other"])
         for name in ("metrics", "files", "kinds", "requirements"):
-            if not all(isinstance(item, str) for item in given.get(name, ())):
-                raise ValueError(f"its {name} are no texts")
-        if not given["metrics"] or not all(isinstance(item, int | float) for item in given.get("weights", {}).values()):
-            raise ValueError("it has no metrics, or weights that are no numbers")
-        numbers = (given.get("critical", 0.0), *given.get("weights", {}).values())
+            if not all(isinstance(item, str) for item in values.get(name, ())):
+                raise ValueError(f"its {name} are not texts")
+        if not values["metrics"] or not all(
+            isinstance(item, int | float) for item in values.get("weights", {}).values()
+        ):
+            raise ValueError("it has no metrics, or weights that are not numbers")
+        numbers = (values.get("critical", 0.0), *values.get("weights", {}).values())
         if not all(math.isfinite(float(item)) for item in numbers):
             raise ValueError("its critical or its weights are not finite")
-        known = given.get("elsewhere", {})
-        if known and not all(isinstance(known.get(key), str) for key in ("sha256", "simulator", "study")):
-            raise ValueError("it does not say what its search began from")
-        if (repeatability := given.get("repeatability")) and not _is_try(repeatability):
-            raise ValueError("it does not say what came of a second run")
-        if given.get("most_repeats", math.inf) <= given.get("repeats", 1):
-            raise ValueError("its most_repeats are no more than its repeats")
-        if not 0.0 <= given.get("audit", 0.0) <= MOST_AUDITS:
-            raise ValueError("its audit is no share")
-        if not isinstance(given.get("settings", {}).get("drivers", {}), dict):
-            raise ValueError("its drivers are no names by entity")
-        given |= {name: tuple(given[name]) for name in ("metrics", "files", "kinds", "requirements") if name in given}
-        return cls(**given | {"space": ParameterSpace.from_json(plain["space"])})
+        names = values.get("elsewhere", {})
+        if names and not all(isinstance(names.get(key), str) for key in ("sha256", "simulator", "study")):
+            raise ValueError("its warm start is invalid")
+        if (repeatability := values.get("repeatability")) and not _is_try(repeatability):
+            raise ValueError("its repeatability is invalid")
+        if values.get("most_repeats", math.inf) <= values.get("repeats", 1):
+            raise ValueError("its most_repeats is not greater than its repeats")
+        if not 0.0 <= values.get("audit", 0.0) <= MOST_AUDITS:
+            raise ValueError("its audit is not a fraction")
+        if not isinstance(values.get("settings", {}).get("drivers", {}), dict):
+            raise ValueError("its drivers are not a mapping")
+        values |= {
+            name: tuple(values[name]) for name in ("metrics", "files", "kinds", "requirements") if name in values
+        }
+        return cls(**values | {"space": ParameterSpace.from_json(plain["space"])})
 
     def require_same(self, other: StudyMeta, path: Path, *, same_budget: bool = False) -> None:
         """Raise `InputError` unless a study of this description can be continued with another one.
@@ -329,22 +333,22 @@ class StudyMeta:
                 " another study with `study`."
             )
         for name, description in _DIFFERENT.items():
-            mine, given = getattr(self, name), getattr(other, name)
+            mine, theirs_value = getattr(self, name), getattr(other, name)
             if name == "scenario" and self.fingerprint == other.fingerprint:
                 continue
             if name == "space":
                 # Its constraints follow from the file.
-                ours, theirs = mine.parameters, given.parameters
-                mine, given = _with_units(ours, theirs), _with_units(theirs, ours)
+                ours, theirs = mine.parameters, theirs_value.parameters
+                mine, theirs_value = _with_units(ours, theirs), _with_units(theirs, ours)
             if name == "elsewhere":
                 # The file may have moved; its scores must be the same.
-                mine, given = mine.get("sha256"), given.get("sha256")
-            if name == "metrics" and condition_of(mine) != condition_of(given):
+                mine, theirs_value = mine.get("sha256"), theirs_value.get("sha256")
+            if name == "metrics" and condition_of(mine) != condition_of(theirs_value):
                 description = "another condition of what is critical"
-            if mine != given:
+            if mine != theirs_value:
                 if name == "settings":
-                    _require_same_files(mine, given, path)
-                    description += f" ({_differences(mine, given)})"
+                    _require_same_files(mine, theirs_value, path)
+                    description += f" ({_differences(mine, theirs_value)})"
                 raise InputError(
                     f"{path}: belongs to {description}; name another study with `study`, or give the same options."
                 )

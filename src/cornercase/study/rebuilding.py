@@ -29,19 +29,9 @@ _OF_SCENARIOS = ("courses", "repeats", "against")
 class Remains:
     """What is left of a damaged study, and what has to be run again.
 
-    Attributes
-    ----------
-    meta : StudyMeta
-    rounds : dict of int to int
-        Round of each scenario by id; 0 if it is unknown.
-    again : tuple of int
-        Ids of scenarios that have to be run again.
-    lost : tuple of str
-        What cannot be restored by running scenarios, in words.
-    tallies : dict of str to tuple of (int, int)
-        Row count and XOR of the checksums by table, if known.
-    counted : bool
-        Whether the original number of scenarios is known.
+    `rounds` are by scenario id, 0 if unknown; `to_rerun` are ids of scenarios to run again; `lost` describes what
+    cannot be restored by running scenarios. `checksum_totals` are known row counts and XORs of checksums by table;
+    `is_count_known` tells whether the original number of scenarios is known.
     """
 
     meta: StudyMeta
@@ -135,8 +125,8 @@ def _sort_out(found: dict[str, Rows], meta: StudyMeta, rounds: dict[int, int]) -
     """Make incomplete scenarios pending; return their ids."""
     metrics: dict[str, dict[int, set[str]]] = {name: defaultdict(set) for name in _OF_SCENARIOS}
     for name in _OF_SCENARIOS:
-        for one in found[name].values():
-            metrics[name][one[0]].add(one[1])
+        for stored in found[name].values():
+            metrics[name][stored[0]].add(stored[1])
     is_required = {"courses": True, "repeats": meta.repeats > 1, "against": len(meta.others) > 1}
     to_rerun = []
     for number in rounds:

@@ -9,14 +9,14 @@ from __future__ import annotations
 import sqlite3
 import struct
 from collections.abc import Iterable, Iterator
-from contextlib import closing, suppress
+from contextlib import closing, contextmanager, suppress
+from functools import lru_cache
 from itertools import chain
 from pathlib import Path
-from typing import Any, Final
+from typing import Any, BinaryIO, Final
 
 from cornercase.study.connecting import connected
 from cornercase.study.damage import DamageError
-from cornercase.study.pages import Pages, opened_pages
 from cornercase.study.schema import TABLES
 from cornercase.study.seals import is_sound
 
@@ -33,12 +33,47 @@ _NUMBERED: Final = ("arrays", "elsewhere")
 # The latest state counts if the file still holds earlier ones.
 _STATES: Final = {"pending": 0, "failed": 1, "done": 2}
 
+_PAGE: Final = 4096
+# A recording fills several pages, mostly adjacent.
+_REMEMBERED: Final = 256
+
+
+class Pages:
+    """Pages of an SQLite file; `size` is the number of bytes of a page, `length` that of the file."""
+
+    def __init__(self, file: BinaryIO) -> None:
+        self._file = file
+        self.length = file.seek(0, 2)
+        file.seek(16)
+        size = int.from_bytes(file.read(2), "big")
+        size = 65536 if size == 1 else size
+        # An invalid page size is damaged.
+        self.size = size if size >= 512 and not size & (size - 1) else _PAGE
+        self.page = lru_cache(_REMEMBERED)(self._page)
+
+    def __len__(self) -> int:
+        return -(-self.length // self.size)
+
+    def _page(self, number: int) -> bytes:
+        """Read a page, numbered from 1; it is shorter if the file ends within it."""
+        if number < 1:
+            raise ValueError("a page before the first")
+        self._file.seek((number - 1) * self.size)
+        return self._file.read(self.size)
+
+
+@contextmanager
+def opened_pages(path: Path) -> Iterator[Pages]:
+    """Open the pages of a study for as long as the block lasts."""
+    with path.open("rb") as file:
+        yield Pages(file)
+
 
 def salvaged(path: Path) -> dict[str, Rows]:
     """Recover the intact rows of a study, by table and key, in the order of the table."""
     # Rows that SQLite reads override others, which may be remains of deleted rows.
     tables, order = _gathered(chain(_scanned(path), _read(path)))
-    return {name: dict(sorted(rows.items(), key=lambda one: order[name][one[0]])) for name, rows in tables.items()}
+    return {name: dict(sorted(rows.items(), key=lambda item: order[name][item[0]])) for name, rows in tables.items()}
 
 
 def holds_rows(path: Path) -> bool:
@@ -134,22 +169,22 @@ def _records(pages: Pages, number: int) -> Iterator[tuple[int | None, list[Any]]
     """Yield row numbers and values of the rows of a page."""
     page = pages.page(number)
     header_size = _HEADER if number == 1 else 0
-    kind = page[header_size]
-    if kind not in (_TABLE_LEAF, _INDEX_LEAF, _INDEX):
+    page_type = page[header_size]
+    if page_type not in (_TABLE_LEAF, _INDEX_LEAF, _INDEX):
         return
-    first_pointer = header_size + (12 if kind == _INDEX else 8)
+    first_pointer = header_size + (12 if page_type == _INDEX else 8)
     # The stored number of cells may be damaged, so it is not used.
     for k in range((pages.size - first_pointer) // 2):
         with suppress(*_BROKEN):
             start = int.from_bytes(page[first_pointer + 2 * k : first_pointer + 2 * k + 2], "big")
             if not first_pointer <= start < pages.size:
                 break
-            offset = start + (4 if kind == _INDEX else 0)
+            offset = start + (4 if page_type == _INDEX else 0)
             length, offset = _varint(page, offset)
             row = None
-            if kind == _TABLE_LEAF:
+            if page_type == _TABLE_LEAF:
                 row, offset = _varint(page, offset)
-            yield row, _values(_payload(pages, page, offset, length, kind == _TABLE_LEAF))
+            yield row, _values(_payload(pages, page, offset, length, page_type == _TABLE_LEAF))
 
 
 def _payload(pages: Pages, page: bytes, at: int, length: int, of_table: bool) -> bytes:

@@ -13,24 +13,12 @@ APPLICATION: Final = 0x434F524E
 
 @dataclass(frozen=True)
 class Table:
-    """A table of a study, whose rows have checksums.
+    """A table of a study, whose rows have checksums; `columns` are without these, the blob last.
 
-    Attributes
-    ----------
-    statement : str
-        SQL that creates it.
-    columns : tuple of str
-        Columns without checksums, the blob last.
-    key : int
-        Number of leading columns that identify a row; 0 if rows are identified by their order.
-    blob : bool
-        Whether the last column is a blob with a checksum of its own, so that a row can be read without it.
-    real : int or None
-        Index of the column of floats.
-    tallied : bool
-        Whether `tallies` stores the row count and XOR of checksums of this table.
-    always : bool
-        Whether each study has it.
+    `n_key_columns` is the number of leading columns that identify a row, 0 if rows are identified by their order. The
+    blob has a checksum of its own, so that a row can be read without it. `float_column` is the index of the column of
+    floats. `has_totals` tables have their row count and XOR of checksums in `tallies`; `is_required` marks tables that
+    each study has.
     """
 
     statement: str

@@ -26,7 +26,7 @@ def checksum_of(table: str, values: Sequence[Any]) -> int:
 def sealed(table: str, row: Sequence[Any]) -> tuple[Any, ...]:
     """Add the checksums to a row, in the column order of the file."""
     definition = TABLES[table]
-    values: list[Any] = [float(one) if isinstance(one, float) else one for one in row]
+    values: list[Any] = [float(value) if isinstance(value, float) else value for value in row]
     if definition.real is not None:
         # SQLite has no negative zero.
         values[definition.real] = float(values[definition.real]) + 0.0

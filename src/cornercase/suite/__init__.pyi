@@ -19,6 +19,7 @@ from .difference import Difference as Difference
 from .difference import find_difference as find_difference
 from .exposing import find_exposure as find_exposure
 from .judging import judge as judge
+from .judging import verdicts_of as verdicts_of
 from .requirement import Requirement as Requirement
 from .result import ScenarioResult as ScenarioResult
 from .result import SuiteResult as SuiteResult
@@ -26,4 +27,3 @@ from .testing import test as test
 from .verdict import State as State
 from .verdict import Verdict as Verdict
 from .verdict import worst_state as worst_state
-from .verdicts import verdicts_of as verdicts_of

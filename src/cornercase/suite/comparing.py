@@ -23,10 +23,10 @@ from cornercase.suite.comparing_space import find_space_change
 from cornercase.suite.comparing_telling import choose_telling
 from cornercase.suite.comparing_tests import FEWEST, correct, moved_by, tests_of_pairs, tests_of_samples
 from cornercase.suite.comparing_verdict import find_tolerances, find_verdict, judge_version
-from cornercase.suite.verdicts import verdicts_of
+from cornercase.suite.judging import verdicts_of
 
 _DRIVER: Final = "drivers "
-# What is named where it differs; seed and search say which scenarios were run, not what with.
+# Fields listed as differences; seed and optimizer only determine which scenarios were run.
 _NAMED: Final = {"simulator": "simulator", "version": "version of cornercase", "runs_of_each": "runs of each scenario"}
 
 
@@ -158,11 +158,11 @@ def _tests(
     tested = [pair for pair in pairs if certain or pair.unselected]
     tests_ = tests_of_pairs(tested, metrics) if any(pair.run != "in neither" for pair in tested) else []
     n_filling = len(old.filling()), len(new.filling())
-    # Where the fillings are mostly the same scenarios, pairs say more.
+    # If both designs are mostly the same scenarios, pairs are more powerful.
     if sum(pair.unselected for pair in pairs) < FEWEST <= min(n_filling):
         (old_scores, old_facts), (new_scores, new_facts) = sample_of(old, metrics), sample_of(new, metrics)
-        both = {name: fact for name, fact in old_facts.items() if name in new_facts}
-        tests_ += tests_of_samples((old_scores, new_scores), (both, new_facts))
+        shared = {name: fact for name, fact in old_facts.items() if name in new_facts}
+        tests_ += tests_of_samples((old_scores, new_scores), (shared, new_facts))
     if not tests_ and all(pair.run == "in neither" for pair in pairs):
         raise InputError(
             f"{old.study.path} and {new.study.path}: no scenario was run with both, and only {n_filling[0]} and"
@@ -180,12 +180,12 @@ def _judged(pairs: Sequence[Pair], tests: Sequence[ChangeTest], certain: bool) -
     if n_different := certain and runs["otherwise"]:
         return (
             True,
-            f"{n_different} of {n_ran} scenarios that both ran went otherwise, and both simulators repeat themselves",
+            f"{n_different} of {n_ran} scenarios that ran with both differ, and both simulators are deterministic",
         )
     if certain and runs["not in one"]:
         return True, f"{runs['not in one']} of {len(pairs)} scenarios could be run with one version only"
     if significant:
-        first = min(significant, key=lambda one: one.corrected)
+        first = min(significant, key=lambda test: test.corrected)
         rest = f" and {len(significant) - 1} more" if len(significant) > 1 else ""
         return True, (
             f"{first.about} differs ({first.method}, p = {first.corrected:.2g} corrected for {len(tests)} tests){rest}"
@@ -249,7 +249,7 @@ def _unlike(name: str, old: Any, new: Any) -> Iterator[str]:
     if isinstance(old, str) != isinstance(new, str):
         old, new = _spelt(old), _spelt(new)
     if isinstance(old, Mapping) and isinstance(new, Mapping) and old.get("driver") == new.get("driver"):
-        for key in [*old, *(one for one in new if one not in old)]:
+        for key in [*old, *(key_ for key_ in new if key_ not in old)]:
             yield from _unlike(f"{name} {key}".lstrip(), old.get(key), new.get(key))
     else:
         yield f"{name.replace('_', ' ')}: {_plain(old)} → {_plain(new)}"
@@ -281,7 +281,7 @@ def _kinds(old: Study, new: Study, pairs: Sequence[Pair]) -> dict[str, tuple[Kin
             continue
         label_of = dict(zip(analysis.ids.tolist(), analysis.labels.tolist(), strict=True))
         ran = [pair for pair in pairs if pair.ran and pair.ids[0] in label_of]
-        # What ran the same stays where it is, also at the edge of a kind.
+        # Unchanged scenarios keep their cluster, also at its edge.
         changed = [pair for pair in ran if pair.run != "the same"]
         assigned = join_kinds(old, analysis, new, [pair.ids[1] for pair in changed]).tolist()
         after = {pair.ids: label_of[pair.ids[0]] for pair in ran}
@@ -295,6 +295,6 @@ def _kinds(old: Study, new: Study, pairs: Sequence[Pair]) -> dict[str, tuple[Kin
                 counts[0][cluster],
                 counts[1][cluster],
             )
-            for cluster in sorted({*counts[0], *counts[1]}, key=lambda one: (one < 0, one))
+            for cluster in sorted({*counts[0], *counts[1]}, key=lambda number: (number < 0, number))
         )
     return clusters

@@ -18,7 +18,7 @@ from cornercase.suite.judging import find_margin
 from cornercase.suite.requirement import Requirement
 from cornercase.suite.verdict import Verdict
 
-# Of m, s, rad, m/s and m/s²: what another processor or compiler makes of the same motion.
+# Tolerance in m, s, rad, m/s and m/s² for differences between processors and compilers.
 _ROUNDING = 1e-6
 
 
@@ -51,9 +51,7 @@ class Side:
         scores = {scenario: {name: columns[name][k] for name in metrics} for k, scenario in enumerate(done)}
         is_known = knows_critical(study)
         critical = (
-            dict(zip(done, Objective.of_study(study.meta).critical_of(study).tolist(), strict=True))
-            if is_known
-            else {}
+            dict(zip(done, Objective.of_study(study.meta).critical_of(study).tolist(), strict=True)) if is_known else {}
         )
         searched = study.meta.optimizer.partition(":")[0] != "none"
         fills = dict.fromkeys((row.id for row in rows), False)
@@ -120,7 +118,7 @@ def _pair(old: Side, new: Side, before: Row, after: Row, other: str, metrics: Se
     recordings = old.study.recordings_beside(before.id, new.study, after.id)
     run = compare_recordings(*recordings)
     ego, others = old.study.meta.ego, old.study.meta.others
-    # Encounters with others than `other` change neither in words nor in collisions how it ended.
+    # Encounters with entities other than `other` do not affect the outcome.
     old_ending = find_outcome(recordings[0].with_absent(others), ego, other, others=False)
     new_ending = (
         old_ending if run == "the same" else find_outcome(recordings[1].with_absent(others), ego, other, others=False)
@@ -187,10 +185,12 @@ def require_comparable(old: Study, new: Study, metrics: Sequence[str] | None) ->
     """Choose the metrics to compare; raise `InputError` if the studies are not comparable."""
     pair = f"{old.path} and {new.path}"
     a, b = old.meta, new.meta
-    # Of recordings that were imported it is that of the recordings.
+    # The fingerprint of an import is that of its recordings.
     if not _of_the_same(a, b) and IMPORTED not in (a.simulator, b.simulator):
-        what = "suites" if a.suite and b.suite else "scenarios"
-        versions = f"different versions of the same {what[:-1]}" if a.file_name == b.file_name else f"other {what}"
+        subject = "suites" if a.suite and b.suite else "scenarios"
+        versions = (
+            f"different versions of the same {subject[:-1]}" if a.file_name == b.file_name else f"other {subject}"
+        )
         raise InputError(f"{pair}: are of {versions} ({a.file_name}, {b.file_name}); compare studies of the same.")
     if a.space.parameters != b.space.parameters:
         raise InputError(

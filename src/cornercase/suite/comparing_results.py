@@ -11,17 +11,17 @@ from cornercase.scenario import Value
 from cornercase.suite.verdict import Verdict
 
 LEVEL: Final = 0.05
-"""Probability that two runs of one version are said to differ by any of the tests, at most."""
+"""Significance level: the probability that any test finds a difference between two runs of one version."""
 
 Run = Literal["the same", "within rounding", "otherwise", "not in one", "in neither"]
 
 Answer = Literal["better", "worse", "mixed", "the same", "cannot say"]
-"""What a comparison comes to."""
+"""Verdict of a comparison."""
 
 Direction = Literal["worse", "better"]
-"""Which way a change goes."""
+"""Direction of a change."""
 
-# Scenarios that a finding names in a sentence, and findings that one sentence names.
+# Limits of scenarios named in a finding, and of findings in a sentence.
 _NAMED: Final = 5
 _TOLD: Final = 4
 
@@ -189,7 +189,7 @@ class Finding:
         """The change in words, with the number of scenarios."""
         count, worse = len(self.ids), self.direction == "worse"
         if self.test is not None and not self.ids:
-            return f"{self._trend(worse)} among the scenarios that fill the space"
+            return f"{self._trend(worse)} among the space-filling scenarios"
         scenarios = f"{count} scenario{'' if count == 1 else 's'}"
         if self.kind == "collision":
             collisions = f"collision{'' if count == 1 else 's'}"
@@ -208,8 +208,8 @@ class Finding:
     def _trend(self, worse: bool) -> str:
         if self.kind == "score":
             return f"scores by {self.about} {'more' if worse else 'less'} critical"
-        what = {"collision": "collisions", "critical": "critical scenarios"}[self.kind]
-        return f"{'more' if worse else 'fewer'} {what}"
+        subject = {"collision": "collisions", "critical": "critical scenarios"}[self.kind]
+        return f"{'more' if worse else 'fewer'} {subject}"
 
     def name_scenarios(self, most: int = _NAMED) -> str:
         """Name the scenarios.

@@ -12,7 +12,7 @@ from cornercase.suite.comparing_pairs import Side
 from cornercase.suite.comparing_results import Pair, SpaceChange
 from cornercase.suite.comparing_tests import FEWEST
 
-# Of what is drawn for both studies.
+# Seed for both studies.
 _SEED = 0
 
 
@@ -31,14 +31,14 @@ def find_space_change(old: Side, new: Side, pairs: tuple[Pair, ...]) -> SpaceCha
     critical = np.array([pair.critical for pair in independent], dtype=np.bool_).reshape(-1, 2)
     gained = lost = None
     reason = (
-        f"only {len(independent)} scenarios were run with both and chosen by neither by its scores; {FEWEST} are needed"
+        f"only {len(independent)} scenarios ran with both and were chosen independently of scores; {FEWEST} are needed"
     )
     if len(independent) >= FEWEST:
         reason = ""
         gained = bounds_of_share(int((critical[:, 1] & ~critical[:, 0]).sum()), len(independent))
         lost = bounds_of_share(int((critical[:, 0] & ~critical[:, 1]).sum()), len(independent))
     if len(pairs) == len(old.rows) == len(new.rows) and all(pair.run == "the same" for pair in pairs):
-        sets, sets_reason = None, "both studies hold the same scenarios, which ran the same"
+        sets, sets_reason = None, "both studies hold the same scenarios with the same results"
     else:
         sets, sets_reason = _sets(old.study, new.study)
     parameters = old.study.space.parameters
@@ -52,14 +52,14 @@ def _sets(old: Study, new: Study) -> tuple[SetDifference | None, str]:
         try:
             critical_set = _critical_set(study)
         except InputError:
-            # That a study is damaged is no lack of scores.
+            # A damaged study is not a lack of scores.
             raise
         except ValueError:
-            return None, f"{study.path.name} has fewer than 10 scores without audits, or all are the same"
+            return None, f"{study.path.name} has fewer than 10 scores besides audits, or all are equal"
         if critical_set.missed_doubt is not None:
             return None, f"of {study.path.name}, {critical_set.missed_doubt}"
         if not (critical_set.met_both or critical_set.exhausted):
-            return None, f"all scenarios of {study.path.name} are critical, so nothing says where that ends"
+            return None, f"all scenarios of {study.path.name} are critical, so there is no boundary"
         sets.append(critical_set)
     return SetDifference.between(*sets), ""
 

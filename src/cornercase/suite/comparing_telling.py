@@ -13,14 +13,13 @@ from cornercase.suite.comparing_results import Pair, Telling
 from cornercase.suite.comparing_tests import moved_by
 
 MOST: Final = 5
-"""Scenarios that tell versions apart, at most."""
+"""Largest number of example scenarios."""
 
-# Of those that changed alike in kind, the ones that come into question: part of the largest change of a score.
+# Smallest change of a score that is considered, relative to the largest one of its tier.
 _CLOSE: Final = 0.5
-# Root mean square of the differences of all parameters, in parts of their ranges, below which a scenario shows the
-# same thing again.
+# RMS difference of the parameters in the unit cube, below which an example would be redundant.
 _NEAR: Final = 0.05
-# How important a manner of change is, 0 is most, and whether it is one for the worse: those have False.
+# Importance of a change, 0 is most important, and whether it is for the better.
 _Tier: TypeAlias = tuple[int, bool]
 
 
@@ -41,11 +40,11 @@ def choose_telling(pairs: Sequence[Pair], metrics: Sequence[str], searched: str 
             tiers.setdefault(tier, []).append((size, pair, reason))
     chosen: list[Telling] = []
     for tier in sorted(tiers):
-        candidates = sorted(tiers[tier], key=lambda one: (-one[0], one[1].ids))
+        candidates = sorted(tiers[tier], key=lambda item: (-item[0], item[1].ids))
         candidates = [candidate for candidate in candidates if candidate[0] >= _CLOSE * candidates[0][0]]
         while candidates and len(chosen) < MOST:
             distances = [_distance(candidate[1], chosen) for candidate in candidates]
-            # The first of a tier is its largest change, unless that shows again what is there.
+            # The first of a tier is its largest change, unless that is redundant.
             index = (
                 0
                 if not chosen or (candidates[0][0] > 0.0 and _first(tier, tiers, chosen))
@@ -92,13 +91,13 @@ def _change(pair: Pair, spreads: Mapping[str, float], searched: str) -> tuple[_T
     """Tier, size and description of the change of a pair; no description if nothing changed."""
     if pair.run == "not in one":
         failing = "old" if pair.errors[0] is not None else "new"
-        return (0, failing == "old"), 0.0, f"could not be run with the {failing} version"
+        return (0, failing == "old"), 0.0, f"failed with the {failing} version"
     if not pair.ran:
         return (9, True), 0.0, ""
     size, description, worse = _largest(pair, spreads)
     if pair.turned:
-        # One that newly fails, if there is one.
-        old, new = min(pair.turned, key=lambda one: one[1].state != "failed")
+        # Prefer one that newly fails.
+        old, new = min(pair.turned, key=lambda verdicts: verdicts[1].state != "failed")
         return (0, new.state != "failed"), size, f"{old.requirement}: {old.state}, now {new.state}"
     ending = f"{pair.outcomes[0]}; now {pair.outcomes[1]}"
     if pair.collides[0] != pair.collides[1]:
@@ -107,7 +106,7 @@ def _change(pair: Pair, spreads: Mapping[str, float], searched: str) -> tuple[_T
         return (2, not worse), size, ending
     if pair.critical is not None and pair.critical[0] != pair.critical[1]:
         reason = _moved(searched, *pair.scores[searched]) if searched else description
-        return (3, pair.critical[0]), size, f"{'critical now' if pair.critical[1] else 'critical no more'}, {reason}"
+        return (3, pair.critical[0]), size, f"{'critical now' if pair.critical[1] else 'no longer critical'}, {reason}"
     return (4, not worse), size, description
 
 

@@ -14,9 +14,9 @@ from cornercase.suite.comparing_results import ChangeTest, Direction, Pair
 from cornercase.suite.verdict import Verdict
 
 FEWEST: Final = 20
-"""Scenarios that fill the space, from which shares of it are told."""
+"""Smallest number of space-filling scenarios for estimates and tests."""
 
-# Part of its size by which a score may move and still counts as the same.
+# Relative change of a score that counts as rounding.
 _ROUNDING: Final = 1e-9
 
 
@@ -135,7 +135,7 @@ def tests_of_samples(
         is_constant = len(np.unique(np.concatenate([old, new]))) < 2
         result = None if is_constant else mannwhitneyu(old, new)
         p = 1.0 if result is None else float(result.pvalue)
-        # Pairs of an old and a new score in which the new one is higher, less half of all.
+        # Number of (old, new) pairs with a higher new score, minus half of all.
         lead = 0.0 if result is None else len(old) * len(new) / 2.0 - float(result.statistic)
         direction, shift = _direction(name, lead), float(new.mean() - old.mean())
         results.append(ChangeTest(name, "Mann-Whitney", len(old), len(new), None, p, p, direction, shift))

@@ -26,10 +26,10 @@ from cornercase.suite.comparing_tests import moved_by
 from cornercase.suite.requirement import Requirement
 
 TOLERANCES: Final = MappingProxyType({"s": 0.1, "m": 0.1, "m/s": 0.1, "m/s²": 0.1, "s²": 0.1, "rad": 0.01, "1": 0.01})
-"""By how much a score may move and still count as the same, by its unit; 0 for other units."""
+"""Change of a score that counts as the same, by its unit; 0 for other units."""
 
 _Kind: TypeAlias = Literal["collision", "requirement", "run", "critical", "score"]
-# What matters most comes first.
+# From the most to the least important.
 _ORDER: Final[tuple[_Kind, ...]] = ("collision", "requirement", "run", "critical", "score")
 _TESTED: Final[Mapping[str, _Kind]] = MappingProxyType(
     {"collision": "collision", "failed verdict": "requirement", "not run": "run", "critical": "critical"}
@@ -61,9 +61,7 @@ def find_tolerances(
     limits = {name: _default(METRICS.create(name).unit) for name in (*metrics, *formula_metrics)}
     for name, value in arguments.by_name("tolerances", given or {}).items():
         if name not in limits:
-            raise InputError(
-                f"`tolerances` {name}: is none of the metrics that are compared; {suggestion(name, limits)}"
-            )
+            raise InputError(f"`tolerances` {name}: is not a compared metric; {suggestion(name, limits)}")
         try:
             limits[name] = arguments.number("tolerances", value, least=0.0)
         except InputError as error:
@@ -85,12 +83,14 @@ def find_verdict(
     other. Tests of unpaired scenarios always count. The most important findings come first.
     """
     steps = [step for pair in pairs if certain or pair.unselected for step in _steps(pair, tolerances)]
-    counted, within = [one for one in steps if one.counts], [one for one in steps if not one.counts]
+    counted, within = [change for change in steps if change.counts], [change for change in steps if not change.counts]
     findings = list(_grouped(counted, tolerances)) if certain else []
     for test in tests:
         if test.corrected <= LEVEL and test.direction is not None and (not certain or test.differ is None):
             findings += _tested(test, test.direction, counted, tolerances)
-    worse, better = (tuple(one for one in findings if one.direction == direction) for direction in ("worse", "better"))
+    worse, better = (
+        tuple(change for change in findings if change.direction == direction) for direction in ("worse", "better")
+    )
     return worse, better, tuple(_grouped(within, tolerances))
 
 
@@ -98,7 +98,7 @@ def _steps(pair: Pair, tolerances: Mapping[str, float]) -> Iterator[Step]:
     """Yield the changes of a pair for the worse and the better."""
     if pair.run == "not in one":
         yield Step("run", "", "worse" if pair.errors[0] is None else "better", pair.ids)
-    # What went the same but for rounding may still cross a bound, which is told and does not count.
+    # Rounding may still cross a bound; that is listed but does not count.
     otherwise = pair.run == "otherwise"
     if pair.collides[0] != pair.collides[1]:
         yield Step("collision", "", "worse" if pair.collides[1] else "better", pair.ids)
@@ -110,7 +110,7 @@ def _steps(pair: Pair, tolerances: Mapping[str, float]) -> Iterator[Step]:
             counts = margins is None or (otherwise and _exceeds(*margins, tolerance))
             yield Step("requirement", old.requirement, "worse" if is_failed[1] else "better", pair.ids, counts)
     if pair.critical is not None and pair.critical[0] != pair.critical[1]:
-        # If several metrics decide together, one that moved is enough.
+        # If several metrics define criticality, one that changed is enough.
         counts = otherwise and any(_exceeds(*scores, tolerances[name]) for name, scores in pair.deciding.items())
         yield Step("critical", "", "worse" if pair.critical[1] else "better", pair.ids, counts)
     for name, (before, after) in pair.scores.items():
@@ -125,7 +125,7 @@ def _exceeds(before: float, after: float, tolerance: float) -> bool:
     if not (np.isfinite(before) and np.isfinite(after)):
         return before != after
     size = abs(float(moved_by(np.array([before]), np.array([after]))[0]))
-    # A move by the tolerance itself does not exceed it, whatever the last digits are.
+    # A change equal to the tolerance up to rounding does not exceed it.
     return bool(moved_by(np.array([tolerance]), np.array([size]))[0] > 0.0)
 
 
@@ -133,7 +133,7 @@ def _tolerance_of(requirement: str, tolerances: Mapping[str, float]) -> float:
     """Tolerance of the margin of a requirement: the smallest one of its signals."""
     formula = Requirement.parse(requirement).formula
     if formula is None:
-        # How near the ego comes to a place.
+        # The margin of a position or a distance is in m.
         return TOLERANCES["m"]
     signals = [signal.left for signal in formula.comparisons]
     return min(tolerances[signal.name] if signal.name in tolerances else _default(signal.unit) for signal in signals)
@@ -175,7 +175,7 @@ def _tested(
     kind = _TESTED.get(test.about, "score")
     about = test.about if kind == "score" else ""
     if test.differ is None:
-        # A shift of the mean in the other direction would contradict the test, which looks at ranks.
+        # The test uses ranks; a shift of the mean in the opposite direction would contradict it.
         oriented = METRICS.create(about).oriented(test.shift) if about else -test.shift
         agrees = oriented < 0.0 if direction == "worse" else oriented > 0.0
         if agrees and (not about or _exceeds(0.0, test.shift, tolerances[about])):
@@ -208,13 +208,13 @@ def judge_version(
     if all(item.run in ("the same", "in neither") for item in pairs) and n_ran and not changed[0]:
         return "the same", changed[1]
     if certain and n_different:
-        return "the same", f"{n_different} of {n_ran} scenarios that both ran went otherwise, within the tolerances"
+        return "the same", f"{n_different} of {n_ran} scenarios that ran with both differ, within the tolerances"
     if changed[0]:
-        return "the same", "nothing that the tests show is beyond the tolerances"
+        return "the same", "no significant change exceeds the tolerances"
     if certain and n_ran:
         return "the same", changed[1]
     if not tests:
-        return "cannot say", f"{changed[1]}; explore both with audits, which no search chooses"
+        return "cannot say", f"{changed[1]}; explore both with audits"
     if not any(_can_reject(item, len(tests)) for item in tests):
         count, n_needed = max(item.old for item in tests), math.ceil(math.log2(2.0 * len(tests) / LEVEL))
         return "cannot say", f"{count} scenarios are too few for {len(tests)} tests, which need {n_needed}"
@@ -223,5 +223,5 @@ def judge_version(
 
 def _can_reject(test: ChangeTest, count: int) -> bool:
     """Tell whether a test could be significant among `n_tests` tests if all scenarios changed in one direction."""
-    # Samples have 20 scenarios each, which is enough for any number of tests.
+    # Unpaired samples have at least 20 scenarios, enough for any number of tests.
     return test.differ is None or count * 2.0 * 0.5**test.old <= LEVEL

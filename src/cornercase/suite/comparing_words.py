@@ -12,7 +12,7 @@ from cornercase.metrics import METRICS
 from cornercase.suite.comparing_results import LEVEL, Comparison, Pair, SpaceChange, tell_findings
 
 NAMED: Final = 40
-"""Scenarios that a finding names in a table."""
+"""Largest number of scenarios that a finding names in a table."""
 
 
 @dataclass(frozen=True)
@@ -47,9 +47,7 @@ def _sections(found: Comparison) -> Iterator[Section]:
     yield from _kinds(found)
     if found.telling:
         rows = tuple((_both(example.pair.ids), _values(example.pair), example.why) for example in found.telling)
-        yield Section(
-            "telling", "Scenarios that tell the versions apart", header=("old, new", "parameters", "why"), rows=rows
-        )
+        yield Section("telling", "Example scenarios", header=("old, new", "parameters", "why"), rows=rows)
 
 
 def _answer(found: Comparison) -> Section:
@@ -58,10 +56,10 @@ def _answer(found: Comparison) -> Section:
     if not found.verdict_reason.startswith(found.reason):
         sentences.append(f"{'Changed' if found.changed else 'No change'}: {found.reason}")
     if found.within:
-        sentences.append(f"Within the tolerances, so that it does not count: {tell_findings(found.within)}")
+        sentences.append(f"Within the tolerances, so it does not count: {tell_findings(found.within)}")
     sentences.append(f"Tolerances: {', '.join(_tolerances(found))}")
     if found.critical is not None:
-        sentences.append(f"Scenarios count as critical from a score of {found.critical:g} on.")
+        sentences.append(f"Threshold of criticality: {found.critical:g}.")
     return Section("answer", found.headline, tuple(sentences))
 
 
@@ -86,7 +84,7 @@ def _pairs(found: Comparison) -> Iterator[Section]:
     runs = {
         "the same bytes": found.count("the same"),
         "the same up to rounding": found.count("within rounding"),
-        "otherwise": found.count("otherwise"),
+        "different": found.count("otherwise"),
         "with one version only": found.count("not in one"),
         "with neither": found.count("in neither"),
     }
@@ -96,7 +94,7 @@ def _pairs(found: Comparison) -> Iterator[Section]:
         sentences.append(f"without a partner: {found.alone[0]} of {old}, {found.alone[1]} of {new}")
     if not found.certain and found.pairs:
         n_independent = sum(item.unselected for item in found.pairs)
-        sentences.append(f"{n_independent} of them were chosen by no search by its scores; the tests look at those")
+        sentences.append(f"{n_independent} of them were chosen independently of scores; only those are tested")
     yield Section("pairs", "Pairs", tuple(sentences))
     if any(item.moved for item in found.scores):
         yield Section(
@@ -117,7 +115,7 @@ def _pairs(found: Comparison) -> Iterator[Section]:
             ),
         )
     changed = sorted(
-        (pair for pair in found.outcomes.items() if pair[0][0] != pair[0][1]), key=lambda one: (-one[1], one[0])
+        (pair for pair in found.outcomes.items() if pair[0][0] != pair[0][1]), key=lambda item: (-item[1], item[0])
     )
     if changed:
         rows = tuple((before, after, str(count)) for (before, after), count in changed)
@@ -139,7 +137,7 @@ def _tests(found: Comparison) -> Section:
             about = f"{test.differ} of {test.old} pairs differ"
         claim = "differs" if test.corrected <= LEVEL else "–"
         rows.append((test.about, test.method, about, f"{test.p:.2g}", f"{test.corrected:.2g}", claim))
-    level = f"a version is said to differ from itself in at most {LEVEL:.0%} of all comparisons (Holm)"
+    level = f"the false positive rate over all tests is at most {LEVEL:.0%} (Holm)"
     return Section("tests", "Tests", (level,), ("of", "test", "looked at", "p", "corrected", ""), tuple(rows))
 
 
@@ -147,19 +145,19 @@ def _space(space: SpaceChange) -> Section:
     sentences: list[str] = []
     if space.gained is not None and space.lost is not None:
         sentences.append(
-            f"by {space.pairs} scenarios that fill the space and were run with both: critical now only"
-            f" {_share(space.gained)}, no more {_share(space.lost)} (90 %, Clopper and Pearson)"
+            f"by {space.pairs} space-filling scenarios that ran with both: critical only now"
+            f" {_share(space.gained)}, no longer {_share(space.lost)} (90 %, Clopper and Pearson)"
         )
     else:
-        sentences.append(f"no interval by pairs: {space.pairs_doubt}")
+        sentences.append(f"no interval from pairs: {space.pairs_doubt}")
     if space.sets is None:
-        sentences.append(f"no interval by all scenarios: {space.sets_doubt}")
+        sentences.append(f"no interval from all scenarios: {space.sets_doubt}")
         return Section("space", "The critical part of the space", tuple(sentences))
     sets = space.sets
     rows: list[tuple[str, ...]] = [
         ("critical share", _share(sets.old), _share(sets.new), _share(sets.change)),
-        ("critical now only", "", _share(sets.gained), ""),
-        ("critical no more", _share(sets.lost), "", ""),
+        ("critical only now", "", _share(sets.gained), ""),
+        ("no longer critical", _share(sets.lost), "", ""),
     ]
     for name, unit, middle in zip(space.parameters, space.units, sets.middles, strict=True):
         if middle is not None:
@@ -167,7 +165,7 @@ def _space(space: SpaceChange) -> Section:
     return Section(
         "space",
         "The critical part of the space",
-        (*sentences, "by all scenarios of both, with 90 % intervals:"),
+        (*sentences, "from all scenarios of both, with 90 % intervals:"),
         ("", "old", "new", "change"),
         tuple(rows),
     )
@@ -186,7 +184,7 @@ def _kinds(found: Comparison) -> Iterator[Section]:
 def _fate(old: int, new: int) -> str:
     if old == new:
         return ""
-    return "vanished" if not new else "came up" if not old else "grew" if new > old else "shrank"
+    return "vanished" if not new else "appeared" if not old else "grew" if new > old else "shrank"
 
 
 def _both(ids: tuple[int, int]) -> str:
@@ -209,7 +207,7 @@ def _share(one: Estimate) -> str:
 
 
 def _estimate(one: Estimate, unit: str) -> str:
-    # No digit that the interval leaves open.
+    # Only digits that the interval supports.
     digits = max(0, 2 - math.ceil(math.log10(max(one.high - one.low, 1e-9))))
     value, low, high = (
         f"{number + 0.0:.{digits}f}" for number in (round(x, digits) for x in (one.value, one.low, one.high))

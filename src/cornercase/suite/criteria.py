@@ -11,7 +11,7 @@ from cornercase.scenario import Criterion, Scope, criteria_in
 from cornercase.suite.contents import SuiteContents, SuiteScenario
 from cornercase.suite.requirement import Requirement, prefix_for
 
-# Those that say of a recording what they say of a run in CARLA; others ask for lanes, signals and routes of its map.
+# Criteria that a recording can answer; others need lanes, signals or routes of CARLA's map.
 _MEANINGS: Final[dict[str, Callable[[float | None], str | None]]] = {
     "CollisionTest": lambda _: "no collision",
     "DrivenDistanceTest": lambda least: None if least is None else f"drive {least:.15g}",
@@ -34,15 +34,15 @@ def required_by_files(suite: SuiteContents) -> list[Requirement]:
                 ignored[criterion.name] = None
             elif scenario.file not in files_of.setdefault(meaning, []):
                 files_of[meaning].append(scenario.file)
-    reason = "what they ask is not in a recording, or they lack a bound"
+    reason = "a recording cannot answer them, or they lack a bound"
     if not files_of:
-        note = f" (not taken: {', '.join(ignored)}; {reason})" if ignored else ""
+        note = f" (not used: {', '.join(ignored)}; {reason})" if ignored else ""
         raise InputError(
-            f"`require_from_file`: {suite.folder} holds none of ScenarioRunner's criteria that can be taken as"
-            f" requirements, which are {', '.join(_MEANINGS)}{note}; give requirements yourself."
+            f"`require_from_file`: {suite.folder} has none of ScenarioRunner's criteria that can be used as"
+            f" requirements, which are {', '.join(_MEANINGS)}{note}; specify requirements yourself."
         )
     if ignored:
-        warn(f"not taken as requirements from {_sources(suite)}: {', '.join(ignored)}; {reason}")
+        warn(f"not used as requirements from {_sources(suite)}: {', '.join(ignored)}; {reason}")
     texts = []
     for meaning, files in files_of.items():
         if len(files) == len(suite.usable):
@@ -64,7 +64,7 @@ def _parsed(text: str, suite: SuiteContents) -> Requirement:
         return Requirement.parse(text)
     except InputError as error:
         reason = str(error).removeprefix("`require` ")
-        raise InputError(f"`require_from_file`: a criterion in {suite.folder} asks for {reason}") from error
+        raise InputError(f"`require_from_file`: a criterion in {suite.folder} requires {reason}") from error
 
 
 def _criteria(one: SuiteScenario) -> tuple[Criterion, ...]:

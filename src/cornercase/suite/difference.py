@@ -12,7 +12,7 @@ from cornercase._common.typing import FloatArray
 from cornercase.recordings import Recording, same_bytes
 
 NOTICED: Final = 1e-6
-"""Distance in m from which a difference counts as one."""
+"""Smallest distance in m that counts as a difference."""
 
 
 @dataclass(frozen=True)
@@ -70,7 +70,7 @@ def find_difference(
 def _distances(before: Recording, now: Recording, ego: str) -> FloatArray:
     """Distances of the ego in m at the times of the second recording, NaN if it is absent in one, shape (T,)."""
     i, j = before.index(ego), now.index(ego)
-    # Beyond its ends nothing is known, and neither is it between an instant with the ego and one without.
+    # NaN beyond its ends, and between a time with the ego and one without.
     x, y = (
         np.interp(now.time, before.time, values, left=np.nan, right=np.nan) for values in (before.x[i], before.y[i])
     )

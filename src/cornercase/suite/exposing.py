@@ -28,10 +28,10 @@ if TYPE_CHECKING:
     from distributed import Client
 
 MOST_CANDIDATES: Final = 2000
-"""Of more scenarios of a study, so many are run with mutants."""
+"""Largest number of scenarios of a study that are run with mutants."""
 
 NO_COLLISION: Final = "no collision"
-"""What a mutant has to fail where nothing else is said."""
+"""Requirement that a killed mutant violates by default."""
 
 _BUILTIN: Final = "builtin"
 _OPTIONS: Final = ("time_step", "duration", "on_collision")
@@ -91,14 +91,14 @@ def find_exposure(
     for item in parsed:
         if item.pattern:
             raise InputError(
-                f"`require` {item}: is for some files or kinds of a suite; say what holds in all scenarios."
+                f"`require` {item}: applies to some files or clusters only; give requirements for all scenarios."
             )
     with open_study(study) as opened:
         logical = explored_scenario(opened, scenario, where_named=True)
         meta = opened.meta
         require_builtin(meta.simulator)
         if logical is None or meta.suite:
-            raise InputError(f"{opened.path}: holds no scenarios of a logical scenario; mutants choose among those.")
+            raise InputError(f"{opened.path}: was not explored from a logical scenario, so mutants cannot be run.")
         rows = opened.done()
         if len(rows) > MOST_CANDIDATES:
             indices = np.linspace(0, len(rows) - 1, MOST_CANDIDATES).round().astype(int)
@@ -113,7 +113,7 @@ def find_exposure(
     for name, item in options["drivers"].items():
         if not isinstance(item, str):
             raise InputError(
-                f"Mutants cannot be run: {driver_text(item)} drove {name}, and a study is no reason to run code."
+                f"Mutants cannot be run: {driver_text(item)} drove {name}, and code from a study is not run."
             )
     with connected(cluster, workers, else_none=True) as client:
         failed, killed = run_mutants(
@@ -122,7 +122,7 @@ def find_exposure(
     choosing, judging = slice(0, n_mutants), slice(n_mutants, None)
 
     def part(which: slice, held_out: Exposure | None) -> Exposure:
-        required = tuple(one.text for one in parsed)
+        required = tuple(requirement.text for requirement in parsed)
         return Exposure(driver, required, tuple(ids), failed, mutants_[which], killed[:, which], held_out)
 
     return part(choosing, part(judging, None))
@@ -142,7 +142,7 @@ def draw_mutants(
     not the same in all files, or if a requirement needs a reference driver.
     """
     _require_no_reference(requirements)
-    driver = driver_of_ego(ego, drivers, [one.scenario for one in suite.usable])
+    driver = driver_of_ego(ego, drivers, [scenario.scenario for scenario in suite.usable])
     return driver, mutants_of(driver, whole_number("mutants", count, 1), seed)
 
 
@@ -182,7 +182,7 @@ def expose_suite(
 def require_builtin(simulator: str) -> None:
     """Raise `InputError` unless it is the builtin simulator: others do not run drivers of cornercase."""
     if simulator.partition(":")[0] != _BUILTIN:
-        raise InputError(f"Mutants drive in the builtin simulator only, not in '{simulator}'.")
+        raise InputError(f"Mutants need the builtin simulator, not '{simulator}'.")
 
 
 def driver_of_ego(ego: str, drivers: Mapping[str, Any], scenarios: Sequence[Scenario]) -> str:
@@ -192,13 +192,15 @@ def driver_of_ego(ego: str, drivers: Mapping[str, Any], scenarios: Sequence[Scen
     """
     if ego in drivers:
         return name_driver(drivers[ego])
-    found = {scenario.drivers.get(ego) for scenario in scenarios}
-    if found == {None}:
+    drivers_in_files = {scenario.drivers.get(ego) for scenario in scenarios}
+    if drivers_in_files == {None}:
         raise InputError(f"Mutants need a driver of {ego}; name one with `drivers`.")
-    if len(found) > 1:
-        text = ", ".join(sorted(scenario or "nobody" for scenario in found))
-        raise InputError(f"Mutants need one driver of {ego}, and files name several ({text}); name one with `drivers`.")
-    (driver,) = found
+    if len(drivers_in_files) > 1:
+        text = ", ".join(sorted(scenario or "nobody" for scenario in drivers_in_files))
+        raise InputError(
+            f"Mutants need one driver of {ego}, but the files name several ({text}); choose one with `drivers`."
+        )
+    (driver,) = drivers_in_files
     assert driver is not None
     return name_driver(driver)
 
@@ -258,7 +260,8 @@ def _require_no_reference(requirements: Sequence[Requirement]) -> None:
     for requirement in requirements:
         if requirement.reference:
             raise InputError(
-                f"`require` {requirement}: mutants are not judged by a reference driver; leave it out, or the mutants."
+                f"`require` {requirement}: mutants cannot be judged with a reference driver; leave out this requirement"
+                " or the mutants."
             )
 
 

@@ -11,7 +11,7 @@ from cornercase._common.typing import FloatArray
 from cornercase.recordings import Collision, Recording
 
 MOVING: Final = 0.1
-"""Speed in m/s from which an entity drives into another."""
+"""Smallest closing speed of the ego in m/s at which it is at fault."""
 
 
 def is_at_fault(recording: Recording, ego: str, collision: Collision) -> bool:
@@ -24,7 +24,7 @@ def is_at_fault(recording: Recording, ego: str, collision: Collision) -> bool:
     """
     (other,) = (name for name in collision.entities if name != ego)
     i, j = recording.index(ego), recording.index(other)
-    # The last instant before the contact and the first one of it, whatever the clock of the simulator is.
+    # The last sample before the contact, and the first one of it.
     index = int(np.abs(recording.time - collision.time).argmin())
     before, at_contact = max(index - 1, 0), index
     direction = _direction(recording, i, j, before, at_contact)
@@ -40,16 +40,16 @@ def _direction(recording: Recording, i: int, j: int, before: int, now: int) -> F
     """Unit vector from the ego to the other along which they come into contact, shape (2,)."""
     boxes_before, boxes_now = (tuple(_corners(recording, k, at) for k in (i, j)) for at in (before, now))
     axes = np.concatenate([box_axes(boxes_now[0]), box_axes(boxes_now[1])])
-    # To both sides of each axis, as the other may be on either.
+    # In both directions, as the other may be on either side.
     axes = np.concatenate([axes, -axes])
     gap_before, gap_now = (_gaps(axes, *boxes) for boxes in (boxes_before, boxes_now))
     closing = gap_before - gap_now
     is_closing = (gap_before > 0.0) & (closing > 0.0)
     if is_closing.any():
-        # Share of the time between both instants after which the gap is closed.
+        # Fraction of the time step after which the gap is closed.
         share = np.where(is_closing, gap_before / np.where(closing > 0.0, closing, 1.0), -np.inf)
         return np.asarray(axes[int(share.argmax())])
-    # They touch from the beginning: along the direction in which they overlap least.
+    # They touch from the beginning: use the direction of least overlap.
     return np.asarray(axes[int(gap_now.argmax())])
 
 

@@ -1,4 +1,4 @@
-"""Judge whether a recording fulfills a requirement."""
+"""Judge whether recordings fulfill requirements."""
 
 from __future__ import annotations
 
@@ -14,13 +14,14 @@ from cornercase._common.typing import FloatArray
 from cornercase.drivers import ReferenceOutcome
 from cornercase.metrics import Formula, Predicate, Signals, others_there, signals_of
 from cornercase.recordings import Collision, Recording
+from cornercase.study import Row, Study, damage_told
 from cornercase.suite.fault import is_at_fault
 from cornercase.suite.requirement import Kind, Requirement
 from cornercase.suite.verdict import State, Verdict
 
-# Instants of a simulator's clock that differ by less are the same.
+# Tolerance of a simulator's clock in s.
 _CLOCK: Final = 1e-6
-# Of verdicts against several others the first of these counts.
+# The verdict against several others is the first of these that occurs.
 _WORST_FIRST: Final = ("failed", "passed", "inconclusive")
 
 
@@ -117,7 +118,7 @@ def _judge_collision(requirement: Requirement, recording: Recording, ego: str) -
     if entity:
         is_present &= np.isfinite(recording.x[recording.index(entity)])
     if not is_present.any():
-        reason = f"{quoted_name(ego)} and {quoted_name(entity)} are never there together" if entity else _never(ego)
+        reason = f"{quoted_name(ego)} and {quoted_name(entity)} are never present together" if entity else _never(ego)
         return Verdict("inconclusive", requirement.text, reason)
     collisions = [
         collision
@@ -125,7 +126,7 @@ def _judge_collision(requirement: Requirement, recording: Recording, ego: str) -
         if ego in collision.entities and (not entity or entity in collision.entities)
     ]
     if not collisions:
-        return Verdict("passed", requirement.text, f"{quoted_name(ego)} does not touch {_whom(entity)}")
+        return Verdict("passed", requirement.text, f"{quoted_name(ego)} does not collide{_whom(entity)}")
     return _collided(requirement, recording, ego, collisions[0])
 
 
@@ -147,7 +148,7 @@ def _judge_fault(requirement: Requirement, recording: Recording, ego: str) -> Ve
     if at_fault is not None:
         return _collided(requirement, recording, ego, at_fault, f", as {quoted_name(ego)} drives into it")
     if not collisions:
-        return Verdict("passed", requirement.text, f"{quoted_name(ego)} does not touch anybody")
+        return Verdict("passed", requirement.text, f"{quoted_name(ego)} does not collide")
     first = collisions[0]
     reason = f"{_pair(first, ego)} collide at {first.time:.6g} s, but {quoted_name(ego)} does not drive into it"
     return Verdict("passed", requirement.text, reason, first.time)
@@ -170,12 +171,12 @@ def _judge_place(requirement: Requirement, recording: Recording, ego: str) -> Ve
         return Verdict("passed", requirement.text, reason, at, float(distances[arrivals[0]]))
     if not len(inside):
         return Verdict(
-            "inconclusive", requirement.text, f"{quoted_name(ego)} is not there before {elapsed[present[0]]:.6g} s"
+            "inconclusive", requirement.text, f"{quoted_name(ego)} is absent before {elapsed[present[0]]:.6g} s"
         )
     nearest = inside[distances[inside].argmin()]
     at, value = float(recording.time[nearest]), float(distances[nearest])
     text = f"{quoted_name(ego)} comes no nearer to {position} than {value:.4g} m, at {at:.6g} s"
-    # Where the ego leaves the scenario before, it will not come there any more.
+    # If the ego left the scenario before, it can no longer arrive.
     if elapsed[-1] < requirement.within - _CLOCK and present[-1] == len(elapsed) - 1:
         reason = f"{text}, but was observed for {elapsed[-1]:.6g} s only"
         return Verdict("inconclusive", requirement.text, reason, at, value)
@@ -210,7 +211,7 @@ def _judge_each(
     signals = [signals_of(recording, ego, other) for other in others]
     verdicts = [_judge_formula(requirement, formula, verdict) for verdict in signals]
     if all(verdict == verdicts[0] for verdict in verdicts):
-        # It does not depend on the other, or speaks of what never arose with any.
+        # It does not depend on the other entity, or is inconclusive against all.
         return verdicts[0]
     margins = [np.nan_to_num(float(formula.robustness(verdict)[0]), nan=np.inf) for verdict in signals]
     index = min(range(len(others)), key=lambda k: (_WORST_FIRST.index(verdicts[k].state), margins[k]))
@@ -224,7 +225,7 @@ def _judge_formula(requirement: Requirement, formula: Formula, signals: Signals)
         unobserved = [
             comparison.text for comparison in formula.comparisons if np.isnan(comparison.margin(signals)).all()
         ]
-        reason = f"what {' and '.join(unobserved)} speaks of never arose"
+        reason = f"what {' and '.join(unobserved)} refers to never occurred"
         return Verdict("inconclusive", requirement.text, reason)
     if formula.bound is not None:
         return _judge_bound(requirement, formula.bound, signals, failed)
@@ -232,7 +233,7 @@ def _judge_formula(requirement: Requirement, formula: Formula, signals: Signals)
     text = f"'{formula.text}' {'does not hold' if failed else 'holds'}"
     decisive = formula.decisive(signals)
     if decisive is None:
-        reason = f"{text}; what decides is infinite, or an interval that holds no instant"
+        reason = f"{text}; the decisive value is infinite, or the interval contains no sample"
         return Verdict(state, requirement.text, reason)
     comparison, k = decisive
     at, value = float(signals.time[k]), float(comparison.left.values(signals)[k])
@@ -247,7 +248,7 @@ def _judge_bound(requirement: Requirement, bound: Predicate, signals: Signals, f
     at, value = float(signals.time[worst]), float(values[worst])
     lower = bound.relation in (">", ">=")
     if not failed and np.isinf(value):
-        reason = f"{bound.left.text} is infinite all the time"
+        reason = f"{bound.left.text} is infinite throughout"
         return Verdict("passed", requirement.text, reason)
     if not failed:
         reason = f"{bound.left.text} is {bound.left.tell_value(value)} at {'least' if lower else 'most'}, at {at:.6g} s"
@@ -282,11 +283,11 @@ def _pair(one: Collision, ego: str) -> str:
 
 
 def _whom(name: str) -> str:
-    return quoted_name(name) if name else "anybody"
+    return f" with {quoted_name(name)}" if name else ""
 
 
 def _never(ego: str) -> str:
-    return f"{quoted_name(ego)} is never there"
+    return f"{quoted_name(ego)} is never present"
 
 
 _JUDGES: Final[dict[Kind, Callable[[Requirement, Recording, str], Verdict]]] = {
@@ -297,3 +298,47 @@ _JUDGES: Final[dict[Kind, Callable[[Requirement, Recording, str], Verdict]]] = {
     "reach": _judge_place,
     "drive": _judge_distance,
 }
+
+
+def verdicts_of(study: Study) -> dict[int, list[Verdict]]:
+    """Judge the scenarios of an open study by the requirements that it holds; empty without requirements.
+
+    Returns verdicts by id of each scenario that ended, one for each requirement that applies to it; inconclusive if the
+    simulator failed.
+    """
+    with damage_told(study.path):
+        requirements = [Requirement.parse(text) for text in study.meta.requirements]
+        if not requirements:
+            return {}
+        return {row.id: judge_row(study, row, requirements) for row in study.rows() if row.state != "pending"}
+
+
+def judge_row(study: Study, row: Row, requirements: list[Requirement]) -> list[Verdict]:
+    """Judge one scenario that has ended, by each requirement that applies to it."""
+    meta = study.meta
+    file, kind = (_of(row, names) if meta.suite else "" for names in (meta.files, meta.kinds))
+    applicable = [requirement for requirement in requirements if requirement.concerns(file, kind)]
+    if row.state == "failed":
+        return [Verdict("inconclusive", requirement.text, f"it failed: {row.error}") for requirement in applicable]
+    recording = study.recording(row.id)
+    formula_metrics = {
+        name for requirement in applicable if requirement.formula is not None for name in requirement.formula.metrics
+    }
+    # With several others it is unknown which one a course refers to at each time.
+    formula_metrics = formula_metrics if len(meta.others) == 1 else set()
+    courses = {name: study.course(row.id, name) for name in meta.metrics if name in formula_metrics}
+    return [
+        judge(
+            requirement,
+            recording,
+            meta.ego,
+            meta.others,
+            courses=courses,
+            reference=study.reference_of(row.id, requirement.reference) if requirement.reference else None,
+        )
+        for requirement in applicable
+    ]
+
+
+def _of(row: Row, names: tuple[str, ...]) -> str:
+    return names[row.id - 1] if row.id <= len(names) else ""

@@ -15,7 +15,7 @@ from cornercase.suite.result import ScenarioResult, SuiteResult
 from cornercase.suite.verdict import Verdict
 
 JUNIT: Final = b"<?xml version='1.0' encoding='utf-8'?>\n<testsuites "
-"""What each file begins with."""
+"""Start of each file."""
 
 
 def write_junit(result: SuiteResult, path: Path) -> None:
@@ -31,7 +31,7 @@ def write_junit(result: SuiteResult, path: Path) -> None:
         document.add_testsuite(_suite(scenario, name, result))
     document.update_statistics()
     root = etree.fromstring(document.tostring())
-    # Jenkins' schema knows it of a suite, but not of all suites together, and times to the millisecond.
+    # Jenkins' schema allows this attribute for a suite only, and times in ms.
     del root.attrib["skipped"]
     times = [scenario.duration or 0.0 for scenario in result.scenarios]
     for element, seconds in zip((root, *root), (sum(times), *times), strict=True):
@@ -61,7 +61,7 @@ def _case(one: ScenarioResult, suite: str, facts: Mapping[str, str]) -> TestCase
         failure = Failure(_text(f"{first.requirement}: {first.reason}"), _text(first.requirement))
         case.result = [_filled(failure, one.verdicts, facts)]
     elif one.state == "inconclusive":
-        # By the schema of Surefire it has no type.
+        # Surefire's schema allows no type here.
         case.result = [Skipped(_text(one.reason))]
     return case
 

@@ -22,7 +22,7 @@ from cornercase.simulators import checked_settings
 from cornercase.study import IMPORTED
 from cornercase.suite.contents import SuiteContents, SuiteScenario
 
-# What reading damaged values raises.
+# Errors that damaged values cause.
 _BROKEN: Final = (ValueError, LookupError, TypeError, AttributeError, ArithmeticError, RecursionError)
 _SETTINGS: Final[dict[str, Any]] = {"time_step": 0.05, "duration": 60.0, "on_collision": "continue"}
 
@@ -34,13 +34,13 @@ def read_manifest(path: Path) -> SuiteContents:
     """
     if path.name == MANIFEST:
         finish_set(path.parent)
-    plain = _loaded(path)
+    manifest = _loaded(path)
     try:
-        return _contents(path, plain)
+        return _contents(path, manifest)
     except InputError as error:
         if str(path.parent) in str(error):
             raise
-        # What it holds was not given by who reads the message.
+        # The user did not give these values, so remove argument quotes.
         raise InputError(f"{path}: {str(error).replace('`', '').removesuffix('.')}; run `reduce` again.") from error
     except OSError as error:
         raise InputError(f"{path}: names a file that cannot be read ({error.strerror}); run `reduce` again.") from error
@@ -52,47 +52,47 @@ def read_manifest(path: Path) -> SuiteContents:
 
 def _loaded(path: Path) -> dict[str, Any]:
     try:
-        plain = loaded_json(read_file(path).decode("utf-8"))
+        manifest = loaded_json(read_file(path).decode("utf-8"))
     except (ValueError, RecursionError) as error:
         if isinstance(error, InputError):
             raise
         raise InputError(
             f"{path}: is not valid JSON ({str(error)[:200]}); name the manifest.json that `reduce` wrote."
         ) from error
-    if not isinstance(plain, dict) or not isinstance(plain.get("scenarios"), list):
+    if not isinstance(manifest, dict) or not isinstance(manifest.get("scenarios"), list):
         raise InputError(
             f"{path}: is not a manifest; name the manifest.json that `reduce` wrote, or a folder of files."
         )
-    if plain.get("simulator") == IMPORTED:
+    if manifest.get("simulator") == IMPORTED:
         raise InputError(f"{path}: its recordings were imported, so there are no scenario files to run.")
-    if "format" not in plain:
+    if "format" not in manifest:
         raise InputError(
             f"{path}: an earlier version of cornercase wrote it, without what it takes to run it again; run `reduce`"
             " again."
         )
-    if plain["format"] == 1:
-        # It had words as keys.
-        plain = plain | {"format": MANIFEST_FORMAT, "critical_threshold": plain.get("critical threshold")}
-    if plain["format"] != MANIFEST_FORMAT:
+    if manifest["format"] == 1:
+        # Format 1 had other keys.
+        manifest = manifest | {"format": MANIFEST_FORMAT, "critical_threshold": manifest.get("critical threshold")}
+    if manifest["format"] != MANIFEST_FORMAT:
         raise InputError(
-            f"{path}: has the format {str(plain['format'])[:20]}, and this version of cornercase reads"
+            f"{path}: has the format {str(manifest['format'])[:20]}, and this version of cornercase reads"
             f" {MANIFEST_FORMAT}; use the version that wrote it, or run `reduce` again."
         )
-    return plain
+    return manifest
 
 
 def _contents(path: Path, plain: Mapping[str, Any]) -> SuiteContents:
     folder = path.parent
-    digests = {str(place): str(digest) for place, digest in plain["files"].items()}
-    for place, digest in digests.items():
-        _require_file(path, place, digest)
+    digests = {str(name_): str(digest) for name_, digest in plain["files"].items()}
+    for name_, digest in digests.items():
+        _require_file(path, name_, digest)
     space = ParameterSpace.from_json(plain["space"])
     if len({str(entry["file"]) for entry in plain["scenarios"]}) < len(plain["scenarios"]):
         raise InputError(f"{path}: names a file twice; run `reduce` again.")
     scenarios = []
     for entry in plain["scenarios"]:
         if entry["file"] not in digests:
-            raise InputError(f"{path}: says nothing of the content of {str(entry['file'])[:100]}; run `reduce` again.")
+            raise InputError(f"{path}: has no checksum of {str(entry['file'])[:100]}; run `reduce` again.")
         file = folder / entry["file"]
         scenarios.append(
             SuiteScenario(
@@ -106,7 +106,7 @@ def _contents(path: Path, plain: Mapping[str, Any]) -> SuiteContents:
             )
         )
     if not scenarios:
-        raise InputError(f"{path}: names no scenario; run `reduce` again.")
+        raise InputError(f"{path}: has no scenario; run `reduce` again.")
     _require_values(path, space, scenarios)
     settings = dict(plain["settings"])
     metrics = tuple(METRICS.create(_text(name)).name for name in plain["metrics"])
@@ -123,7 +123,7 @@ def _contents(path: Path, plain: Mapping[str, Any]) -> SuiteContents:
         critical=None if critical is None else _finite(critical),
         simulator=_text(plain["simulator"]),
         settings={name: settings[name] for name in _SETTINGS if name in settings},
-        # A file names no code to run: a driver of one's own has to be given again.
+        # A file must not name code to run: custom drivers have to be given again.
         lost_drivers={
             _text(entity): driver_command(driver) or ""
             for entity, driver in dict(settings.get("drivers", {})).items()
@@ -135,7 +135,7 @@ def _contents(path: Path, plain: Mapping[str, Any]) -> SuiteContents:
 
 
 def _require_file(path: Path, place: str, digest: str) -> None:
-    # The manifest may come from anywhere, and names nothing outside of its folder.
+    # The manifest may come from anywhere: it must not name files outside of its folder.
     parts = re.split(r"[\\/]", place)
     if any(part in ("", ".", "..") or ":" in part for part in parts):
         raise InputError(f"{path}: names {place[:100]}, which is not a file in its folder; run `reduce` again.")
@@ -168,7 +168,7 @@ def _require_same_values(path: Path, one: SuiteScenario) -> None:
         declaration.name: declaration for declaration in read_declarations(one.scenario.root, str(one.scenario.path))
     }
     one.scenario.require_parameters(list(one.values))
-    # What lies beside the file has another path there than beside the logical scenario.
+    # Paths in the copied file differ from those in the logical scenario.
     path_names = one.scenario.path_parameters
     for name, value in one.values.items():
         if name not in path_names and _typed(value, declared[name]) != _typed(declared[name].value, declared[name]):
@@ -182,7 +182,7 @@ def _typed(value: Value, declaration: Declaration) -> Value:
     try:
         return typed_value(value, declaration.kind)
     except ValueError:
-        # An expression, for one.
+        # It may be an expression.
         return str(value)
 
 

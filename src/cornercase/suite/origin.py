@@ -11,7 +11,7 @@ from cornercase.study import Row, Study, damage_told
 from cornercase.suite.contents import SuiteContents
 from cornercase.suite.difference import Difference, find_difference
 
-# Bytes of a name; no system takes more.
+# Largest number of bytes of a file name.
 _LONGEST: Final = 255
 
 
@@ -27,8 +27,8 @@ def find_origin(suite: SuiteContents, against: Path | None) -> tuple[Path | None
             _read(suite, study)
         return against, ""
     if not suite.study:
-        return None, "no study is known that the files were made from"
-    # Only its name counts: the manifest may come from anywhere.
+        return None, "the study that the files were made from is unknown"
+    # Only use the name, since the manifest may come from anywhere.
     name = Path(suite.study.replace("\\", "/")).name
     for folder in (suite.folder, suite.folder.resolve().parent):
         path = folder / name
@@ -39,7 +39,7 @@ def find_origin(suite: SuiteContents, against: Path | None) -> tuple[Path | None
             except InputError:
                 continue
             return path, ""
-    return None, f"{name} lies neither beside the manifest nor in the folder above as it was, or cannot be read"
+    return None, f"{name} was not found unchanged and readable beside the manifest or in the folder above"
 
 
 def find_differences(suite: SuiteContents, origin: Path, study: Study) -> dict[int, Difference]:

@@ -47,9 +47,9 @@ def read_suite(place: Path | str) -> SuiteContents:
 
 def _of_files(folder: Path, files: Sequence[Path]) -> SuiteContents:
     for file in files:
-        # Databases and other files hold names as text in UTF-8.
-        if (plain := plain_text(file.name).replace("\n", "\\n").encode(errors="replace").decode()) != file.name:
-            raise InputError(f"{folder}: the name of its file '{plain}' is not plain text; rename the file.")
+        # Names are stored as UTF-8.
+        if (readable := plain_text(file.name).replace("\n", "\\n").encode(errors="replace").decode()) != file.name:
+            raise InputError(f"{folder}: the name of its file '{readable}' is not plain text; rename the file.")
     scenarios, errors = list[Scenario](), dict[Path, InputError]()
     ignored = []
     for file in files:
@@ -64,7 +64,7 @@ def _of_files(folder: Path, files: Sequence[Path]) -> SuiteContents:
     if ignored:
         warnings.warn(f"not run, because they are not scenarios: {', '.join(ignored)}", NoticeWarning, stacklevel=3)
     if not scenarios:
-        raise InputError(f"{folder}: holds no scenario; name a folder with .xosc files, or with a manifest.json.")
+        raise InputError(f"{folder}: has no scenarios; name a folder with .xosc files, or with a manifest.json.")
     if len(errors) == len(scenarios):
         raise next(iter(errors.values()))
     values, space = _varied(scenarios, errors)
@@ -108,7 +108,7 @@ def _varied(scenarios: Sequence[Scenario], wrong: Container[Path]) -> tuple[list
     rows: list[dict[str, Value]] = [
         {name: values[k] for name, values in columns.items()} for k in range(len(scenarios))
     ]
-    # Whole numbers and truth values are told by their declarations.
+    # Declarations distinguish integers and booleans.
     first_declared: Mapping[str, Declaration] = declarations[0]
     return rows, ParameterSpace(parameters).typed(
         [first_declared[name] for name in columns if name in first_declared], str(scenarios[0].path)
@@ -119,7 +119,7 @@ def _value(declaration: Declaration) -> Value:
     try:
         return typed_value(declaration.value, declaration.kind)
     except ValueError:
-        # An expression, for one.
+        # It may be an expression.
         return declaration.value
 
 

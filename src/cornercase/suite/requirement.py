@@ -18,11 +18,11 @@ Kind = Literal[
 ]
 
 REACHED: Final = 2.0
-"""How near in m the ego has to come to a place, unless the requirement says it."""
+"""Default radius in m around a position that the ego has to reach."""
 
 _NUMBER: Final = r"([+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d{1,3})?)"
 _FOR: Final = re.compile(r'\s*for\s+(kind\s+)?("(?:[^"\\]|\\.)*"|\S+?)\s*:\s+(.+)', re.DOTALL)
-# A pattern that needs no quotation marks.
+# A pattern that needs no quotes.
 _PLAIN: Final = re.compile(r'[^\s"]+')
 _REACH: Final = re.compile(
     rf"reach\s+{_NUMBER}\s*,\s*{_NUMBER}(?:\s*,\s*{_NUMBER})?\s+within\s+{_NUMBER}\s*(\S*)", re.DOTALL
@@ -106,21 +106,22 @@ class Requirement:
         >>> Requirement.parse("for *-00012.xosc:  reach 60, -1.75 within 20 s").text
         'for *-00012.xosc: reach 60,-1.75,2 within 20'
         """
-        plain = " ".join(text("require", requirement).split())
+        normalized = " ".join(text("require", requirement).split())
         try:
-            require_whole(plain)
+            require_whole(normalized)
         except ValueError as error:
-            raise InputError(f"`require` {plain}: {error}, which no file can hold.") from error
+            raise InputError(f"`require` {normalized}: {error}.") from error
         prefix = _FOR.fullmatch(requirement)
         by_kind, pattern, body = (
-            (bool(prefix[1]), _unquoted(prefix[2], plain), prefix[3]) if prefix else (False, "", plain)
+            (bool(prefix[1]), _unquoted(prefix[2], normalized), prefix[3]) if prefix else (False, "", normalized)
         )
         body = " ".join(body.split())
-        if not prefix and plain.startswith("for "):
+        if not prefix and normalized.startswith("for "):
             raise InputError(
-                f"`require` {plain}: names no pattern; write 'for PATTERN: REQUIREMENT', with a space after the colon."
+                f"`require` {normalized}: has no pattern; write 'for PATTERN: REQUIREMENT', with a space after the"
+                " colon."
             )
-        parsed = _collision(body) or _place(body) or _distance(body) or _formula(body, plain)
+        parsed = _collision(body) or _place(body) or _distance(body) or _formula(body, normalized)
         full_text = f"{prefix_for(pattern, by_kind=by_kind)}{parsed.text}" if pattern else parsed.text
         return replace(parsed, text=full_text, pattern=pattern, by_kind=by_kind)
 
@@ -138,7 +139,7 @@ class Requirement:
         -------
         bool
         """
-        # Brackets mean nothing here, as names of files and kinds may have some.
+        # Escape brackets, which may occur in names of files and clusters.
         return not self.pattern or fnmatchcase(kind if self.by_kind else file, self.pattern.replace("[", "[[]"))
 
 
@@ -182,12 +183,12 @@ def _place(body: str) -> Requirement | None:
         return None
     match_ = _REACH.fullmatch(body)
     if match_ is None:
-        raise InputError(f"`require` {body}: is not a place and time; write 'reach X,Y[,R] within T', in m and s.")
+        raise InputError(f"`require` {body}: is not a position and time; write 'reach X,Y[,R] within T', in m and s.")
     x, y, radius, within = (float(group) if group else REACHED for group in match_.groups()[:4])
     if match_[5] not in ("", "s"):
         raise InputError(f"`require` {body}: the unit '{match_[5]}' does not fit; give the time in s.")
     if not (0.0 < radius <= _LARGEST and 0.0 < within <= _LARGEST and max(abs(x), abs(y)) <= _LARGEST):
-        raise InputError(f"`require` {body}: give a place within 1000 km, and a radius and a time above 0.")
+        raise InputError(f"`require` {body}: give a position within 1000 km, and a positive radius and time.")
     return Requirement(
         f"reach {x:.15g},{y:.15g},{radius:.15g} within {within:.15g}", "reach", place=(x, y, radius), within=within
     )

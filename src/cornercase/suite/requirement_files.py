@@ -11,7 +11,7 @@ from cornercase._common.files import read_file
 from cornercase.suite.requirement import Requirement, prefix_for
 
 _KEY: Final = "require"
-# Tables of further lists, and what their patterns are of.
+# Tables of further lists, and the names their patterns are for.
 _TABLES: Final = {"for": "file names", "kind": "names of kinds"}
 _LARGEST: Final = 1_000_000
 
@@ -28,12 +28,12 @@ def read_requirements(path: Path) -> list[Requirement]:
     for name in content:
         if name not in (_KEY, *_TABLES):
             advice = suggestion(str(name), (_KEY, *_TABLES))
-            raise InputError(f"{path}: has '{str(name)[:60]}', which is not known; {advice}")
+            raise InputError(f"{path}: has '{str(name)[:60]}', which is unknown; {advice}")
     lines = _texts(path, _KEY, content.get(_KEY, []))
     for name, subject in _TABLES.items():
         patterns = content.get(name, {})
         if not isinstance(patterns, dict):
-            raise InputError(f"{path}: '{name}' holds no lists by the pattern of {subject}.")
+            raise InputError(f"{path}: '{name}' is not a table of lists by patterns of {subject}.")
         for pattern, requirements in patterns.items():
             if not isinstance(pattern, str) or not pattern.strip():
                 raise InputError(f"{path}: '{str(pattern)[:60]}' in '{name}' is not a pattern of {subject}.")
@@ -68,7 +68,7 @@ def _loaded(path: Path) -> Any:
     try:
         return tomllib.loads(text)
     except (ValueError, RecursionError) as error:
-        # Also of whole numbers that are too long for Python.
+        # Also raised for integers that are too long for Python.
         raise InputError(f"{path}: is not valid TOML ({str(error)[:200]}).") from error
 
 

@@ -62,7 +62,7 @@ class ScenarioResult:
     def reason(self) -> str:
         """Reason for its state, from the first verdict with that state."""
         worst = worst_state(self.verdicts)
-        return next((verdict.reason for verdict in self.verdicts if verdict.state == worst), "no requirement is for it")
+        return next((verdict.reason for verdict in self.verdicts if verdict.state == worst), "no requirement applies")
 
 
 @dataclass(frozen=True, repr=False)
@@ -147,8 +147,8 @@ class SuiteResult:
         compared = [item.difference for item in self.scenarios if item.difference is not None]
         n_same = sum(item.same for item in compared)
         distances = [item.distance for item in compared if item.distance is not None and not item.same]
-        note = f"; the ego is up to {max(distances):.3g} m elsewhere" if distances else ""
-        return f"{n_same} of {len(compared)} recordings are byte for byte those in {self.against.name}{note}"
+        note = f"; the ego is up to {max(distances):.3g} m away" if distances else ""
+        return f"{n_same} of {len(compared)} recordings are identical to those in {self.against.name}{note}"
 
     def __repr__(self) -> str:
         return f"<SuiteResult: {self.text}, in {str(self.study)!r}>"

@@ -29,8 +29,8 @@ from cornercase.study import Row, Study, StudyMeta, begun_study
 from cornercase.suite.contents import SuiteContents, SuiteScenario
 
 _ADVICE: Final = (
-    "a driver or the simulator draws random numbers, or keeps something from one run to the next: mend it, or verdicts"
-    " may be others the next time"
+    "a driver or the simulator draws random numbers, or keeps state between runs: fix it, or verdicts may change from"
+    " run to run"
 )
 
 
@@ -78,7 +78,7 @@ def run_suite(
             notices.warn()
         failed = study.failed()
         if not study.done():
-            # What nothing could be run with must not keep out the corrected command.
+            # Clear the study, so that the corrected command can use it.
             reason = failed[0].error if failed else "there is none"
             study.writer.clear()
             raise InputError(f"None of the {len(rows)} scenarios of {suite.place} could be run; the first: {reason}.")
@@ -115,7 +115,7 @@ def _run(
             done += 1
             yield done
     pending = [row for row in pending if not scenarios[row.id - 1].wrong]
-    # A simulator that takes many at once would give nothing back before the last of them has ended.
+    # A batch gives no results before its last scenario has ended.
     takes_batches = SIMULATORS.class_of(simulator.name).takes_batches
     batch_size = workers if workers is not None and takes_batches else max(len(pending), 1)
     for first in range(0, len(pending), batch_size):
@@ -137,5 +137,5 @@ def _run(
             study.writer.add_all_elapsed({"simulate": end - start, "store": time.monotonic() - end})
             done += 1
             yield done
-        # Lets the simulator clear up.
+        # Let the simulator clean up.
         next(outcomes, None)

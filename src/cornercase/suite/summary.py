@@ -10,11 +10,11 @@ from cornercase._common.files import written_whole
 from cornercase._common.texts import plain_text
 from cornercase.suite.result import SuiteResult
 
-# What Markdown takes for more than itself.
+# Characters with a meaning in Markdown.
 _SIGNS: Final = re.compile(r"([\\`*_\[\]<>|#~&$!@])")
 
 HEADING: Final = b"### "
-"""What each file begins with."""
+"""Start of each file."""
 
 
 def write_summary(result: SuiteResult, path: Path) -> None:

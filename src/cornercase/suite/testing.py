@@ -23,6 +23,7 @@ from cornercase.suite.asking import ask_references
 from cornercase.suite.contents import SuiteContents
 from cornercase.suite.criteria import required_by_files
 from cornercase.suite.exposing import draw_mutants, expose_suite, require_builtin
+from cornercase.suite.judging import judge_row
 from cornercase.suite.junit import JUNIT, write_junit
 from cornercase.suite.origin import find_differences, find_origin
 from cornercase.suite.reading import read_suite
@@ -32,7 +33,6 @@ from cornercase.suite.result import ScenarioResult, SuiteResult
 from cornercase.suite.running import run_suite, sort_out
 from cornercase.suite.summary import HEADING, write_summary
 from cornercase.suite.verdict import Verdict, worst_state
-from cornercase.suite.verdicts import judge_row
 
 if TYPE_CHECKING:
     from distributed import Client
@@ -42,7 +42,7 @@ _BUILTIN: Final = "builtin"
 _RAN: Final = "runs"
 
 
-# Its parameters are the options of the command.
+# The parameters are the options of the command.
 def test(
     suite: Path | str,
     study: Path | str,
@@ -161,13 +161,13 @@ def test(
     outputs = _outputs(junit, summary, path, read)
     contents, entities = _entities(contents, ego, other, parsed, drivers or {})
     workers = whole_number("workers", workers, 1, MOST_WORKERS)
-    options = {name: contents.settings.get(name, plain) for name, plain in _PLAIN.items()}
+    options = {name: contents.settings.get(name, default) for name, default in _PLAIN.items()}
     overrides = {"time_step": time_step, "duration": duration, "on_collision": on_collision}
     options |= {name: value for name, value in overrides.items() if value is not None}
     name = _simulator(contents, simulator)
     options["drivers"] = _drivers(contents, drivers)
     if mutants is not None:
-        # Looked at before anything is run.
+        # Check before anything is run.
         require_builtin(name)
         driver_and_mutants = draw_mutants(contents, entities[0], options["drivers"], parsed, mutants, seed)
     reference_names = dict.fromkeys(item.reference for item in parsed if item.reference)
@@ -219,15 +219,15 @@ def _outputs(
             file = path_argument(name, target)
             for source in read:
                 require_other_file(file, source, name)
-            # Not after an hour of simulations.
+            # Check before hours of simulations.
             require_place(name, file)
             require_apart(file, study, name)
             _require_own(name, file, first_bytes)
             if any(file.resolve() == other.resolve() for _, other in targets):
-                raise InputError(f"`{name}` {file}: is the JUnit file, too; choose another name.")
+                raise InputError(f"`{name}` {file}: is the JUnit file too; choose another name.")
             targets.append((write, file))
     for _, file in targets:
-        # What is there is of another run, and would be taken for one of this where nothing can be run.
+        # Remove outputs of earlier runs, which would remain if no scenario can be run.
         file.unlink(missing_ok=True)
     return targets
 
@@ -238,11 +238,11 @@ def _require_own(name: str, place: Path, begin: bytes) -> None:
         with place.open("rb") as file:
             content = file.read(len(begin))
         if content and content != begin:
-            raise InputError(f"`{name}` {place}: holds something else already; choose another name, or remove it.")
+            raise InputError(f"`{name}` {place}: exists and has other content; choose another name, or remove it.")
 
 
 def _required(require: Sequence[str], requirements: Path | str | None) -> list[Requirement]:
-    parsed = [Requirement.parse(one) for one in texts("require", require)]
+    parsed = [Requirement.parse(item) for item in texts("require", require)]
     if requirements is not None:
         parsed += read_requirements(path_argument("requirements", requirements))
     return _distinct(parsed)
@@ -263,16 +263,16 @@ def _entities(
     """Resolve the names of the ego and the others; mark files that lack an entity, unless all do."""
     for role, given, own in (("ego", ego, suite.ego), ("other", other, suite.other)):
         if given is None and not own:
-            raise InputError(f"`{role}`: {suite.place} does not say it; name an entity.")
+            raise InputError(f"`{role}`: {suite.place} does not define it; name an entity.")
     ego_name = suite.ego if ego is None else text("ego", ego)
     suite = _only_with(suite, {})
     names = dict.fromkeys(name for item in suite.usable for name in item.scenario.entities)
     others = name_others(suite.other if other is None else other, ego_name, list(names))
     roles = {ego_name: "ego"} | dict.fromkeys(others, "other")
     if other is not None and EVERYBODY in texts("other", other):
-        # They need not all be in each file.
+        # Not every file needs to have all of them.
         roles = {ego_name: "ego"}
-    roles |= {item.entity: "one that must not be touched" for item in requirements if item.entity}
+    roles |= {item.entity: "entity to avoid" for item in requirements if item.entity}
     roles |= dict.fromkeys(by_name("drivers", drivers), "driven entity")
     suite = _only_with(suite, roles)
     for required in requirements:
@@ -306,21 +306,21 @@ def _only_with(suite: SuiteContents, asked: Mapping[str, str]) -> SuiteContents:
 
 def _none_concerned(suite: SuiteContents, required: Requirement) -> str:
     if not required.by_kind:
-        return f"none of the files of {suite.place} is called so"
+        return f"no file of {suite.place} has such a name"
     kinds = dict.fromkeys(scenario.kind for scenario in suite.scenarios if scenario.kind)
     if not kinds:
-        return f"{suite.place} does not say of what kinds its scenarios are"
-    return f"none of the scenarios of {suite.place} is of such a kind; there are {'; '.join(kinds)}"
+        return f"{suite.place} does not name the clusters of its scenarios"
+    return f"no scenario of {suite.place} belongs to such a cluster; there are {'; '.join(kinds)}"
 
 
 def _metrics(suite: SuiteContents, given: Sequence[str], requirements: Sequence[Requirement]) -> tuple[str, ...]:
-    # A condition needs runs of references beside those of the suite.
+    # A condition would need further runs with reference drivers.
     names = list(texts("metrics", given)) or [name for name in suite.metrics if not condition_of([name])]
     formula_metrics = [
         name for requirement in requirements if requirement.formula is not None for name in requirement.formula.metrics
     ]
     instances = [METRICS.create(name) for name in dict.fromkeys(names or formula_metrics or ["clearance"])]
-    # Asked before there is a study.
+    # Check before the study is created.
     for metric in [*instances, *map(METRICS.create, formula_metrics)]:
         metric.require()
     for requirement in requirements:
@@ -333,10 +333,10 @@ def _simulator(suite: SuiteContents, given: str | None) -> str:
     if given is not None:
         return text("simulator", given)
     name, colon, _ = suite.simulator.partition(":")
-    # Options may name files and programs, and a manifest may come from anywhere.
+    # Options may name files and programs; the manifest may come from anywhere.
     if colon:
         raise InputError(
-            f"`simulator`: {suite.place} names '{suite.simulator[:100]}', with options; give the simulator yourself."
+            f"`simulator`: {suite.place} names '{suite.simulator[:100]}', with options; specify the simulator yourself."
         )
     return name or _BUILTIN
 
@@ -352,7 +352,7 @@ def _drivers(suite: SuiteContents, given: Mapping[str, str | Driver] | None) -> 
         if entity not in drivers:
             name = plain_text(command) or "an object that Python code made"
             raise InputError(
-                f"`drivers`: {name} drove {entity} when {suite.place} was made, and a file is no reason to run code;"
+                f"`drivers`: {name} drove {entity} when {suite.place} was made, and code named in a file is not run;"
                 f" give a driver, as {entity}={plain_text(command) or 'normal'}."
             )
     return drivers
@@ -368,7 +368,7 @@ def _meta(
     study: Path,
 ) -> StudyMeta:
     kinds = tuple(item.kind for item in suite.scenarios)
-    # The threshold is one of the first metric.
+    # The threshold belongs to the first metric.
     critical = suite.critical if suite.metrics[:1] == metrics[:1] else METRICS.create(metrics[0]).critical
     return StudyMeta(
         scenario=stored_path(suite.folder, study),
@@ -438,5 +438,5 @@ def _result(
 
 def _ran(error: str | None, duration: float | None) -> Verdict:
     if duration is None:
-        return Verdict("inconclusive", _RAN, f"it could not be run: {error}")
+        return Verdict("inconclusive", _RAN, f"it failed: {error}")
     return Verdict("passed", _RAN, f"it ran for {duration:.6g} s", value=duration)

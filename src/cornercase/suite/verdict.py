@@ -7,9 +7,9 @@ from dataclasses import dataclass
 from typing import Final, Literal
 
 State = Literal["passed", "failed", "inconclusive"]
-"""What a requirement comes to."""
+"""State of a verdict."""
 
-# From what is best to what is worst.
+# From best to worst.
 _ORDER: Final[tuple[State, ...]] = ("passed", "inconclusive", "failed")
 
 
