@@ -17,7 +17,7 @@ from road_networks import WIDTH, lane, linked, road, write
 
 
 def read(path: Path) -> tuple[RoadNetwork, list[str]]:
-    """Network of a file, and what is said of it."""
+    """The network of a file, and its notices."""
     root = XmlFiles().root(path)
     elements = list(root.iter())
     network = RoadNetwork.of_xml(root, path)
@@ -158,7 +158,7 @@ def test_43_8_a_road_that_cannot_be_used_is_left_out(tmp_path):
     network, notices = read(path)
     assert [one.name for one in network.roads] == ["1"]
     assert notices == ["road 2 (road.xodr, line 1): is left out: has no <geometry> in its <planView>"]
-    # Who asks for it is told why.
+    # Using it raises an error with the reason.
     with pytest.raises(InputError, match="road 2: has no <geometry>"):
         network.index_of("2")
     lane_path = network.path_of_lane(0, -1, 0.0, True)
