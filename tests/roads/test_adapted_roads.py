@@ -212,9 +212,9 @@ SECOND = f'<laneSection s="{{}}">{CENTER}<right>{lane(-1, -1, -1, WIDTH.replace(
 @pytest.mark.parametrize(
     ("old", "new", "end", "said"),
     [
-        ("</lanes>", f"{SECOND.format(0)}</lanes>", -1.0, "<laneSection> at the place of another (road.xodr, line 1): several begin at s = 0 m; the last"),
+        ("</lanes>", f"{SECOND.format(0)}</lanes>", -1.0, "<laneSection> at the position of another (road.xodr, line 1): several begin at s = 0 m; the last"),
         ("</lanes>", f"{SECOND.format(120)}</lanes>", -2.0, "<laneSection> beyond the end of its road (road.xodr, line 1): begins at s = 120 m, but the road ends at 100 m"),
-        (WIDTH, WIDTH + WIDTH.replace("4", "2"), -1.0, "<width> at the place of another (road.xodr, line 1): several begin at 0 m; the last"),
+        (WIDTH, WIDTH + WIDTH.replace("4", "2"), -1.0, "<width> at the position of another (road.xodr, line 1): several begin at 0 m; the last"),
         ('sOffset="0"', 'sOffset="50"', -2.0, "first <width> of <lane> (road.xodr, line 1): begins at 50 m of its lane section, and its curve holds before"),
         ('sOffset="0"', 'sOffset="-50"', -2.0, "first <width> of <lane> (road.xodr, line 1): begins at -50 m of its lane section"),
         ("</right>", f"{lane(-3)}</right>", -2.0, "number -3 of <lane> (road.xodr, line 1): the lane -2 is missing and taken as 0 m wide"),
