@@ -132,7 +132,7 @@ HOSTILE = {
         lambda f: scenario_file(f, init=speed("$v"), parameters=declared("$w") + declared("$v").replace('"v"', '"w"')),
         "there is no parameter",
     ),
-    "catalogs in a circle": (cyclic_catalog, "circle"),
+    "catalogs in a circle": (cyclic_catalog, "circular"),
     "a road of length 0": (lambda f: with_road(f, lambda t: t.replace('length="500"', 'length="0"')), "length"),
     "a road of negative length": (lambda f: with_road(f, lambda t: t.replace('length="500"', 'length="-5"')), "length"),
     "a road of length NaN": (lambda f: with_road(f, lambda t: t.replace('length="500"', 'length="nan"')), "finite"),

@@ -17,7 +17,7 @@ from foreign_recordings import HEADING, SPEED, TIME, way
 
 SAMPLES = Path(__file__).parents[3] / "shared" / "reference" / "simulators"
 beside = pytest.mark.skipif(not SAMPLES.is_dir(), reason="the real samples are not beside the checkout")
-# How far a box centre is ahead of what the file tells, boxes, and names.
+# Offset of the box center from the position in the file, boxes, and names.
 FILES = {
     "a.csv": (foreign.esmini, (1.4, 1.4), ((5.0, 2.0), (5.0, 2.0)), ("Ego", "Other"), ("car", "car")),
     "a.erg": (foreign.erg, (2.25, 2.25), ((4.5, 1.8), (4.5, 1.8)), ("Ego", "T00"), ("car", "car")),
@@ -50,7 +50,7 @@ def test_motion_and_boxes(tmp_path, name):
 def test_a_real_result_of_carmaker():
     columns = read_erg_columns(SAMPLES / "carmaker" / "example.erg")
     assert (len(columns), columns["Time"].size, columns["Time"][-1]) == (29, 5000, pytest.approx(4.999))
-    # What CarMaker stores of the same thing twice agrees: acceleration and speed, and the wheels roll.
+    # Redundant quantities of CarMaker agree: acceleration and speed, wheel rotation.
     moves = columns["Vhcl.v"] > 2.0
     gained = np.gradient(columns["Vhcl.v"].astype(float), columns["Time"])
     np.testing.assert_allclose(gained[moves], columns["Car.ax"][moves], atol=0.35)
@@ -64,7 +64,7 @@ def test_a_real_result_of_carmaker():
 def test_a_real_recording_of_carla():
     found = read_recording(SAMPLES / "carla" / "DistanceToLaneCenter.log")
     assert (found.names, found.kinds, found.time.size) == (("hero",), ("car",), 431)
-    # A Lincoln MKZ of 2017, by CARLA's catalogue of vehicles.
+    # Lincoln MKZ 2017, from CARLA's vehicle catalogue.
     assert (found.length[0], found.width[0]) == pytest.approx((4.9017, 2.1283), abs=1e-3)
     way = np.hypot(np.diff(found.x[0]), np.diff(found.y[0]))
     assert way.sum() == pytest.approx((found.speed[0][1:] * np.diff(found.time)).sum(), rel=0.01)
@@ -76,7 +76,7 @@ def test_a_real_recording_of_carla():
 def test_what_is_cut_off_is_said_in_one_sentence(tmp_path, name, tenth):
     FILES[name][0](tmp_path / name)
     data = (tmp_path / name).read_bytes()
-    # Not at the end of a record, where nobody can tell.
+    # A cut at the end of a record cannot be detected.
     (tmp_path / name).write_bytes(data[: len(data) * tenth // 10 + 3])
     with pytest.raises(InputError) as caught:
         read_recording(tmp_path / name)
@@ -106,7 +106,7 @@ def test_carmakers_files_have_to_fit(tmp_path):
     foreign.erg(path, without=("Car.tx", "Car.Yaw"))
     with pytest.raises(InputError, match=r"has no Car.tx, Car.Yaw; add it to the quantities"):
         read_recording(path)
-    # Traffic without velocities turns the way it goes.
+    # Without velocities, the heading is the direction of motion.
     foreign.erg(path, without=("Traffic.T00.v_0.x",))
     found = read_recording(path)
     np.testing.assert_allclose(found.heading[1], HEADING, atol=1e-4)

@@ -26,7 +26,7 @@ def test_osi_traces_of_all_forms(tmp_path, kind, ending):
     np.testing.assert_allclose(read.time, TIMES, atol=1e-9)
     np.testing.assert_allclose(read.speed[:2], np.array([[20.0] * 20, [10.0] * 20]))
     assert np.isnan(read.x[2, :10]).all()
-    # Nothing says how fast the pedestrian is; its positions do.
+    # The pedestrian's speed follows from its positions.
     np.testing.assert_allclose(read.speed[2, 10:], 1.0)
     np.testing.assert_allclose(Ttc().course(read, "4", "17"), 3.0 - TIMES, atol=1e-9)
 

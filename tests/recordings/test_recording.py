@@ -1,4 +1,4 @@
-"""Recordings as CSV: nothing lost on the way, and clear words for what cannot be read."""
+"""Recordings as CSV: nothing is lost, and errors are clear."""
 
 from __future__ import annotations
 
@@ -232,7 +232,7 @@ def test_tracks_have_gaps_and_who_never_comes_has_none():
     x = np.array([[0.0, 1.0, np.nan, 3.0], [np.nan] * 4])
     lines = [one.get("points", "") for one in etree.fromstring(tracks_as_svg(x, x)).iterfind("polyline")]
     assert [len(one.split()) for one in lines] == [2, 1]
-    # Upwards, in equal scales.
+    # y is upwards; both axes have the same scale.
     (first, second), _ = ([tuple(map(float, point.split(","))) for point in one.split()] for one in lines)
     assert second[0] - first[0] == pytest.approx(first[1] - second[1], abs=0.2)
     assert tracks_as_svg(np.full((2, 3), np.nan), np.zeros((2, 3))) == ""

@@ -17,7 +17,7 @@ from road_networks import WIDTH, lane, linked, road, write
 
 
 def read(path: Path) -> tuple[RoadNetwork, list[str]]:
-    """Network of a file, and what is said of it."""
+    """The network of a file, and its notices."""
     root = XmlFiles().root(path)
     elements = list(root.iter())
     network = RoadNetwork.of_xml(root, path)
@@ -158,7 +158,7 @@ def test_43_8_a_road_that_cannot_be_used_is_left_out(tmp_path):
     network, notices = read(path)
     assert [one.name for one in network.roads] == ["1"]
     assert notices == ["road 2 (road.xodr, line 1): is left out: has no <geometry> in its <planView>"]
-    # Who asks for it is told why.
+    # Using it raises an error with the reason.
     with pytest.raises(InputError, match="road 2: has no <geometry>"):
         network.index_of("2")
     lane_path = network.path_of_lane(0, -1, 0.0, True)
@@ -212,9 +212,9 @@ SECOND = f'<laneSection s="{{}}">{CENTER}<right>{lane(-1, -1, -1, WIDTH.replace(
 @pytest.mark.parametrize(
     ("old", "new", "end", "said"),
     [
-        ("</lanes>", f"{SECOND.format(0)}</lanes>", -1.0, "<laneSection> at the place of another (road.xodr, line 1): several begin at s = 0 m; the last"),
+        ("</lanes>", f"{SECOND.format(0)}</lanes>", -1.0, "<laneSection> at the position of another (road.xodr, line 1): several begin at s = 0 m; the last"),
         ("</lanes>", f"{SECOND.format(120)}</lanes>", -2.0, "<laneSection> beyond the end of its road (road.xodr, line 1): begins at s = 120 m, but the road ends at 100 m"),
-        (WIDTH, WIDTH + WIDTH.replace("4", "2"), -1.0, "<width> at the place of another (road.xodr, line 1): several begin at 0 m; the last"),
+        (WIDTH, WIDTH + WIDTH.replace("4", "2"), -1.0, "<width> at the position of another (road.xodr, line 1): several begin at 0 m; the last"),
         ('sOffset="0"', 'sOffset="50"', -2.0, "first <width> of <lane> (road.xodr, line 1): begins at 50 m of its lane section, and its curve holds before"),
         ('sOffset="0"', 'sOffset="-50"', -2.0, "first <width> of <lane> (road.xodr, line 1): begins at -50 m of its lane section"),
         ("</right>", f"{lane(-3)}</right>", -2.0, "number -3 of <lane> (road.xodr, line 1): the lane -2 is missing and taken as 0 m wide"),

@@ -1,4 +1,4 @@
-"""Roads whose pieces do not quite meet: nobody turns there, and nobody loses time."""
+"""Roads with small gaps between geometries: entities neither turn nor lose time there."""
 
 from __future__ import annotations
 
@@ -21,13 +21,13 @@ def line(s, x, y, length):
 
 
 def pieces(aside):
-    """A road of 200 m whose pieces of 2 m lie aside of each other, by turns to both sides."""
+    """A road of 200 m whose geometries of 2 m are offset alternately to both sides."""
     geometries = "".join(line(2 * k, 2 * k, aside * (k % 2), 2) for k in range(100))
     return f'<road id="1" length="200" junction="-1"><planView>{geometries}</planView>{LANE}</road>'
 
 
 def two_roads(aside, ahead):
-    """Two roads that are linked, the second of which begins aside of the end of the first, and ahead of it."""
+    """Two linked roads; the second one starts beside the end of the first one, and ahead of it."""
     onto = '<link><successor elementType="road" elementId="2" contactPoint="start"/></link>'
     back = '<link><predecessor elementType="road" elementId="1" contactPoint="end"/></link>'
     first, second = (

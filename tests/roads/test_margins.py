@@ -1,4 +1,4 @@
-"""Compiled reference lines and edges of roads against those that they are twins of."""
+"""Compiled reference lines and edges of roads agree with those of `Road`."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Ways through networks: where they go on, which exit they take, and where they end."""
+"""Routes through networks: continuations, exits, ends."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ TURN = 2 * np.pi
 @pytest.mark.parametrize("first", [0.0, TURN, -TURN])
 @pytest.mark.parametrize("order", [1, -1])
 def test_who_goes_straight_on_takes_no_notice_of_whole_turns_in_headings(tmp_path, first, order):
-    # The straight road of the junction is written in two pieces, whose headings differ by a whole turn.
+    # The straight road of the junction has two geometries, whose headings differ by a full turn.
     straight = road("straight", 20.0, at=(100.0, 0.0, first), junction="j",
                     links=linked("predecessor", "in", "end") + linked("successor", "east", "start"))  # fmt: skip
     straight = straight.replace('length="20.0"><line/></geometry>', 'length="10.0"><line/></geometry>'

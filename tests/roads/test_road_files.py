@@ -1,4 +1,4 @@
-"""Road files that cannot be used, and shapes that come out the same however they are written."""
+"""Road files that cannot be used, and equivalent descriptions of the same shape."""
 
 from __future__ import annotations
 
@@ -68,7 +68,7 @@ def test_a_parabola_is_the_same_as_a_polynomial_of_either_kind(tmp_path):
     x, y, heading = one
     np.testing.assert_allclose(y, 0.001 * x**2, atol=1e-6)
     np.testing.assert_allclose(np.tan(heading), 0.002 * x, atol=1e-5)
-    # The length along it is s.
+    # The curve length is s.
     arc = 0.5 * x * np.hypot(1.0, 0.002 * x) + np.arcsinh(0.002 * x) / 0.004
     np.testing.assert_allclose(arc, s, atol=1e-3)
 

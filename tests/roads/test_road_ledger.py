@@ -1,4 +1,4 @@
-"""Each element and attribute of OpenDRIVE: used, named as without effect, or refused.
+"""Each element and attribute of OpenDRIVE is used, reported as without effect, or refused.
 
 ``PYTHONPATH=tests python tests/roads/test_road_ledger.py`` writes docs/opendrive.md from the ledger.
 """

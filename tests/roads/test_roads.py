@@ -63,7 +63,7 @@ def test_right_turn_is_smooth_and_ends_in_the_eastern_arm():
     assert (path.x[-1], path.y[-1]) == pytest.approx((112.0, -1.75))
     assert np.hypot(np.diff(path.x), np.diff(path.y)).max() < 0.11
     assert np.abs(path.curvature).max() == pytest.approx(1 / 7, rel=1e-3)
-    # 100 m, the turn of two straights and a quarter circle, 100 m.
+    # 100 m, a turn of two lines and a quarter circle, 100 m.
     assert path.distance[-1] == pytest.approx(200 + 2 * 3.25 + 7 * np.pi / 2, abs=1e-3)
 
 
@@ -71,7 +71,7 @@ def test_between_samples_s_is_that_of_the_reference_line():
     network = RoadNetwork.read(EXAMPLES / "x_intersection" / "x_intersection.xodr")
     path = network.path_of_lane(network.index_of("1"), -1, 0.0, True, ((network.index_of("2"), 1, 20.0),))
     assert path is not None
-    # In the middle of the turn the road bends, and its lane is longer or shorter than its reference line.
+    # In the middle of the turn, the lane is longer or shorter than the reference line.
     turn = np.flatnonzero(np.abs(path.curvature) > 0.1)[10:-10]
     distance = path.distance[turn][:, None] + np.array([0.0, 0.05, 0.0999])
     s = np.apply_along_axis(path.s_at, 1, distance)
@@ -102,21 +102,21 @@ def test_locate_inverts_world():
             assert (place.lane == lane).all()
             np.testing.assert_allclose(place.s, s, atol=1e-6)
             np.testing.assert_allclose(place.offset, offset, atol=1e-6)
-            # A place that was asked for before is the same, whatever became of what was found.
+            # A cached result does not change if the returned arrays are changed.
             for _ in range(2):
                 alone = network.locate(x[:1], y[:1])
                 assert [one[0] for one in alone] == [one[0] for one in place]
                 alone.s[:], alone.lane[:] = 0.0, 7
 
 
-# Lanes of files of others that do not meet end to end, as (road, lane, linked lane).
+# Lanes of foreign files that do not meet, as (road, lane, linked lane).
 APART = {
-    # A lane begins or ends with no width beside the one that it is linked to: half a lane lies between their middles.
+    # A lane starts or ends with zero width beside the linked one, so their centers are half a lane apart.
     "soderleden.xodr": {("0", -3, -2)},
     "two_plus_one.xodr": {("1", 1, 1), ("1", -1, -1)},
-    # The file links the outer border of one road to the inner one of the other, where it means the outer one.
+    # The file links the outer border of a road to the inner one of the other road instead of the outer one.
     "straight_2x100m_opposite.xodr": {("2", -3, 2)},
-    # The strips beside the lanes, of type none, are 20 m wide on one road and 4.7 m on the other.
+    # Lanes of type none are 20 m wide on one road and 4.7 m on the other.
     "multi_intersections.xodr": {("284", 4, 4), ("284", -4, -4)},
 }
 
@@ -204,7 +204,7 @@ def test_43_3_a_parametric_cubic_is_followed_by_its_length(text, top):
     fine = np.linspace(0.0, length, 20_001)
     turned = np.gradient(np.unwrap(cubic.at(fine)[2]), fine)
     np.testing.assert_allclose(cubic.bend(fine[5:-5]), turned[5:-5], atol=2e-2 * np.abs(turned).max())
-    # Beyond its ends it goes straight on, as fast.
+    # Straight continuation beyond its ends.
     x, y, heading = cubic.at(np.array([-7.0, 0.0, length, length + 9.0]))
     assert np.hypot(np.diff(x), np.diff(y))[[0, 2]] == pytest.approx([7.0, 9.0])
     assert np.arctan2(np.diff(y), np.diff(x))[[0, 2]] == pytest.approx(heading[[0, 3]])
@@ -221,7 +221,7 @@ def test_43_3_a_parametric_cubic_of_another_length_ends_where_the_file_says():
 
 
 def test_43_3_a_car_keeps_its_speed_on_a_parametric_cubic(tmp_path):
-    # Its parameter runs 1.9 times as fast at the begin as at the end.
+    # The parameter changes 1.9 times as fast at the start as at the end.
     shape = '<paramPoly3 pRange="normalized" aU="0" bU="131" cU="-46" dU="0" aV="0" bV="0" cV="0" dV="38"/>'
     cubic = _parametric("0 131 -46 0  0 0 0 38", 100.0, 1.0)
     u = np.linspace(0.0, 1.0, 200_001)
@@ -231,7 +231,7 @@ def test_43_3_a_car_keeps_its_speed_on_a_parametric_cubic(tmp_path):
     rn.write(tmp_path, rn.road("1", round(length, 9), shape=shape))
     recording = run(path, duration=4.0)
     speed = np.hypot(np.diff(recording.x[0]), np.diff(recording.y[0])) / np.diff(recording.time)
-    # A step is straight, and the bend at its begin counts for all of it.
+    # Each step is straight, with the curvature of its start.
     np.testing.assert_allclose(speed, 20.0, rtol=5e-3)
     assert speed.mean() == pytest.approx(20.0, rel=1e-3)
 

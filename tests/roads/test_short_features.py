@@ -1,4 +1,4 @@
-"""Roads with features that are no longer than rounding, as exports of drawn roads have them."""
+"""Roads with features as short as rounding errors, as in exports of road editors."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from conftest import moving, private, run, scenario_file, speed_action, teleport
 from cornercase._common.errors import InputError
 from cornercase.roads import RoadNetwork
 
-# m; below, at and above what is told from rounding.
+# m; below, at and above the tolerance for rounding.
 LENGTHS = (0.0, 1e-15, 1e-12, 1e-9, 4.6e-8, 5e-7, 1e-6, 1.1e-6, 3e-6, 1e-5, 2.1e-5, 1e-4, 3e-3, 0.04)
 WIDTH = '<width sOffset="{}" a="4" b="0" c="0" d="0"/>'
 GEOMETRY = '<geometry s="{}" x="{}" y="0" hdg="0" length="{}">{}</geometry>'
@@ -61,7 +61,7 @@ def short_geometry(shape: str):
 
 
 def short_last_geometry(length: float) -> str:
-    # Nothing of it may go on to the end of the road.
+    # It must not be continued to the end of the road.
     return one_road(
         geometries=GEOMETRY.format(0, 0, 99.99, "<line/>")
         + GEOMETRY.format(99.99, 99.99, min(length, 1e-6), '<spiral curvStart="0" curvEnd="0.1"/>')
@@ -106,7 +106,7 @@ def test_43_1_a_short_feature_of_a_road_changes_no_motion(tmp_path: Path, featur
         rn.write(tmp_path, FEATURES[feature](length))
         recording = run(path, duration=9.0)
         x = 1.17 + 10.0 * recording.time
-        # An arc or spiral of some centimetres turns the lane a little, which then is another way.
+        # An arc or spiral of some centimetres changes the heading a little.
         near = 1e-6 + (length if feature in ("arc", "spiral", "offset", "width", "road") else 0.0)
         np.testing.assert_allclose(recording.x[0], x, atol=near, err_msg=f"{feature} of {length:g} m")
         np.testing.assert_allclose(recording.y[0], -2.0, atol=near, err_msg=f"{feature} of {length:g} m")

@@ -1,4 +1,4 @@
-"""Roads that contradict themselves: refused in a sentence, or named."""
+"""Inconsistent roads are refused in a sentence, or reported."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Roads that nobody here wrote: where their lanes are by CARLA and esmini, and whether each can be driven."""
+"""Roads of other projects: lane positions agree with CARLA and esmini, and each lane can be driven."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ def by_file() -> list[Any]:
 
 # Files on whose lanes the speed differs by more than 0.1 %, by a part of their path.
 INEXACT = {
-    # A lane begins straight across its road.
+    # A lane starts at a right angle to its road.
     "new_lane_appear_junction_valid_1": 2.2,
 }
 

@@ -1,4 +1,4 @@
-"""Constraints of parameters: data of the space, in the study as in the search."""
+"""Constraints of parameters belong to the space, in the study and in the search."""
 
 from __future__ import annotations
 
@@ -85,13 +85,13 @@ def test_a_rule_that_does_not_exist_is_refused():
 
 @pytest.fixture(scope="module")
 def constrained(tmp_path_factory):
-    """A copy of the X-intersection whose parameters are constrained, and what a search of it says."""
+    """A copy of the X-intersection with constrained parameters, and the result of its exploration."""
     folder = tmp_path_factory.mktemp("constrained") / "x_intersection"
     shutil.copytree(EXAMPLES / "x_intersection", folder)
     path = folder / "x_intersection.xosc"
     text = path.read_text(encoding="utf-8")
     group = '<ConstraintGroup><ValueConstraint rule="lessThan" value="${$pedestrian_wait * 4 + 35}"/></ConstraintGroup>'
-    # Declared behind what it is constrained by.
+    # Declared after the parameter in its constraint.
     (declared,) = re.findall(r'<ParameterDeclaration [^>]*name="ego_start"[^>]*/>', text)
     (waits,) = re.findall(r'<ParameterDeclaration [^>]*name="pedestrian_wait"[^>]*/>', text)
     text = text.replace(declared, "").replace(waits, f"{waits}{declared[:-2]}>{group}</ParameterDeclaration>")
@@ -113,7 +113,7 @@ def test_explore_and_show_judge_the_same_space(constrained):
     with Study.open(study, readonly=True) as opened:
         assert opened.space == searched
         np.testing.assert_array_equal(opened.space.admits(points), searched.admits(points))
-    # What explore stopped for is what show says.
+    # `show` gives the same reason for stopping as `explore`.
     shown = json.loads(cornercase("show", study, "--json").stdout)["critical"]
     width = shown["share"]["high"] - shown["share"]["low"]
     assert f"the critical share is known within {width:.2%}" in " ".join(said.split())

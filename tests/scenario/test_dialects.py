@@ -1,4 +1,4 @@
-"""Formats that are near to OpenSCENARIO XML: openPASS's, drafts of 1.4, the DSL, and what was before 1.0."""
+"""Formats similar to OpenSCENARIO XML: openPASS, drafts of 1.4, the DSL, and versions before 1.0."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The files that belong to a scenario: catalogs, and roads that a parameter names."""
+"""Files that belong to a scenario: catalogs, and road files that a parameter names."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ def test_an_entry_is_found_in_any_catalog_of_the_name(tmp_path):
     catalog(tmp_path / "a", "one", "Cars", ("large", 6))
     catalog(tmp_path / "b", "two", "Cars", ("small", 3))
     assert simulate(from_catalogs(tmp_path, "a", "b"), duration=0.1).length == [3.0]
-    # By the name of its file, too, as in esmini.
+    # As in esmini, the file name is also the name of the catalog.
     assert simulate(from_catalogs(tmp_path, "a", "b", name="two"), duration=0.1).length == [3.0]
 
 
@@ -95,10 +95,10 @@ def test_a_road_that_a_varied_parameter_names_belongs_to_the_scenario(tmp_path):
     (tmp_path / "other.xodr").write_text(ROAD.replace('a="4"', 'a="3"'))
     after = LogicalScenario.read(None, space)
     assert after.fingerprint != before.fingerprint
-    # A worker that reads it now sees that it is another one.
+    # A worker that reads it now detects the change.
     with pytest.raises(InputError, match="has changed since it was read"):
         _ = copy.root
-    # Where it is not varied, it does not count.
+    # Not part of the fingerprint if the parameter does not vary.
     assert Scenario.read(tmp_path / "scenario.xosc").fingerprint() not in (before.fingerprint, after.fingerprint)
 
 
@@ -122,7 +122,7 @@ def test_a_place_at_the_end_of_the_world_is_none(tmp_path):
 
 @pytest.mark.parametrize("other", ["<OpenSCENARIO>", "scenario", "space"])
 def test_43_only_files_that_hold_a_catalog_are_catalogs(tmp_path, other):
-    """A folder of catalogs may be that of the scenario, in which others lie, too."""
+    """The scenario's own folder, with other scenarios in it, may be the catalog folder."""
     catalog(tmp_path, "one", "Cars", ("small", 3))
     path = from_catalogs(tmp_path, "")
     before = Scenario(path).fingerprint(), check(path).notices

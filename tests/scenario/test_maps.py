@@ -1,4 +1,4 @@
-"""Road files that scenarios name without saying where they are, as those for CARLA do."""
+"""Road files that scenarios name without a path, as those for CARLA do."""
 
 from __future__ import annotations
 
@@ -148,7 +148,7 @@ def test_43_7_workers_find_what_the_command_finds(tmp_path, maps):
 
 
 def test_43_7_a_map_that_is_lost_on_the_way_is_told_by_a_worker(tmp_path, maps):
-    """The sentence of a worker process arrives as it is."""
+    """The message of a worker process arrives unchanged."""
     path = town(tmp_path / "s")
     with looking_in([maps]):
         concrete = ConcreteScenario(path, {}, Scenario.read(path))

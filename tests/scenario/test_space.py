@@ -182,7 +182,7 @@ def test_values_are_distributed_as_random_numbers_within_the_bounds(tmp_path, la
     places = (np.arange(200) + 0.5) / 200
     values = np.array([one["n"] for one in space.values(places[:, None])])
     expected = drawn[(places * len(drawn)).astype(int)]
-    # The one place at which a count ends may fall on either side.
+    # The upper bound of a count may be rounded to either side.
     assert np.mean(np.abs(values - expected) > 0.02 * (high - low)) <= 0.02
     again = space.values(space.points(space.values(places[:, None])))
     assert again[7]["n"] == pytest.approx(values[7])
@@ -194,7 +194,7 @@ def test_bounds_far_in_the_tail_are_kept(tmp_path):
     values = [one["n"] for one in space.values(np.linspace(0, 1, 11)[:, None])]
     assert values[0] == 20
     assert values == sorted(values)
-    # Beyond x, the tail falls by e in about 1 / x.
+    # Beyond x, the tail decreases by a factor of e within about 1 / x.
     assert values[5] == pytest.approx(20 + np.log(2) / 20, rel=1e-3)
 
 
@@ -225,7 +225,7 @@ def test_histogram_and_set_share_the_unit_interval_by_weight(tmp_path):
         f'<Histogram><Bin weight="-1">{RANGE.format(0, 1)}</Bin></Histogram>',
         f'<Histogram><Bin weight="0">{RANGE.format(0, 1)}</Bin></Histogram>',
         '<ProbabilityDistributionSet><Element value="a" weight="0"/></ProbabilityDistributionSet>',
-        # Numbers of which nothing is left when they are added.
+        # Numbers that are lost in a sum.
         '<NormalDistribution expectedValue="1e308" variance="1"/>',
         f'<NormalDistribution expectedValue="0" variance="1">{RANGE.format(-1e308, 1e308)}</NormalDistribution>',
         '<NormalDistribution expectedValue="1e9" variance="1e-30"/>',

@@ -1,4 +1,4 @@
-"""Parameters that are declared as texts and used as numbers."""
+"""Parameters declared as text and used as numbers."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ def test_43_8_a_text_that_is_no_number_is_refused_in_an_expression(tmp_path):
 
 @pytest.mark.parametrize(("text", "good"), [("-4", True), ("-10", False), ("4", False)])
 def test_43_8_constraints_compare_texts_that_are_numbers_as_numbers(tmp_path, text, good):
-    # As texts "-4" lies outside of "-5" to "-3", and "-10" between them.
+    # Compared as texts, "-4" is outside of "-5" to "-3", and "-10" inside.
     group = (
         '<ConstraintGroup><ValueConstraint rule="greaterOrEqual" value="-5"/>'
         '<ValueConstraint rule="lessOrEqual" value="-3"/></ConstraintGroup>'

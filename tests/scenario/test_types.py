@@ -1,4 +1,4 @@
-"""Values have the types that the scenario file declares: as they are drawn, compared, run, shown and written."""
+"""Values keep their declared types when they are drawn, compared, run, shown and written."""
 
 from __future__ import annotations
 
@@ -59,7 +59,7 @@ def test_a_range_of_integers_gives_whole_numbers(tmp_path):
         assert drawn(again, "n") == values
         assert space.values(space.points([{"n": 3}]))[0]["n"] in expected
     assert str(LogicalScenario.read(path, None, ["n=-2:3"]).space.parameters[0]) == "n -2 to 3"
-    # Searched as an interval, they are whole numbers still.
+    # Integers even if searched as a continuous interval.
     assert set(drawn(LogicalScenario.read(path, None, ["n=2:6:4"], continuous=True).space, "n")) == {2, 3, 4, 5, 6}
 
 
@@ -92,7 +92,7 @@ def test_a_range_of_a_boolean_is_false_and_true(tmp_path):
 
 
 def test_a_range_of_a_text_gives_texts_without_decimals(tmp_path):
-    """Names of roads are texts; those of most files are numbers."""
+    """Road ids are texts; in most files they look like numbers."""
     init = teleport("5").replace('roadId="1"', 'roadId="$road"')
     path = file(tmp_path, ("road", "string", "1", ""), init=init)
     (tmp_path / "road.xodr").write_text(
@@ -160,7 +160,7 @@ def test_check_finds_a_scenario_within_narrow_constraints(tmp_path):
         tmp_path, "p", '<DistributionRange stepWidth="0.001"><Range lowerLimit="6" upperLimit="8"/></DistributionRange>'
     )
     assert check(path, space).good
-    # Hardly any of infinitely many: said in one sentence.
+    # Almost no point is admissible: one sentence.
     (trouble,) = check(
         path,
         space_file(

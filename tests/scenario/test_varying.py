@@ -1,4 +1,4 @@
-"""Numbers of a scenario file that are no parameters: what they are called, and what is written where they vary."""
+"""Numbers of a scenario file that are not parameters: their names, and the file in which they vary."""
 
 from __future__ import annotations
 
@@ -54,7 +54,7 @@ def listed(path: Path) -> dict[str, Variable]:
 
 
 def everything_varied(path: Path, folder: Path) -> Path:
-    """The scenario in another folder, where each number that stands in it is a parameter."""
+    """The scenario in another folder, with each of its numbers as a parameter."""
     source = Scenario.read(path)
     numbers = tuple(one for one in variables(path) if not one.fixed and not one.declared)
     target = folder / "deeper" / path.name

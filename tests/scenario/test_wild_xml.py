@@ -1,4 +1,4 @@
-"""XML that other tools read, though it breaks the rules of XML."""
+"""Malformed XML that other tools accept."""
 
 from __future__ import annotations
 

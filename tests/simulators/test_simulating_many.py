@@ -173,7 +173,7 @@ def test_where_nothing_can_be_run_nothing_is_left(tmp_path):
 BAD = {
     "an unknown parameter": ("ego_strat\n1\n", "has a column 'ego_strat'", "did you mean 'ego_start'?"),
     "no number": ("ego_start\n1\nfast\n", "line 3: the parameter ego_start is 'fast'", "not a number"),
-    "an empty field": ("ego_start,p1_speed\n1,\n", "line 2", "one is empty"),
+    "an empty field": ("ego_start,p1_speed\n1,\n", "line 2", "has an empty field"),
     "no rows": ("ego_start\n", "has a header but no rows", ""),
     "no header": ("", "needs a header", "an empty one"),
     "no parameter": ("file\na.csv\n", "needs a header", "not file"),

@@ -89,8 +89,9 @@ def read_sections(
         for side, side_sections in sides.items():
             if not single or element.find(side) is not None:
                 if side_sections and side_sections[-1].start == start:
+                    subject = "<laneSection> at the position of another"
                     reason = f"several begin at s = {start:g} m; the last one in the file counts"
-                    adapt(element, "<laneSection> at the place of another", reason, "each begins after the one before")
+                    adapt(element, subject, reason, "each begins after the one before")
                 side_sections.append(_Side(start, _read_lanes(element, side, where)))
     starts = sorted({section.start for side_sections in sides.values() for section in side_sections})
     if starts and abs(starts[0]) > _LATE:
@@ -251,7 +252,7 @@ def read_polynomials(elements: Iterable[etree._Element], name: str, where: str) 
         if start in seen:
             reason = f"several begin at {start:g} m; the last one in the file counts"
             tag = element.tag
-            adapt(element, f"<{tag}> at the place of another", reason, f"each <{tag}> begins after the one before")
+            adapt(element, f"<{tag}> at the position of another", reason, f"each <{tag}> begins after the one before")
         seen.add(start)
     return tuple(sorted(cubics, key=lambda cubic: cubic[0]))
 

@@ -25,6 +25,8 @@ _MOST_STEPS: Final = 2.0**53
 class Parameter:
     """One varied parameter.
 
+    Its values have positions in the unit interval, from 0 to 1. Steps and choices have a part of it each.
+
     Attributes
     ----------
     name : str
@@ -109,7 +111,6 @@ class Parameter:
         Parameters
         ----------
         u : float
-            From 0 to 1.
 
         Returns
         -------
@@ -123,7 +124,6 @@ class Parameter:
         Parameters
         ----------
         u : ndarray of float64, shape (n,)
-            From 0 to 1.
 
         Returns
         -------
@@ -141,7 +141,6 @@ class Parameter:
         Parameters
         ----------
         values : mapping of str to float or str
-            All values of the concrete scenario.
 
         Returns
         -------
@@ -166,7 +165,6 @@ class Parameter:
         Parameters
         ----------
         values : mapping of str to float or str
-            All values of the concrete scenario.
 
         Returns
         -------
@@ -187,7 +185,6 @@ class Parameter:
         Parameters
         ----------
         u : float
-            From 0 to 1.
 
         Returns
         -------
@@ -246,12 +243,10 @@ class Parameter:
         Parameters
         ----------
         u : ndarray of float64, shape (n,)
-            From 0 to 1.
 
         Returns
         -------
         ndarray of int64, shape (n,)
-            From 0.
         """
         if self._edges is not None:
             return np.asarray(np.searchsorted(self._edges[1:-1], u, side="right"), dtype=np.int64)

@@ -28,6 +28,8 @@ _SAMPLED = 2048
 class ParameterSpace:
     """A box of named parameters, possibly restricted by constraints.
 
+    Points are in the unit cube: each coordinate is the position of a value in the unit interval, see `Parameter`.
+
     Parameters
     ----------
     parameters : sequence of Parameter
@@ -107,7 +109,6 @@ class ParameterSpace:
         Parameters
         ----------
         ranges : sequence of str
-            One for each parameter.
 
         Returns
         -------
@@ -268,7 +269,6 @@ class ParameterSpace:
         Parameters
         ----------
         points : ndarray of float64, shape (n, d)
-            In the unit cube.
 
         Returns
         -------
@@ -284,12 +284,11 @@ class ParameterSpace:
         Parameters
         ----------
         points : ndarray of float64, shape (n, d)
-            In the unit cube; coordinates outside are clipped.
+            Coordinates outside are clipped.
 
         Returns
         -------
         list of dict of str to float or str, length n
-            By parameter of the scenario.
         """
         # By column for speed: with constraints, a search tests 100,000 points.
         columns: dict[str, list[Value]] = {}
@@ -308,7 +307,6 @@ class ParameterSpace:
         Returns
         -------
         ndarray of float64, shape (n, d)
-            In the unit cube.
 
         Raises
         ------
@@ -335,7 +333,7 @@ class ParameterSpace:
         Returns
         -------
         ndarray of float64, shape (n, d)
-            In the unit cube; the first is `center_point`.
+            The first is `center_point`.
         """
         count = max(len(parameter.choices) for parameter in self.parameters)
         points = np.full((max(count, 1), self.dimension), 0.5)
@@ -360,7 +358,6 @@ class ParameterSpace:
         Returns
         -------
         ndarray of float64, shape (n, d)
-            In the unit cube.
         """
         snapped = np.clip(np.asarray(points, dtype=np.float64), 0.0, 1.0).copy()
         for j, parameter in enumerate(self.parameters):
@@ -379,7 +376,7 @@ class ParameterSpace:
         Returns
         -------
         ndarray of float64, shape (n, d)
-            In the unit cube; the last parameter varies fastest.
+            The last parameter varies fastest.
         """
         axes = []
         for j, parameter in enumerate(self.parameters):
@@ -396,7 +393,7 @@ class ParameterSpace:
         Parameters
         ----------
         points : ndarray of float64, shape (n, d)
-            In the unit cube; constraints are ignored.
+            Constraints are ignored.
 
         Returns
         -------
@@ -440,7 +437,6 @@ class ParameterSpace:
         Parameters
         ----------
         plain : mapping
-            As returned by `to_json`.
 
         Returns
         -------
