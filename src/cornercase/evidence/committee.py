@@ -170,8 +170,7 @@ class Committee:
         """Scenarios that trees use: all, or half nearest to the threshold, and of the rest the rarer class first."""
         if len(scores) <= MOST_GROWN:
             return np.arange(len(scores))
-        order = np.argsort(np.abs(scores - self._threshold), kind="stable")
-        near, rest = order[: MOST_GROWN // 2], np.sort(order[MOST_GROWN // 2 :])
+        near, rest = self._nearest_and_rest(scores, MOST_GROWN // 2)
         critical = scores[rest] <= self._threshold
         rare = critical if 2 * critical.sum() < len(critical) else ~critical
         return np.sort(np.concatenate([near, rest[chosen(len(rest), MOST_GROWN - len(near), rare)]]))
@@ -183,9 +182,13 @@ class Committee:
         """
         if len(scores) <= MOST_KNOWN:
             return None
-        order = np.argsort(np.abs(scores - self._threshold), kind="stable")
-        near, rest = order[: MOST_KNOWN // 2], np.sort(order[MOST_KNOWN // 2 :])
+        near, rest = self._nearest_and_rest(scores, MOST_KNOWN // 2)
         return np.sort(np.concatenate([near, rest[evenly(len(rest), MOST_KNOWN - len(near))]]))
+
+    def _nearest_and_rest(self, scores: FloatArray, count: int) -> tuple[IntArray, IntArray]:
+        """Indices of the `count` scores nearest to the threshold, and of the others in order."""
+        order = np.argsort(np.abs(scores - self._threshold), kind="stable")
+        return order[:count], np.sort(order[count:])
 
     def _learned_from(self, scores: FloatArray, features: FloatArray | None) -> FloatArray:
         if features is None or not self._inputs:

@@ -132,7 +132,7 @@ class GaussianProcess:
     """Gaussian process with a Matérn kernel (5/2) and a length scale per dimension.
 
     `fit` learns the kernel and conditions on the values. The steps are also available separately:
-    `fit_hyperparameters`, `condition_on`, and `conditioned_on_more` for additional values. `max_noise` is the greatest
+    `fit_hyperparameters`, `condition_on`, and `with_more_values` for additional values. `max_noise` is the greatest
     standard deviation of single values, `squash_scale` that of `squash_around_threshold`, if the values come from it.
     """
 
