@@ -46,13 +46,13 @@ class Committee:
        predict the features of each scenario from all other scenarios and from those of each branch
        (`PerBranchFeatureModels`). Without features, the score is used instead.
     2. A random forest on the parameters, which follows jumps too.
-    3. The `fit_boundary_process`, which is best at smooth boundaries.
+    3. The process of `fit_boundary_process`, which is best at smooth boundaries.
 
     The weights maximize the likelihood of the known outcomes under the weighted mean of out-of-fold predictions.
 
     `fit` learns everything; `condition_on` updates the data at less cost. With more than 2,000 scenarios the feature
     processes use 2,000: half of them nearest to the threshold, the others evenly spaced among the rest. Trees use at
-    most 4,000: half nearest to the threshold, of the rest the rarer class first. The `fit_boundary_process` uses all.
+    most 4,000: half nearest to the threshold, of the rest the rarer class first. The process uses all.
 
     `columns` describes the features; `has_prediction` says whether the last coordinate of points is the prediction of
     another study (`SourceStudyModel`); `process` is the third member.
