@@ -6,8 +6,8 @@ from scipy.stats import qmc
 from sklearn.gaussian_process import GaussianProcessRegressor
 from sklearn.gaussian_process.kernels import ConstantKernel, Matern
 
-from cornercase.evidence import CriticalSet, gaussian_process
-from cornercase.evidence.gaussian_process import boundary_process
+from cornercase.evidence import CriticalSet
+from cornercase.evidence.gaussian_process import GaussianProcess, boundary_process
 from cornercase.evidence.kernel import Kernel
 from cornercase.evidence.neighbours import NearestPosterior
 from cornercase.scenario import ParameterSpace
@@ -62,7 +62,7 @@ def test_of_many_scenarios_the_nearest_follow_a_boundary_that_few_points_smooth_
     points, scores = many
 
     def wrong(most_together):
-        monkeypatch.setattr(gaussian_process, "MOST_TOGETHER", most_together)
+        monkeypatch.setattr(GaussianProcess, "max_induced_values", most_together)
         mean, deviation = boundary_process(points, scores, 0.0).predict(places)
         # Errors are where the process is uncertain.
         assert (np.abs(mean / deviation)[(mean <= 0.0) != true] < 4.0).mean() > 0.9

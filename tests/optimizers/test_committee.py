@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from conftest import at_night
-from cornercase.evidence import Committee, boundary_process, committee
+from cornercase.evidence import Committee, boundary_process
 from cornercase.metrics import Feature
 from cornercase.optimizers import CommitteeOptimizer, LevelSetOptimizer, SobolOptimizer
 from cornercase.scenario import Parameter, ParameterSpace
@@ -59,13 +59,14 @@ def test_it_follows_a_score_that_jumps_where_one_process_cannot(by):
 
 
 @pytest.mark.slow
-def test_of_many_scenarios_its_processes_know_those_that_tell_most(monkeypatch):
+def test_of_many_scenarios_its_processes_know_those_that_tell_most():
+    class Limited(Committee):
+        max_process_scenarios = 150
+
     points = SobolOptimizer(CUBE, 1).ask(300)
-    scores, told = outcome(points)
-    monkeypatch.setattr(committee, "MOST_KNOWN", 300)
-    every = Committee(THRESHOLD, FEATURES).fit(points, scores, told).predict(EVERYWHERE)[0]
-    monkeypatch.setattr(committee, "MOST_KNOWN", 150)
-    some = Committee(THRESHOLD, FEATURES).fit(points, scores, told)
+    scores, features = outcome(points)
+    every = Committee(THRESHOLD, FEATURES).fit(points, scores, features).predict(EVERYWHERE)[0]
+    some = Limited(THRESHOLD, FEATURES).fit(points, scores, features)
     true = outcome(EVERYWHERE)[0] <= THRESHOLD
     for critical in (every, some.predict(EVERYWHERE)[0]):
         recall, precision = agreement(critical > 0.5, true)
@@ -78,11 +79,13 @@ def test_of_many_scenarios_its_processes_know_those_that_tell_most(monkeypatch):
 
 
 @pytest.mark.slow
-def test_of_many_scenarios_its_trees_know_those_that_tell_most(monkeypatch):
+def test_of_many_scenarios_its_trees_know_those_that_tell_most():
+    class Limited(Committee):
+        max_tree_scenarios = 200
+
     points = SobolOptimizer(CUBE, 1).ask(400)
-    scores, told = outcome(points)
-    monkeypatch.setattr(committee, "MOST_GROWN", 200)
-    some = Committee(THRESHOLD, FEATURES).fit(points, scores, told)
+    scores, features = outcome(points)
+    some = Limited(THRESHOLD, FEATURES).fit(points, scores, features)
     recall, precision = agreement(some.predict(EVERYWHERE)[0] > 0.5, outcome(EVERYWHERE)[0] <= THRESHOLD)
     assert recall > 0.75
     assert precision > 0.75
@@ -90,7 +93,7 @@ def test_of_many_scenarios_its_trees_know_those_that_tell_most(monkeypatch):
     assert wrong.shape == (400,)
     assert wrong.mean() < 0.1
     # Further scenarios use the same kernels.
-    some.know(points[:300], scores[:300], told[:300])
+    some.know(points[:300], scores[:300], features[:300])
     assert some.out_of_fold().shape == (300,)
 
 

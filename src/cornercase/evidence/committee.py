@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, ClassVar, Final
 
 import numpy as np
 from scipy.special import ndtr
@@ -13,12 +13,6 @@ from cornercase.evidence.foretold import ForetoldByWay, Kernels
 from cornercase.evidence.gaussian_process import GaussianProcess, boundary_process, near_threshold
 from cornercase.evidence.kernel import chosen, evenly
 from cornercase.metrics import Feature
-
-MOST_KNOWN: Final = 2000
-"""Greatest number of scenarios that the feature processes use."""
-
-MOST_GROWN: Final = 4000
-"""Greatest number of scenarios that trees are trained on."""
 
 FOUND: Final = 0.45
 """Probability from which a scenario is predicted critical: half of the F1 score, 0.9, that a search aims at.
@@ -52,13 +46,13 @@ class Committee:
        predict the features of each scenario from all other scenarios and from those of each branch
        (`PerBranchFeatureModels`). Without features, the score is used instead.
     2. A random forest on the parameters, which follows jumps too.
-    3. The `fit_boundary_process`, which is best at smooth boundaries.
+    3. The process of `fit_boundary_process`, which is best at smooth boundaries.
 
     The weights maximize the likelihood of the known outcomes under the weighted mean of out-of-fold predictions.
 
     `fit` learns everything; `condition_on` updates the data at less cost. With more than 2,000 scenarios the feature
     processes use 2,000: half of them nearest to the threshold, the others evenly spaced among the rest. Trees use at
-    most 4,000: half nearest to the threshold, of the rest the rarer class first. The `fit_boundary_process` uses all.
+    most 4,000: half nearest to the threshold, of the rest the rarer class first. The process uses all.
 
     `columns` describes the features; `has_prediction` says whether the last coordinate of points is the prediction of
     another study (`SourceStudyModel`); `process` is the third member.
@@ -67,6 +61,9 @@ class Committee:
     "Extremely randomized trees", Machine Learning 63 (2006); D. H. Wolpert, "Stacked generalization", Neural Networks 5
     (1992).
     """
+
+    max_process_scenarios: ClassVar[int] = 2000
+    max_tree_scenarios: ClassVar[int] = 4000
 
     def __init__(
         self, threshold: float, columns: Sequence[Feature] = (), seed: int = 0, *, foretold: bool = False
@@ -168,24 +165,27 @@ class Committee:
 
     def _known_by_trees(self, scores: FloatArray) -> IntArray:
         """Scenarios that trees use: all, or half nearest to the threshold, and of the rest the rarer class first."""
-        if len(scores) <= MOST_GROWN:
+        if len(scores) <= self.max_tree_scenarios:
             return np.arange(len(scores))
-        order = np.argsort(np.abs(scores - self._threshold), kind="stable")
-        near, rest = order[: MOST_GROWN // 2], np.sort(order[MOST_GROWN // 2 :])
+        near, rest = self._nearest_and_rest(scores, self.max_tree_scenarios // 2)
         critical = scores[rest] <= self._threshold
         rare = critical if 2 * critical.sum() < len(critical) else ~critical
-        return np.sort(np.concatenate([near, rest[chosen(len(rest), MOST_GROWN - len(near), rare)]]))
+        return np.sort(np.concatenate([near, rest[chosen(len(rest), self.max_tree_scenarios - len(near), rare)]]))
 
     def _known_by_processes(self, scores: FloatArray) -> IntArray | None:
         """Scenarios that the feature processes use: None for all, or half nearest to the threshold.
 
         The other half is evenly spaced among the rest.
         """
-        if len(scores) <= MOST_KNOWN:
+        if len(scores) <= self.max_process_scenarios:
             return None
+        near, rest = self._nearest_and_rest(scores, self.max_process_scenarios // 2)
+        return np.sort(np.concatenate([near, rest[evenly(len(rest), self.max_process_scenarios - len(near))]]))
+
+    def _nearest_and_rest(self, scores: FloatArray, count: int) -> tuple[IntArray, IntArray]:
+        """Indices of the `count` scores nearest to the threshold, and of the others in order."""
         order = np.argsort(np.abs(scores - self._threshold), kind="stable")
-        near, rest = order[: MOST_KNOWN // 2], np.sort(order[MOST_KNOWN // 2 :])
-        return np.sort(np.concatenate([near, rest[evenly(len(rest), MOST_KNOWN - len(near))]]))
+        return order[:count], np.sort(order[count:])
 
     def _learned_from(self, scores: FloatArray, features: FloatArray | None) -> FloatArray:
         if features is None or not self._inputs:

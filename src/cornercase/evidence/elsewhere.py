@@ -11,10 +11,11 @@ from cornercase.evidence.gaussian_process import boundary_process
 class Elsewhere:
     """Predicts scores from another study: of another driver, another simulator or a coarser time step.
 
-    A `fit_boundary_process` of the other study's scores predicts how far each scenario is from the threshold, with 0 at
-    the threshold. A process of the scores at hand uses this as one more coordinate (`fit_boundary_process` with
-    ``has_prediction``). If the other study predicts the scores, the new process varies along this coordinate and little
-    along the others, so few scenarios suffice to learn the relation; if it does not, the coordinate is dropped.
+    A boundary process of the other study's scores (`fit_boundary_process`) predicts how far each scenario is from the
+    threshold, with 0 at the threshold. A process of the scores at hand uses this as one more coordinate
+    (`fit_boundary_process` with ``has_prediction``). If the other study predicts the scores, the new process varies
+    along this coordinate and little along the others, so few scenarios suffice to learn the relation; if it does not,
+    the coordinate is dropped.
 
     `points` (n, e) are scenarios of the other study, encoded in the space at hand; `scores` (n,) are minimized and
     finite, not all the same.

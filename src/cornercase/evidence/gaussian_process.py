@@ -6,6 +6,7 @@ from concurrent.futures import ThreadPoolExecutor
 from copy import copy
 from dataclasses import replace
 from operator import itemgetter
+from typing import ClassVar
 
 import numpy as np
 from scipy.linalg.blas import dtrmm, strmm
@@ -15,7 +16,7 @@ from cornercase._common.platform import available_cpus
 from cornercase._common.threads import one_thread
 from cornercase._common.typing import BoolArray, FloatArray, IntArray
 from cornercase.evidence.kernel import Floats, Kernel, chosen, evenly, learned_kernel
-from cornercase.evidence.neighbours import MOST_TOGETHER, NearestPosterior
+from cornercase.evidence.neighbours import NearestPosterior
 from cornercase.evidence.posterior import MOST_EXACT, Posterior, SparsePosterior, positive_factor, posterior
 from cornercase.evidence.products import products_of_rows, times_lower_transposed
 from cornercase.scenario import ParameterSpace
@@ -99,7 +100,7 @@ def boundary_process(
         """Fit one process; return its leave-one-out log-likelihood of the sides."""
         values = near_threshold(scores, threshold, near)
         process = GaussianProcess(most_noise, near).learn(points, values, start, rare, used)
-        if len(points) > MOST_TOGETHER:
+        if len(points) > GaussianProcess.max_induced_values:
             mean, deviation = process.told_by_nearest(points, values, subset)
         else:
             mean, deviation = process.know(points[subset], values[subset]).leave_one_out()
@@ -132,9 +133,12 @@ class GaussianProcess:
     """Gaussian process with a Matérn kernel (5/2) and a length scale per dimension.
 
     `fit` learns the kernel and conditions on the values. The steps are also available separately:
-    `fit_hyperparameters`, `condition_on`, and `conditioned_on_more` for additional values. `max_noise` is the greatest
+    `fit_hyperparameters`, `condition_on`, and `with_more_values` for additional values. `max_noise` is the greatest
     standard deviation of single values, `squash_scale` that of `squash_around_threshold`, if the values come from it.
     """
+
+    max_induced_values: ClassVar[int] = 4000
+    """Number of values up to which inducing points are used; with more, each point uses the values nearest to it."""
 
     def __init__(self, most_noise: float = 0.3, near: float = 1.0) -> None:
         self.most_noise, self.near = most_noise, near
@@ -205,7 +209,7 @@ class GaussianProcess:
     def _take(self, known: Posterior) -> None:
         self._known = known
         self._nearest = None
-        if isinstance(known, SparsePosterior) and len(known.values) > MOST_TOGETHER:
+        if isinstance(known, SparsePosterior) and len(known.values) > self.max_induced_values:
             self._nearest = NearestPosterior(self.kernel, known.known, known.values)
         self._factors: tuple[Floats, Floats] = known.weights, np.asfortranarray(known.inverse)
         single = known.weights.astype(np.float32), np.asfortranarray(known.inverse, dtype=np.float32)

@@ -21,8 +21,8 @@ def left_out(
     """Predict each score, or `indices`, from all others: mean and deviation as of `GaussianProcess.leave_one_out`.
 
     With few scores per dimension the length scales of the kernel overfit, and leave-one-out predictions are too good.
-    Then each fifth of the scores is predicted with a kernel learned from the other four fifths. `process` is a
-    `fit_boundary_process` of the scores.
+    Then each fifth of the scores is predicted with a kernel learned from the other four fifths. `process` is that of
+    `fit_boundary_process`.
     """
     count, dims = points.shape
     if count > min(_FEW * dims, MOST_EXACT):

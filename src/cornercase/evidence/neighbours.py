@@ -14,9 +14,6 @@ from cornercase._common.threads import one_thread
 from cornercase._common.typing import FloatArray, IntArray
 from cornercase.evidence.kernel import Kernel, correlations
 
-MOST_TOGETHER: Final = 4000
-"""Number of values up to which inducing points are used; with more, each point uses the values nearest to it."""
-
 # Number of nearest values: per dimension, least and most.
 _NEAREST, _FEWEST, _MOST = 12, 32, 64
 _CHUNK: Final = 64

@@ -70,10 +70,12 @@ class TrafficQuality(Metric):
         """Traffic quality, or the chosen term of it, at each instant; `other` is not used."""
         scene = _Scene(recording, ego)
         if self.term != "all":
-            term: FloatArray = getattr(scene, self.term)()
+            term: FloatArray = getattr(scene, f"{self.term}_term")()
             return np.where(scene.exists[scene.ego], term, np.nan)
-        squares = scene.macro() ** 2 + scene.micro() ** 2 + scene.nano() ** 2 + scene.individual() ** 2
-        return np.where(scene.exists[scene.ego], scene.penalty() * np.sqrt(squares), np.nan)
+        squares = (
+            scene.macro_term() ** 2 + scene.micro_term() ** 2 + scene.nano_term() ** 2 + scene.individual_term() ** 2
+        )
+        return np.where(scene.exists[scene.ego], scene.penalty_term() * np.sqrt(squares), np.nan)
 
 
 class _Scene:
@@ -91,17 +93,17 @@ class _Scene:
         self.near: BoolArray = self.exists & (np.hypot(offsets[..., 0], offsets[..., 1]) <= radius)
         self.near[self.ego] = False
 
-    def macro(self) -> FloatArray:
+    def macro_term(self) -> FloatArray:
         return _variation(self.speed, self.exists)
 
-    def micro(self) -> FloatArray:
+    def micro_term(self) -> FloatArray:
         fraction: FloatArray = self.near.sum(0) / np.maximum(self.exists.sum(0), 1)
         return fraction
 
-    def nano(self) -> FloatArray:
+    def nano_term(self) -> FloatArray:
         return _variation(self.speed, self.near)
 
-    def individual(self) -> FloatArray:
+    def individual_term(self) -> FloatArray:
         time = self.recording.time
         # Stored times are rounded, so a sample that is 2 s old up to a small tolerance belongs to the window.
         first = np.searchsorted(time, time - _WINDOW - 1e-6)
@@ -109,7 +111,7 @@ class _Scene:
         speed = _mean_since(first, self.speed[self.ego])
         return 0.5 * (np.abs(acceleration) / 1.5 + speed / 13.89)
 
-    def penalty(self) -> FloatArray:
+    def penalty_term(self) -> FloatArray:
         a, b = np.triu_indices(len(self.centers), 1)
         offsets = self.centers[a] - self.centers[b]
         center_distance = np.where(self.exists[a] & self.exists[b], np.hypot(offsets[..., 0], offsets[..., 1]), np.inf)

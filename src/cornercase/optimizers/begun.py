@@ -77,5 +77,5 @@ class BegunOptimizer(CandidateOptimizer):
 
 
 def _chosen(asked: int) -> int:
-    """Number of points that another study chooses among the first `asked`."""
+    """Number of points that another study chooses among the first `n_points`."""
     return math.floor(_CHOSEN * min(asked, _BEGUN))

@@ -110,7 +110,7 @@ def _solve(position, velocity, radius, growth, count, out):
 
 @kernel(error_model="numpy")
 def _maximum(bend, gain, closing, top):
-    """Write to `top` where gain t⁴/2 - bend t² + 2 closing t is largest up to its inflection.
+    """Write to `out` where gain t⁴/2 - bend t² + 2 closing t is largest up to its inflection.
 
     Half the slope, gain t³ - bend t + closing, is convex and falls up to the inflection; Newton's method runs into its
     first root from the left.

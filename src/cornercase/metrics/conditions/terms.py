@@ -97,13 +97,13 @@ def truth_of(part: Part, known: Mapping[Fact, bool | None]) -> bool | None:
     """Whether a condition holds, in Kleene's three-valued logic: None if that depends on unknown statements."""
     if not isinstance(part, Connected):
         return known[part]
-    truths = [truth_of(operand, known) for operand in part.operands]
+    results = [truth_of(operand, known) for operand in part.operands]
     if part.operator == "not":
-        return None if truths[0] is None else not truths[0]
+        return None if results[0] is None else not results[0]
     decisive = part.operator == "or"
-    if decisive in truths:
+    if decisive in results:
         return decisive
-    return None if None in truths else not decisive
+    return None if None in results else not decisive
 
 
 def span_of(part: Part, known: Mapping[Fact, Span]) -> Span:

@@ -54,10 +54,13 @@ class _Parser:
             self._refuse_rest()
         return formula
 
-    def implication(self) -> Node:
+    def _enter(self) -> None:
         self.depth += 1
         if self.depth > _DEEPEST:
             self.words.refuse(f"brackets and operators are nested more than {_DEEPEST} deep.")
+
+    def implication(self) -> Node:
+        self._enter()
         left = self.disjunction()
         if self.words.take_if("->"):
             left = Operation("->", (left, self.implication()))
@@ -89,9 +92,7 @@ class _Parser:
     def unary(self) -> Node:
         word = self.words.next
         if word.kind == "name" and word.text in ("not", "always", "eventually"):
-            self.depth += 1
-            if self.depth > _DEEPEST:
-                self.words.refuse(f"brackets and operators are nested more than {_DEEPEST} deep.")
+            self._enter()
             operator = cast('Literal["not", "always", "eventually"]', self.words.take().text)
             interval = None if operator == "not" else self.interval()
             operation = Operation(operator, (self.unary(),), interval)

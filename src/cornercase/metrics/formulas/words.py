@@ -42,7 +42,7 @@ class Word:
 
 
 class Words:
-    """Reads a formula token by token; `what` names it in messages."""
+    """Reads a formula token by token; `language` names it in messages."""
 
     def __init__(self, text: str, what: str = "formula") -> None:
         self._text, self._what = text, what
