@@ -241,9 +241,7 @@ def _within(folder: Path, place: str) -> Path:
     if any(
         part in ("", ".", "..") or ":" in part or "\0" in part for part in parts
     ) or not file.parent.resolve().is_relative_to(folder.resolve()):
-        raise InputError(
-            f"{folder}: the manifest lists {place[:100]}, not a file in the folder; run `reduce` again."
-        )
+        raise InputError(f"{folder}: the manifest lists {place[:100]}, not a file in the folder; run `reduce` again.")
     return file
 
 
