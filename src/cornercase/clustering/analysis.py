@@ -34,16 +34,16 @@ class Analysis:
         Scenarios.
     clustering : Clustering
         Their clusters, in the order of `ids`.
-    fitted : ndarray of int64, shape (m,)
+    fitted_ids : ndarray of int64, shape (m,)
         Ids of the scenarios in which the clusters were found; the others were assigned later.
     profiles : tuple of Profile
         What the scenarios of each cluster have in common, noise last; empty in a study of an early version.
-    tells : mapping of str to float
+    fact_agreement : mapping of str to float
         Adjusted mutual information of the clusters and facts about the scenarios, by fact; empty in a study of an early
         version.
-    every : int
-        Stride: one of `every` instants was compared.
-    inexact : float or None
+    stride : int
+        One of this many instants was compared.
+    embedding_error : float or None
         Mean error of the distances between scenarios that are no landmarks, as a share of the mean distance; None if
         all pairs were compared.
     """
@@ -75,7 +75,7 @@ class Analysis:
 
         Parameters
         ----------
-        scenarios : ndarray of int64 or list of int, shape (m,)
+        scenario_ids : ndarray of int64 or list of int, shape (m,)
             Ids; those that were not analysed are left out.
 
         Returns
@@ -100,7 +100,7 @@ def stored_analysis(
 ) -> tuple[dict[str, npt.ArrayLike], dict[str, Any]]:
     """Return the arrays and the info that `Study.save_analysis` stores of an analysis.
 
-    `compared` are the DTW distances between all scenarios or the landmarks, `distances` those between all scenarios.
+    `dtw_distances` are between all scenarios or the landmarks, `distances` between all scenarios.
     """
     clustering = analysis.clustering
     arrays: dict[str, npt.ArrayLike] = {"ids": analysis.ids, "distances": compared}
@@ -246,7 +246,7 @@ def read_distances(study: Study, by: str) -> Distances:
 
     Returns
     -------
-    ndarray of float64, shape (n, n), or PlacedDistances
+    ndarray of float64, shape (n, n), or EmbeddedDistances
         Dynamic Time Warping between the scenarios in `Analysis.ids`, in the unit of the aspect. If scenarios were
         compared with landmarks only, they are computed on demand from an embedding; index them like a matrix.
 

@@ -264,7 +264,7 @@ class ScenarioClustering(ClusterMixin, BaseEstimator):  # type: ignore[misc]
         ----------
         distances : ndarray of float64, shape (m, n)
             From each new scenario to those that were clustered.
-        between : ndarray of float64, shape (m, m)
+        distances_between_new : ndarray of float64, shape (m, m)
             Between the new ones.
 
         Returns

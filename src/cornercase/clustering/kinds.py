@@ -168,7 +168,7 @@ def _dimension(distances: FloatArray, neighbours: int) -> float:
 
 
 class _Hierarchy:
-    """Single-linkage hierarchy of scenarios by mutual reachability with `needed` neighbours."""
+    """Single-linkage hierarchy of scenarios by mutual reachability with `n_neighbours` neighbours."""
 
     def __init__(self, distances: FloatArray, needed: int, least_gap: float) -> None:
         n = len(distances)
@@ -218,7 +218,7 @@ class _Hierarchy:
         return label, strengths
 
     def _neighbours(self, members: IntArray, others: IntArray, length: float) -> float:
-        """Number of members within `length` of a typical member, extrapolated if `length` exceeds their extent.
+        """Number of members within `radius` of a typical member, extrapolated if `radius` exceeds their extent.
 
         Limited by the number at the members nearest to the others: where a dense part meets a sparse one, or a few
         points lie at a sparse edge, there is no gap between two clusters, though most members of one lie close

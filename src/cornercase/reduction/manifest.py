@@ -35,7 +35,8 @@ def make_manifest(
 ) -> dict[str, Any]:
     """Return the content of ``manifest.json``: the reduced set, its origin, and how to run it again.
 
-    `kinds` are names of clusters; `files` has the SHA-256 of each file that was written, by its path in the folder.
+    `cluster_names` are names of clusters; `files` has the SHA-256 of each file that was written, by its path in the
+    folder.
     """
     meta = study.meta
     return (

@@ -54,7 +54,7 @@ class SetFolder:
     def add(self, place: str, content: bytes) -> None:
         """Write a file of the new set; refuse to overwrite a file that belongs to no set.
 
-        `place` is the path in the folder, with ``/``; a file that is added again must have the same content.
+        `relative_path` is the path in the folder, with ``/``; a file that is added again must have the same content.
         """
         digest = hashlib.sha256(content).hexdigest()
         if self._digests.get(place) == digest:
