@@ -332,7 +332,7 @@ def test_names_that_xml_cannot_hold_are_refused_or_written_out(whole, sent, valu
     [
         ("ttc", lambda info: info.update(method="another"), "an unknown clustering method"),
         ("reduction", lambda info: info["kept"][0].update(values={}), "KeyError"),
-        ("reduction", lambda info: info["kept"][0]["values"].update(v="x"), "a selected scenario with a v of another type"),
+        ("reduction", lambda info: info["kept"][0]["values"].update(v="x"), "a v of the wrong type"),
     ],
 )
 def test_an_analysis_that_was_made_up_is_refused(sent, name, made_up, words):

@@ -22,10 +22,10 @@ class Agreement:
 
     Attributes
     ----------
-    rand, mutual : float
+    adjusted_rand, mutual_information : float
         Adjusted Rand index (Hubert and Arabie 1985) and adjusted mutual information (Vinh et al. 2010): 1 if the
         clusterings are the same, about 0 if they are independent.
-    differ : tuple of int
+    differing : tuple of int
         Ids of the scenarios whose clusters do not match, when clusters are matched so that as many scenarios as
         possible agree.
     """

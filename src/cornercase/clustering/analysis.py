@@ -34,16 +34,16 @@ class Analysis:
         Scenarios.
     clustering : Clustering
         Their clusters, in the order of `ids`.
-    fitted : ndarray of int64, shape (m,)
+    fitted_ids : ndarray of int64, shape (m,)
         Ids of the scenarios in which the clusters were found; the others were assigned later.
     profiles : tuple of Profile
         What the scenarios of each cluster have in common, noise last; empty in a study of an early version.
-    tells : mapping of str to float
+    fact_agreement : mapping of str to float
         Adjusted mutual information of the clusters and facts about the scenarios, by fact; empty in a study of an early
         version.
-    every : int
-        Stride: one of `every` instants was compared.
-    inexact : float or None
+    stride : int
+        One of this many instants was compared.
+    embedding_error : float or None
         Mean error of the distances between scenarios that are no landmarks, as a share of the mean distance; None if
         all pairs were compared.
     """
@@ -75,7 +75,7 @@ class Analysis:
 
         Parameters
         ----------
-        scenarios : ndarray of int64 or list of int, shape (m,)
+        scenario_ids : ndarray of int64 or list of int, shape (m,)
             Ids; those that were not analysed are left out.
 
         Returns
@@ -100,7 +100,7 @@ def stored_analysis(
 ) -> tuple[dict[str, npt.ArrayLike], dict[str, Any]]:
     """Return the arrays and the info that `Study.save_analysis` stores of an analysis.
 
-    `compared` are the DTW distances between all scenarios or the landmarks, `distances` those between all scenarios.
+    `dtw_distances` are between all scenarios or the landmarks, `distances` between all scenarios.
     """
     clustering = analysis.clustering
     arrays: dict[str, npt.ArrayLike] = {"ids": analysis.ids, "distances": compared}
@@ -161,35 +161,26 @@ def read_analysis(study: Study, by: str) -> Analysis:
         ids, labels, embedding = arrays["ids"], arrays["labels"], arrays["embedding"]
         n = len(ids)
         require(
-            all(array.dtype.kind == "i" for array in (ids, labels, arrays["landmarks"])),
-            "ids or labels that are not integers",
+            {array.dtype.kind for array in (ids, labels, arrays["landmarks"])} == {"i"}, "labels that are no integers"
         )
         require(
-            ids.ndim == 1 and set(ids.tolist()) <= run and len(set(ids.tolist())) == n,
-            "an analysis of scenarios that were not run",
+            ids.ndim == 1 and set(ids.tolist()) <= run and len(set(ids.tolist())) == n, "scenarios that were not run"
         )
         require(n > 0, "an analysis without scenarios")
         require(
-            labels.shape == (n,) and bool((labels >= -1).all()) and labels.max(initial=-1) < n,
-            "labels that do not fit the scenarios",
+            labels.shape == (n,) and labels.min(initial=-1) >= -1 and labels.max(initial=-1) < n, "unsuitable labels"
         )
-        require(
-            embedding.ndim == 2 and len(embedding) == n and embedding.dtype.kind == "f",
-            "an embedding that does not fit the scenarios",
-        )
+        require(embedding.ndim == 2 and len(embedding) == n and embedding.dtype.kind == "f", "an unsuitable embedding")
         window = None if info["window"] is None else float(info["window"])
         tells = {str(fact): float(mutual) for fact, mutual in info["tells"].items()}
-        clustering, fitted, profiles = _clustering(arrays, info), _numbers(info["fitted"]), _profiles(info)
+        clustering, profiles = _clustering(arrays, info), _profiles(info)
+        fitted = np.array([int(i) for i in info["fitted"]], dtype=np.int64)
         clusters, sizes = np.unique(labels, return_counts=True)
         described = sorted((profile.cluster, profile.size) for profile in profiles)
         require(
-            described in ([], list(zip(clusters.tolist(), sizes.tolist(), strict=True))),
-            "profiles that do not fit the clusters",
+            described in ([], list(zip(clusters.tolist(), sizes.tolist(), strict=True))), "profiles of other clusters"
         )
-        require(
-            {profile.example for profile in profiles} <= {None, *ids.tolist()},
-            "a profile whose example is not a scenario",
-        )
+        require({profile.example for profile in profiles} <= {None, *ids.tolist()}, "an example that is not a scenario")
         require(isinstance(info["unit"], str), "a unit that is not a string")
         stride, embedding_error = int(info.get("every", 1)), info.get("inexact")
         require(stride >= 1, "a stride below 1")
@@ -200,10 +191,6 @@ def read_analysis(study: Study, by: str) -> Analysis:
         return analysis
     facts = {fact: mutual for fact, mutual in tells.items() if fact != "critical"}
     return replace(analysis, tells=facts | agree_with_critical(study, ids, labels))
-
-
-def _numbers(plain: list[int]) -> IntArray:
-    return np.array([int(value) for value in plain], dtype=np.int64)
 
 
 def _clustering(arrays: Mapping[str, Any], info: Mapping[str, Any]) -> Clustering:
@@ -259,7 +246,7 @@ def read_distances(study: Study, by: str) -> Distances:
 
     Returns
     -------
-    ndarray of float64, shape (n, n), or PlacedDistances
+    ndarray of float64, shape (n, n), or EmbeddedDistances
         Dynamic Time Warping between the scenarios in `Analysis.ids`, in the unit of the aspect. If scenarios were
         compared with landmarks only, they are computed on demand from an embedding; index them like a matrix.
 
@@ -272,13 +259,9 @@ def read_distances(study: Study, by: str) -> Distances:
         arrays, _ = study.analysis(by, "ids", "places")
         with damage_told(study.path):
             coordinates = arrays["places"]
+            require(coordinates.ndim == 2 and len(coordinates) == len(arrays["ids"]), "an unsuitable embedding")
             require(
-                coordinates.ndim == 2 and len(coordinates) == len(arrays["ids"]),
-                "an embedding that does not fit the scenarios",
-            )
-            require(
-                coordinates.dtype.kind == "f" and bool(np.isfinite(coordinates).all()),
-                "coordinates that are not finite",
+                coordinates.dtype.kind == "f" and bool(np.isfinite(coordinates).all()), "an embedding without numbers"
             )
             return PlacedDistances(coordinates)
     arrays, _ = study.analysis(by, "ids", "distances")
@@ -298,8 +281,5 @@ def read_between(study: Study, by: str) -> FloatArray:
 
 
 def _require_distances(distances: FloatArray, n: int) -> None:
-    require(distances.shape == (n, n) and distances.dtype.kind == "f", "distances that do not fit the scenarios")
-    require(
-        bool(np.isfinite(distances).all()) and bool((distances >= 0.0).all()),
-        "distances that are negative or not finite",
-    )
+    require(distances.shape == (n, n) and distances.dtype.kind == "f", "distances of other scenarios")
+    require(bool((np.isfinite(distances) & (distances >= 0.0)).all()), "distances that are negative or not finite")

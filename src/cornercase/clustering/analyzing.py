@@ -74,8 +74,8 @@ def analyze(
     For each aspect, scenarios are compared by Dynamic Time Warping, and `ScenarioClustering` clusters them by these
     distances. With more than 2,000 scenarios, each is compared only with 500 random ones, the landmarks, and series are
     downsampled to at most 100 instants (for a series of median length). The landmarks are clustered, and the others
-    join their clusters. Distances between the others follow from landmark multidimensional scaling; `Analysis.inexact`
-    says how exact they are.
+    join their clusters. Distances between the others follow from landmark multidimensional scaling;
+    `Analysis.embedding_error` says how exact they are.
 
     Parameters
     ----------

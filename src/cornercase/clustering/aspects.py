@@ -166,7 +166,7 @@ for _class in (EgoTrajectory, EgoSpeed, EgoMotion, Interaction, Relative, Bearin
 
 
 def _place(recording: Recording, entity: str, instead: str | None = None) -> FloatArray:
-    """Centre of an entity's box, shape (T, 2); of `instead` if it never exists."""
+    """Centre of an entity's box, shape (T, 2); of `fallback_entity` if it never exists."""
     center = recording.center(entity)
     if instead is not None and not np.isfinite(center).all(axis=1).any():
         return _place(recording, instead)

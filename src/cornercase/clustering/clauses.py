@@ -31,8 +31,8 @@ _DIGITS: Final = (1, 2, 3)
 class Clause:
     """A predicate and the scenarios it holds for, shape (n,).
 
-    `of` says which quantity a bound limits, and on which side; it is empty for predicates without a bound. A name needs
-    only one predicate of each.
+    `quantity` says which quantity a bound limits, and on which side; it is empty for predicates without a bound. A name
+    needs only one predicate of each.
     """
 
     text: str
@@ -154,9 +154,9 @@ def _of_others(outcome: Outcome) -> Iterator[str]:
 
 
 def bounded_clauses(account: Account, wanted: BoolArray, needed: int, rivals: BoolArray) -> list[tuple[int, Clause]]:
-    """Return predicates that separate `wanted` scenarios from `rivals`, with rank 1 for features, 2 for parameters.
+    """Return predicates that separate members from rivals, with rank 1 for features, 2 for parameters.
 
-    Each holds for at least `needed` of the wanted scenarios: more or less of a feature, or part of a parameter's range.
+    Each holds for at least `min_members` of the members: more or less of a feature, or part of a parameter's range.
     """
     other = quoted_name(account.outcomes[0].encounter.entity)
     clauses = [
@@ -198,7 +198,7 @@ def _bounds(
     rivals: BoolArray,
     least: float = -math.inf,
 ) -> Iterator[Clause]:
-    """Yield upper and lower bounds that hold for all wanted scenarios, or for just `needed` of them."""
+    """Yield upper and lower bounds that hold for all members, or for just `min_members` of them."""
     for sign, text in ((-1.0, texts[0]), (1.0, texts[1])):
         signed = sign * values
         own = np.sort(signed[wanted & np.isfinite(values)])

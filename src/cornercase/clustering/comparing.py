@@ -58,7 +58,7 @@ def series_of(
 ) -> list[FloatArray]:
     """Return one time series per finished scenario, or per scenario of `ids`: shape (T_i, k); (T_i,) for a metric.
 
-    `other` is the entity that aspects look at besides the ego, by default the main other one of the study.
+    `other_entity` is the entity that aspects look at besides the ego, by default the main other one of the study.
     """
     require_aspect(study, aspect)
     ids = [row.id for row in study.done()] if ids is None else ids
@@ -74,7 +74,8 @@ def series_of(
 def series_in(study: Study, scenario: int, recording: Recording, aspect: Aspect, other: str) -> FloatArray:
     """Return the time series of one scenario for an aspect, shape (T, k), checked.
 
-    `other` is the entity that the aspect looks at besides the ego; it is the same in all scenarios that are compared.
+    `other_entity` is the entity that the aspect looks at besides the ego; it is the same in all scenarios that are
+    compared.
     """
     # Read-only, since all aspects get the same recording.
     for name in MOTION:
@@ -141,7 +142,7 @@ def instants_apart(lengths: Sequence[int]) -> int:
 
 
 def thinned(series: FloatArray, every: int) -> FloatArray:
-    """Take every `every`-th instant of a series, shape (T,) or (T, k), and the last one."""
+    """Take every `stride`-th instant of a series, shape (T,) or (T, k), and the last one."""
     if every == 1:
         return series
     return np.concatenate((series[:-1:every], series[-1:]))

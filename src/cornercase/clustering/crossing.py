@@ -37,7 +37,7 @@ class Way:
     """Boxes of an entity along its path.
 
     `time` in s, shape (n,); `poses`, shape (4, n), has x and y of the centre in m, and cosine and sine of the heading;
-    `size` is length and width in m. Times after `end` in s were extrapolated.
+    `size` is length and width in m. Times after `end_time` in s were extrapolated.
     """
 
     time: FloatArray
@@ -47,7 +47,7 @@ class Way:
 
     @classmethod
     def of(cls, recording: Recording, name: str, there: BoolArray) -> Way:
-        """Sample the path of entity `name` in a recording; `there`, shape (T,), says when it exists."""
+        """Sample the path of an entity in a recording; `exists`, shape (T,), says when it exists."""
         i, instants = recording.index(name), np.flatnonzero(there)
         size = np.array([recording.length[i], recording.width[i]], dtype=np.float64)
         if not len(instants):
@@ -110,7 +110,7 @@ def _far_apart(one: Way, other: Way) -> bool:
 
 
 def _filled(time: FloatArray, poses: FloatArray, close: float) -> tuple[FloatArray, FloatArray]:
-    """Insert boxes wherever two successive ones are farther apart than `close`."""
+    """Insert boxes wherever two successive ones are farther apart than `max_spacing`."""
     step_lengths = np.hypot(*np.diff(poses[:2]))
     counts = np.clip(np.ceil(step_lengths / max(close, 1e-3)), 1, _MOST_PARTS).astype(np.int64)
     if (counts == 1).all():
@@ -124,7 +124,7 @@ def _filled(time: FloatArray, poses: FloatArray, close: float) -> tuple[FloatArr
 
 
 def _stay(way: Way, at: IntArray, met_by: Callable[[int], BoolArray], other: Way) -> tuple[float, float]:
-    """When an entity is in an overlap: first and last contact of its boxes `at` with boxes of the other."""
+    """When an entity is in an overlap: first and last contact of its boxes with boxes of the other."""
 
     def touch(before: int, after: int) -> float:
         share = touching_share(way.poses, way.size, before, after, other.poses, other.size, met_by(after))

@@ -21,10 +21,10 @@ _HALVINGS = 20
 
 @kernel(error_model="numpy")
 def find_overlaps(a, size_a, b, size_b, tree):
-    """Return which boxes of `a` overlap which of `b`, as runs for `OverlapRuns`.
+    """Return which boxes of path a overlap which of path b, as runs for `OverlapRuns`.
 
-    `a`, shape (4, n), and `b`, shape (4, m), have rows x, y, cosine and sine of the heading; sizes are length and
-    width; `tree` is the AABB tree of the centres of `b`.
+    `poses_a`, shape (4, n), and `poses_b`, shape (4, m), have rows x, y, cosine and sine of the heading; sizes are
+    length and width; `tree` is the AABB tree of the centres of path b.
     """
     reach = 0.5 * (math.hypot(size_a[0], size_a[1]) + math.hypot(size_b[0], size_b[1]))
     wide = reach + _MARGIN
@@ -48,7 +48,7 @@ def find_overlaps(a, size_a, b, size_b, tree):
 
 @kernel(error_model="numpy", _nrt=False)
 def touching_share(a, size_a, before, after, b, size_b, meets):
-    """Return the fraction of a step of `a` at which it first touches a box of `b` marked in `meets`."""
+    """Return the fraction of a step of path a at which it first touches a box of path b in `is_touched`."""
     low, high = 0.0, 1.0
     for _ in range(_HALVINGS):
         share = 0.5 * (low + high)

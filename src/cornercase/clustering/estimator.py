@@ -264,7 +264,7 @@ class ScenarioClustering(ClusterMixin, BaseEstimator):  # type: ignore[misc]
         ----------
         distances : ndarray of float64, shape (m, n)
             From each new scenario to those that were clustered.
-        between : ndarray of float64, shape (m, m)
+        distances_between_new : ndarray of float64, shape (m, m)
             Between the new ones.
 
         Returns
@@ -325,16 +325,8 @@ def cluster(
     ----------
     distances : array_like, shape (n, n)
         Symmetric, zero on the diagonal, finite, in any unit.
-    gamma, eps : float or "auto"
-        Kernel width, and radius of the neighbourhood in the embedding.
-    min_samples : int or "auto"
-        Least number of scenarios in a dense neighbourhood.
-    n_components : int or "auto"
-        Dimensions of the embedding.
-    method : {"dbscan", "hdbscan"}
-        Algorithm that finds the clusters.
-    landmarks : int, "auto" or None
-        Number of scenarios that span the kernel space. All settings as in `ScenarioClustering`.
+    gamma, eps, min_samples, n_components, method, landmarks : float, int or str
+        Settings, as in `ScenarioClustering`.
 
     Returns
     -------

@@ -53,7 +53,7 @@ class KernelSpace:
     def error(self, to_known: FloatArray, between: FloatArray, smallest: float = 1e-10) -> float:
         """Return the relative error (Frobenius norm) of the kernel of further scenarios, rebuilt from the fitted ones.
 
-        Singular values below the share `smallest` of the largest one count as rounding.
+        Singular values below the share `tolerance` of the largest one count as rounding.
         """
         cross, kernel = self._kernel(to_known), self._kernel(between)
         weights = lstsq(self._fitted_kernel, cross.T, cond=smallest)[0]
@@ -66,7 +66,7 @@ class KernelSpace:
 
 
 def _fitted(kernel: FloatArray, centred: FloatArray, count: int) -> tuple[KernelPCA, FloatArray]:
-    """Kernel PCA with `count` components, or with as many as have a positive eigenvalue."""
+    """Kernel PCA with `n_components` components, or with as many as have a positive eigenvalue."""
     model = KernelPCA(count, kernel="precomputed", random_state=0)
     try:
         return model, model.fit_transform(kernel)

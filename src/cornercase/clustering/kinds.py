@@ -43,37 +43,26 @@ _NEAREST_NEIGHBOURS: Final = 2
 
 
 def find_kinds(distances: FloatArray) -> IntArray:
-    """Divide scenarios into clusters if there is evidence for more than one.
+    """Divide scenarios into clusters if there is evidence for more than one; all 0 if there is no structure.
 
-    Parameters
-    ----------
-    distances : ndarray of float64, shape (n, n)
-        Symmetric, zero on the diagonal, in any unit. At equal distances the order of the scenarios may matter.
+    `distances`, shape (n, n), may have any unit; at equal distances the order of the scenarios may matter.
 
-    Returns
-    -------
-    ndarray of int64, shape (n,)
-        Cluster of each scenario; all 0 if there is no structure.
-
-    Notes
-    -----
     The minimum spanning tree of mutual reachability (Campello et al. 2013) merges scenarios, the nearest first. If two
     groups merge at length r, the strength of the split is the number of neighbours that a typical member has within r,
     in the group that has fewer. A point between the groups has hardly more than the `k` neighbours that mutual
     reachability allows, so strength over `k` is a ratio of densities, in any number of dimensions. If r exceeds the
     extent of a group, as for a small group far away, the strength grows with r over the extent. Splits that are no
-    stronger than chance are merged: the weaker group becomes part of the other.
-
-    The strength of the strongest split by chance depends on the number of scenarios and their intrinsic dimension,
-    which is estimated from distances to neighbours (Levina and Bickel 2005). Clusters are divided again until none
+    stronger than chance are merged: the weaker group becomes part of the other. Clusters are divided again until none
     divides.
 
-    Among few scenarios no single split may be clear, though all of them together are: nine gaps of about one length,
-    with nothing between these and the steps within ten groups. So for up to a hundred scenarios all gaps are first
-    tested together. Random gaps between points on a line are exponential, and in `d` dimensions so is the gap to the
-    power of `d`. For each number of groups, the sum of the logarithms of the gaps, as multiples of the longest step
-    within a group, then follows at most a gamma distribution. If one of these sums is too large for chance, the number
-    of groups is taken for which the sum times the silhouette is largest.
+    The strength of the strongest split by chance depends on the number of scenarios and their intrinsic dimension,
+    which is estimated from distances to neighbours (Levina and Bickel 2005).
+
+    Among few scenarios no single split may be clear, though all of them together are. So for up to a hundred scenarios
+    all gaps are first tested together. Random gaps between points on a line are exponential, and in `d` dimensions so
+    is the gap to the power of `d`. For each number of groups, the sum of the logarithms of the gaps, as multiples of
+    the longest step within a group, then follows at most a gamma distribution. If one of these sums is too large for
+    chance, the number of groups is taken for which the sum times the silhouette is largest.
     """
     n = len(distances)
     labels = np.zeros(n, dtype=np.int64)
@@ -179,7 +168,7 @@ def _dimension(distances: FloatArray, neighbours: int) -> float:
 
 
 class _Hierarchy:
-    """Single-linkage hierarchy of scenarios by mutual reachability with `needed` neighbours."""
+    """Single-linkage hierarchy of scenarios by mutual reachability with `n_neighbours` neighbours."""
 
     def __init__(self, distances: FloatArray, needed: int, least_gap: float) -> None:
         n = len(distances)
@@ -229,7 +218,7 @@ class _Hierarchy:
         return label, strengths
 
     def _neighbours(self, members: IntArray, others: IntArray, length: float) -> float:
-        """Number of members within `length` of a typical member, extrapolated if `length` exceeds their extent.
+        """Number of members within `radius` of a typical member, extrapolated if `radius` exceeds their extent.
 
         Limited by the number at the members nearest to the others: where a dense part meets a sparse one, or a few
         points lie at a sparse edge, there is no gap between two clusters, though most members of one lie close

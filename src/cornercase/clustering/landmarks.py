@@ -34,9 +34,9 @@ _AT_ONCE: Final = 1000
 class Compared:
     """Clusters and embedding of scenarios that were compared with landmarks.
 
-    `places`, shape (n, p), are coordinates for `PlacedDistances`; `between`, shape (m, m), are the distances of the
-    landmarks; `error` is the mean absolute error of embedded distances between other scenarios, as a share of the mean
-    distance.
+    `embedding`, shape (n, p), are coordinates for `EmbeddedDistances`; `landmark_distances`, shape (m, m), are the
+    distances of the landmarks; `embedding_error` is the mean absolute error of embedded distances between other
+    scenarios, as a share of the mean distance.
     """
 
     clustering: Clustering
@@ -47,7 +47,7 @@ class Compared:
 
 @dataclass(eq=False)
 class Comparing:
-    """DTW comparison of downsampled series; distances are multiplied by the stride `every`.
+    """DTW comparison of downsampled series; distances are multiplied by the stride `stride`.
 
     `window` is in instants; `progress` is the label of a bar, None for no bar; `seconds` is the time spent so far.
     """

@@ -68,10 +68,10 @@ class Outcome:
     """How a scenario ended for the ego.
 
     `encounter` is with the main other entity of the study, `others` are with further entities that moved, not
-    extrapolated after the end. `impacts` are the ego's collisions by time, `elsewhere` those that do not involve it.
-    `stops`: it comes to stand after it moved. If the other is first on a crossing, `waits`: the ego stands before it
-    enters and before the other has left; `yields`: it does, or slows down by a fifth and speeds up again by a quarter
-    before it enters.
+    extrapolated after the end. `impacts` are the ego's collisions by time, `other_collisions` those that do not involve
+    it. `stops`: it comes to stand after it moved. If the other is first on a crossing, `waits`: the ego stands before
+    it enters and before the other has left; `yields`: it does, or slows down by a fifth and speeds up again by a
+    quarter before it enters.
     """
 
     ego: str

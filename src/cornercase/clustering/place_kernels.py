@@ -15,11 +15,11 @@ _AT_ONCE = 64
 
 @kernel(error_model="numpy")
 def nearest_chosen(products, row_norms, column_norms, chosen, near, found):
-    """Fill `found`, shape (draws, n), with the distance of each row to the nearest column of each choice.
+    """Fill `result`, shape (draws, n), with the distance of each row to the nearest column of each choice.
 
-    `products`, shape (n, m), are inner products of the embeddings, and are overwritten by distances; `chosen`, shape
-    (draws, m), marks the columns of each choice. The `near` nearest columns of a row are found first, and the others
-    are searched only if none of these is in the choice.
+    `inner_products`, shape (n, m), are inner products of the embeddings, and are overwritten by distances; `is_chosen`,
+    shape (draws, m), marks the columns of each choice. The `n_nearest` nearest columns of a row are found first, and
+    the others are searched only if none of these is in the choice.
     """
     columns = products.shape[1]
     smallest, nearest = np.empty(near), np.empty(near, dtype=np.int64)
@@ -43,7 +43,7 @@ def nearest_chosen(products, row_norms, column_norms, chosen, near, found):
 
 @kernel(error_model="numpy", _nrt=False)
 def _find_nearest(away, rising, which):
-    """Fill `rising` with the smallest values in order, and `which` with their indices."""
+    """Fill `smallest` with the smallest values in order, and `indices` with their indices."""
     rising[:] = np.inf
     last = len(rising) - 1
     for first in range(0, len(away), _AT_ONCE):

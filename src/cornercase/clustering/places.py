@@ -153,10 +153,10 @@ class PlacedDistances:
 class Placing:
     """Landmark multidimensional scaling: coordinates of scenarios from their distances to some landmarks.
 
-    `between`, shape (m, m), are the distances of the landmarks. Uses the roots of the distances: DTW sums along a path
-    and is no metric, but its root is nearly Euclidean. Only the 48 largest axes are kept, so distances between very
-    similar scenarios come out too small. V. de Silva, J. Tenenbaum, "Sparse multidimensional scaling using landmark
-    points", 2004.
+    `landmark_distances`, shape (m, m), are the distances of the landmarks. Uses the roots of the distances: DTW sums
+    along a path and is no metric, but its root is nearly Euclidean. Only the 48 largest axes are kept, so distances
+    between very similar scenarios come out too small. V. de Silva, J. Tenenbaum, "Sparse multidimensional scaling using
+    landmark points", 2004.
     """
 
     def __init__(self, between: FloatArray) -> None:

@@ -49,7 +49,7 @@ class Rule:
 
 
 def find_rules(space: ParameterSpace, values: Sequence[Mapping[str, Value]], members: BoolArray) -> tuple[Rule, ...]:
-    """Find the parts of the parameter space in which `members` prevail, by a shallow decision tree.
+    """Find the parts of the parameter space in which members prevail, by a shallow decision tree.
 
     Rules are judged by ten-fold cross-validation: each tenth is judged by the rules of the other nine, and each of
     those counts for the rule of all scenarios that it overlaps most. A rule is returned only if significantly more

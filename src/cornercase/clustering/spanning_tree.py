@@ -12,7 +12,7 @@ from cornercase._common.compiling import kernel
 
 @kernel(error_model="numpy")
 def find_tree(between, ends, lengths):
-    """Fill `ends`, shape (2, n - 1), and `lengths` with the tree's edges; `between`, shape (n, n), is symmetric."""
+    """Fill `ends`, shape (2, n - 1), and `lengths` with the tree's edges; `distances`, shape (n, n), is symmetric."""
     count = len(between)
     nearest, reach = np.zeros(count, dtype=np.int64), between[0].copy()
     outside = np.ones(count, dtype=np.bool_)

@@ -19,7 +19,7 @@ class Stability:
     """Clusterings of ten random parts of 80 % of the scenarios, each in a kernel space of its own.
 
     `distances`, shape (n, n), are divided by their scale; `order`, shape (n,), depends only on the distances; a part
-    has at most `most` scenarios. U. von Luxburg, "Clustering stability: an overview", 2010.
+    has at most `max_part_size` scenarios. U. von Luxburg, "Clustering stability: an overview", 2010.
     """
 
     def __init__(

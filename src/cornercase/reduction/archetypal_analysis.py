@@ -35,8 +35,8 @@ _ITERATIONS: Final = 300
 class Archetypes:
     """Scenarios at the extremes, between which all others lie, as rising indices.
 
-    `explained` is the share of the variance that mixtures of 1, 2, … archetypes explain, before snapping to scenarios;
-    only the last one if the number was given.
+    `explained_variance` is the share of the variance that mixtures of 1, 2, … archetypes explain, before snapping to
+    scenarios; only the last one if the number was given.
     """
 
     indices: IntArray
@@ -46,7 +46,7 @@ class Archetypes:
 def find_archetypes(points: FloatArray, k: int | None = None, *, most: int = MOST_ARCHETYPES) -> Archetypes:
     """Find k archetypes: every point is approximately a mixture of them. They are snapped to the nearest scenarios.
 
-    By default `k` is at the bend of the curve of the explained variance: the first number, up to `most`, after which
+    By default `k` is at the bend of the curve of the explained variance: the first number, up to `max_k`, after which
     one more adds less than 0.02. A. Cutler, L. Breiman, "Archetypal analysis", 1994; projected gradients and the
     FurthestSum start of M. Mørup, L. K. Hansen, "Archetypal analysis for machine learning and data mining", 2012.
     """

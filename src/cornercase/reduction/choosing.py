@@ -38,9 +38,9 @@ class Wish:
 class Material:
     """Scenarios to select from.
 
-    `points`, shape (n, d), are in the unit cube; `distances` are those of all clusterings, `labels`, `embedding` and
-    `critical` (clusters) belong to the first; `exposed`, shape (n, m), says which scenario kills which mutant, if
-    mutants select first.
+    `points`, shape (n, d), are in the unit cube; `distances` are those of all clusterings; `labels`, `embedding` and
+    `critical_clusters` belong to the first; `kills`, shape (n, m), says which scenario kills which mutant, if mutants
+    select first.
     """
 
     points: FloatArray

@@ -33,7 +33,7 @@ def choose_by_cluster(
     ``"auto"`` selects about a tenth of all scenarios, prototypes included: ``n // (10 * clusters) - 1`` archetypes, but
     at least d + 1, since a hull of fewer is flat, and at most 15, as in the paper. By cluster, the prototype comes
     first, then the archetypes by index; no scenario comes twice: a prototype is left out of the hull of the others.
-    `points`, shape (n, d), are in the unit cube; `shaped` defaults to the paper's hulls.
+    `points`, shape (n, d), are in the unit cube; `shaped_clusters` defaults to the paper's hulls.
     """
     points = np.asarray(points, dtype=np.float64)
     distances = distances if isinstance(distances, PlacedDistances) else np.asarray(distances, dtype=np.float64)

@@ -52,7 +52,7 @@ class ShapedCluster:
     parts: tuple[IntArray, ...]
 
     def archetypes(self, points: FloatArray, distances: Distances, most: int) -> IntArray:
-        """Return at most `most` scenarios at the extremes of the cluster, by index; parts get shares by their size."""
+        """Return at most `max_count` extreme scenarios of the cluster, by index; parts get shares by their size."""
         (whole, *more) = self.parts
         if self.shape.method in ("kernel", "pcha") and isinstance(distances, PlacedDistances):
             whole = spread(whole)
@@ -105,7 +105,7 @@ def require_archetype_method(method: str) -> None:
 
 
 def divide_fairly(count: int, weights: Sequence[float]) -> list[int]:
-    """Divide `count` into whole numbers in proportion to weights, by largest remainders."""
+    """Divide `total` into whole numbers in proportion to weights, by largest remainders."""
     if not len(weights):
         return []
     share = count * np.asarray(weights, dtype=np.float64) / np.sum(weights)

@@ -44,7 +44,7 @@ def measure_convexity(points: FloatArray, members: BoolArray) -> float:
 
 
 def _spread_pairs(count: int) -> tuple[IntArray, IntArray]:
-    """Evenly spaced pairs out of all pairs of `count` scenarios; all if there are few."""
+    """Evenly spaced pairs out of all pairs of `n_points` scenarios; all if there are few."""
     pairs = count * (count - 1) // 2
     sample = np.linspace(0, pairs - 1, min(pairs, _PAIRS)).astype(np.int64)
     rows = np.arange(count)

@@ -61,8 +61,8 @@ class Coverage:
 class Gaps:
     """Distances from every scenario to the nearest selected one, by selection.
 
-    `kept` and `medoids`, shape (n,), are for the reduced set and for as many k-medoids; `random`, shape (draws, n), for
-    random selections of the same size.
+    `to_selected` and `to_medoids`, shape (n,), are for the reduced set and for as many k-medoids; `to_random`, shape
+    (draws, n), for random selections of the same size.
     """
 
     kept: FloatArray
@@ -71,9 +71,9 @@ class Gaps:
 
 
 def measure_gaps(distances: Distances, kept: npt.ArrayLike, *, draws: int = DRAWS, seed: int = 0) -> Gaps:
-    """Measure the distance of every scenario to the nearest of `kept`, of k-medoids, and of random selections.
+    """Measure the distance of every scenario to the nearest selected one, k-medoid, and randomly selected one.
 
-    The random selections differ from those that `choose_scenarios` sees. An index that is given twice counts once.
+    The random selections differ from those that `select_scenarios` sees. An index that is given twice counts once.
     """
     indices = np.unique(np.asarray(kept, dtype=np.int64))
     random = draw_choices(len(distances), len(indices), stream="grading", draws=draws, seed=seed)
@@ -85,7 +85,7 @@ def measure_gaps(distances: Distances, kept: npt.ArrayLike, *, draws: int = DRAW
 
 
 def redrawn(gaps: Gaps, distances: Distances, kept: IntArray, seed: int) -> Gaps:
-    """Replace the random selections of `gaps` by those of another seed than 0."""
+    """Replace the random selections by those of another seed than 0."""
     if not seed:
         return gaps
     random = draw_choices(len(distances), len(np.unique(kept)), stream="grading", seed=seed)
@@ -101,9 +101,9 @@ def measure_coverage(
     seed: int = 0,
     gaps: Gaps | None = None,
 ) -> Coverage:
-    """Measure how well the scenarios `kept`, by index, represent all; `ids` name the worst one.
+    """Measure how well the selected scenarios, by index, represent all; `ids` name the worst one.
 
-    `gaps` saves computing them again.
+    `nearest_distances` saves computing them again.
     """
     matrix = distances if isinstance(distances, PlacedDistances) else np.asarray(distances, dtype=np.float64)
     if len(matrix.shape) != 2 or matrix.shape[0] != matrix.shape[1]:

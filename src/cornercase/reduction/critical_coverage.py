@@ -131,7 +131,7 @@ def require_within(share: float) -> None:
 
 
 def _beside(points: FloatArray, others: BoolArray) -> BoolArray:
-    """Mask of the points with one of the `others` among their 2 d nearest neighbours, shape (n,)."""
+    """Mask of the points with one of the others among their 2 d nearest neighbours, shape (n,)."""
     count = min(2 * points.shape[1], len(points) - 1)
     if count < 1:
         return np.zeros(len(points), dtype=np.bool_)

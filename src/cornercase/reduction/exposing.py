@@ -29,8 +29,8 @@ def choose_exposing(exposed: BoolArray, apart: Callable[[Sequence[int]], FloatAr
     Greedily adds the scenario that kills most, where a mutant counts half as much with each selected scenario that
     kills it already. The sum of these counts is submodular, so the result reaches at least 63 % of the maximum (G. L.
     Nemhauser, L. A. Wolsey, M. L. Fisher, "An analysis of approximations for maximizing submodular set functions",
-    1978). Ties go to the scenario farthest from the selected ones; similar ones are skipped. `exposed`, shape (n, m),
-    says which scenario kills which mutant; `apart` returns distances to all, like `Selection.distances_to`.
+    1978). Ties go to the scenario farthest from the selected ones; similar ones are skipped. `kills`, shape (n, m),
+    says which scenario kills which mutant; `distances_to` returns distances to all, like `Selection.distances_to`.
     """
     n_kills = np.zeros(exposed.shape[1])
     is_candidate = exposed.any(axis=1)
@@ -48,7 +48,7 @@ def choose_exposing(exposed: BoolArray, apart: Callable[[Sequence[int]], FloatAr
 
 
 def with_exposure(reduced: ReducedSet, exposure: Exposure, without: Sequence[int]) -> ReducedSet:
-    """Add to a reduced set which mutants it kills, compared with the ids selected `without` mutants."""
+    """Add to a reduced set which mutants it kills, compared with the scenarios selected without mutants."""
     scenarios, already_killed = [], np.zeros(len(exposure.mutants), dtype=np.bool_)
     for scenario, exposed in zip(reduced.kept, exposure.rows_of(reduced.ids), strict=True):
         scenarios.append(

@@ -31,9 +31,9 @@ class Exposure:
     failed : ndarray of bool, shape (n,)
         Scenarios in which the original driver violates a requirement, or that could not be run; they kill nothing.
     mutants : tuple of Mutant
-    exposed : ndarray of bool, shape (n, m)
+    kills : ndarray of bool, shape (n, m)
         Whether a scenario kills a mutant.
-    held_out : Exposure or None
+    held_out : KillMatrix or None
         The same for other mutants of the driver in the same scenarios, which evaluate what these select.
     """
 
@@ -75,7 +75,7 @@ class Exposure:
 
         Returns
         -------
-        Grade
+        MutationScore
         """
         ids = self.scenarios if scenarios is None else scenarios
         return Grade(len(self.mutants), int(self.exposed.any(axis=0).sum()), int(self.rows_of(ids).any(axis=0).sum()))
@@ -139,10 +139,10 @@ class Grade:
     ----------
     mutants : int
         Number of mutants.
-    possible : int
+    killable : int
         Number killed by at least one of all scenarios that were run; the others may be as good as the original there
         (equivalent mutants).
-    exposed : int
+    killed : int
         Number killed by the scenarios in question.
     """
 
@@ -188,11 +188,11 @@ class ExposingChoice:
         Requirements that a mutant could violate.
     candidates : int
         Number of scenarios that were run with the mutants.
-    chosen_by : Grade
+    chosen_by : MutationScore
         For the mutants by which scenarios were selected.
-    held_out : Grade or None
+    held_out : MutationScore or None
         For other mutants, which did not influence the selection; None if there are none.
-    without : Grade or None
+    without : MutationScore or None
         The same for the set that `reduce` selects without mutants.
     """
 

@@ -15,9 +15,9 @@ from cornercase.reduction.gap_kernels import AXES, CELL, Cells
 class CellSums:
     """Weighted sums of powers of the distances to the nearest selected scenario, over all clusterings.
 
-    `places`, shape (n, p) each, are coordinates by clustering, with squared Euclidean distances; `usual` are their
-    units, `heavy` the weights of the scenarios, `power` is 2 or 3, `kept` has at least one index. `gains`, shape (n,),
-    is by how much each scenario lowered the sum when that was last computed; it can only have fallen since.
+    `embeddings`, shape (n, p) each, are coordinates by clustering, with squared Euclidean distances; `usual_distances`
+    are their units; `power` is 2 or 3; at least one scenario is selected. `gains`, shape (n,), is by how much each
+    scenario lowered the sum when that was last computed; it can only have fallen since.
     """
 
     def __init__(
@@ -58,8 +58,8 @@ class CellSums:
     def best(self, gap: FloatArray, alike: float) -> int | None:
         """Return the scenario that lowers the sum most, the first of equals; None if all are similar to selected ones.
 
-        `gap`, shape (n,), is the distance to the nearest selected scenario; up to `alike` two are similar. Only the
-        largest gains are computed again, since gains can only fall.
+        `nearest_distance`, shape (n,), is the distance to the nearest selected scenario; up to `similar_distance` two
+        are similar. Only the largest gains are computed again, since gains can only fall.
         """
         index = int(gap_kernels.find_best(self.gains, gap, alike, self._cells))
         return None if index < 0 else index

@@ -125,7 +125,7 @@ def _measure_away(place, centres, away):
 
 @kernel(error_model="numpy", _nrt=False)
 def _come_near(place, cell, near, apart):
-    """Fill `apart` with squared distances to a cell; False as soon as none can be nearer than `near`."""
+    """Fill `result` with squared distances to a cell; False as soon as none can be nearer than `nearest_squares`."""
     apart[:] = 0.0
     for stage in range(len(place)):
         n_nearer = 0

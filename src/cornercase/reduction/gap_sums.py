@@ -39,7 +39,7 @@ class Composition(NamedTuple):
 class GapSums:
     """Weighted sums of powers of the distances to the nearest selected scenario, over all clusterings.
 
-    `critical`, shape (n,), marks scenarios of critical clusters; `size` is the number of scenarios to select.
+    `is_critical`, shape (n,), marks scenarios of critical clusters; `size` is the number of scenarios to select.
     """
 
     def __init__(
@@ -74,7 +74,7 @@ class GapSums:
         return [self._costs(k, candidates) for k in range(len(self._distances))]
 
     def left(self, kept: Sequence[int]) -> list[FloatArray]:
-        """Return what each scenario adds to the sum for the selected ones `kept`, shape (n,) by clustering."""
+        """Return what each scenario adds to the sum for the selected ones, shape (n,) by clustering."""
         left_costs = [np.full(len(self._weights), np.inf) for _ in self._distances]
         for first in range(0, len(kept), BLOCK):
             batch = np.asarray(kept[first : first + BLOCK], dtype=np.int64)
@@ -83,7 +83,7 @@ class GapSums:
         return left_costs
 
     def gains(self, left: Sequence[FloatArray], candidates: IntArray) -> FloatArray:
-        """Return by how much each candidate would lower the sum; `left` as returned by the method of that name."""
+        """Return by how much each candidate would lower the sum, given the uncovered costs."""
         gains = np.zeros(len(candidates))
         block = max(1, _AT_ONCE // len(self._weights))
         for first in range(0, len(candidates), block):
@@ -113,7 +113,7 @@ class GapSums:
         return CellSums(embeddings, self._usual, heavy, self._power, kept)
 
     def exchanged(self, kept: list[int], fixed: int, selection: Selection) -> list[int]:
-        """Exchange each scenario after the first `fixed` ones for another one if that lowers the sum; return all."""
+        """Exchange each scenario after the first `n_fixed` ones for another one if that lowers the sum; return all."""
         kept = kept[:]
         everyone = np.arange(len(selection.gap))
         pair_distances = selection.apart(everyone)
@@ -134,7 +134,7 @@ class GapSums:
 
 
 class _Rows:
-    """Lazy greedy search by rows of costs, with the methods of `CellSums`."""
+    """Lazy greedy search by rows of costs, with the methods of `CellCoverageSums`."""
 
     def __init__(self, sums: GapSums, kept: Sequence[int]) -> None:
         self._sums = sums
@@ -159,7 +159,7 @@ class _Rows:
 
 
 def _usual(distances: Distances, near: int) -> float:
-    """Mean distance of each scenario to its `near`-th neighbour, 1 if that is 0."""
+    """Mean distance of each scenario to its `n_neighbours`-th neighbour, 1 if that is 0."""
     n = len(distances)
     # A slice of a matrix is not a copy.
     blocks: list[slice | IntArray] = [slice(first, first + BLOCK) for first in range(0, n, BLOCK)]

@@ -54,7 +54,7 @@ def hold_out(ran: Ran, trials: Sequence[Trial]) -> dict[str, HeldOutGaps | None]
 
 
 def find_gaps(ran: Ran, kept: Sequence[int]) -> dict[str, Gaps]:
-    """Measure the distances to the selected ids `kept` and to baselines, by aspect.
+    """Measure the distances to the selected ids and to baselines, by aspect.
 
     Aspects by which no selected scenario was analysed are left out.
     """
@@ -65,9 +65,9 @@ def find_gaps(ran: Ran, kept: Sequence[int]) -> dict[str, Gaps]:
 def grade(
     ran: Ran, kept: Sequence[int], held_out: Mapping[str, HeldOutGaps | None], gaps: Mapping[str, Gaps] | None = None
 ) -> dict[str, Coverage]:
-    """Measure how well the selected ids `kept` represent all scenarios, by aspect.
+    """Measure how well the selected ids represent all scenarios, by aspect.
 
-    `gaps` saves computing them again. Aspects by which no selected scenario was analysed are left out.
+    `nearest_distances` saves computing them again. Aspects by which no selected scenario was analysed are left out.
     """
     coverage = {}
     for name, analysis in ran.analyses.items():
@@ -87,10 +87,10 @@ def grade_critical(
     gaps: Mapping[str, Gaps] | None = None,
     alike: Mapping[str, float] | None = None,
 ) -> dict[str, CriticalCoverage]:
-    """Measure how well the selected ids `kept` represent the critical scenarios, by aspect; empty without a threshold.
+    """Measure how well the selected ids represent the critical scenarios, by aspect; empty without a threshold.
 
-    `within` is the share of the median distance within clusters up to which two scenarios are similar, unless `alike`
-    has the distance itself. `gaps` are redrawn with the seed of the study.
+    `similarity` is the share of the median distance within clusters up to which two scenarios are similar, unless
+    `similar_distances` has the distance itself. Random selections are redrawn with the seed of the study.
     """
     meta, space = ran.study.meta, ran.study.space
     objective = Objective.of_study(meta)

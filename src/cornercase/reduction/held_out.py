@@ -90,8 +90,8 @@ class HeldOutCritical:
 class HeldOutGaps:
     """Distances from held-out scenarios to the nearest selected one, to k-medoids, and to random selections.
 
-    `judging`, shape (m,), are the held-out scenarios by index; `kept` and `medoids` have shape (m,), `random` (draws,
-    m).
+    `held_out`, shape (m,), are the held-out scenarios by index; `to_selected` and `to_medoids` have shape (m,),
+    `to_random` (draws, m).
     """
 
     judging: IntArray
@@ -162,7 +162,8 @@ def judge_critical(
 ) -> HeldOutCritical | None:
     """Return the shares of critical held-out scenarios within a distance of a selected one; None if there are none.
 
-    `critical` and `edge`, shape (n,), mark the critical scenarios and those on the boundary of the critical set.
+    `critical_mask` and `boundary_mask`, shape (n,), mark the critical scenarios and those on the boundary of the
+    critical set.
     """
     if gaps is None or not critical[gaps.judging].any():
         return None

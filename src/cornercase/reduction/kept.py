@@ -33,8 +33,8 @@ class Kept:
 class Selection:
     """Scenarios selected so far; one that is similar to a selected one, or beyond `size`, is not added.
 
-    `gap`, shape (n,), is the distance from each scenario to the nearest selected one, as in `distances_to`; infinite
-    while none is selected. `kept` are the selected scenarios in order.
+    `nearest_distance`, shape (n,), is the distance from each scenario to the nearest selected one, as in
+    `distances_to`; infinite while none is selected. `selected` are the selected scenarios in order.
     """
 
     def __init__(self, distances: Sequence[Distances], size: int | None) -> None:

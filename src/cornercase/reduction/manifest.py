@@ -35,7 +35,8 @@ def make_manifest(
 ) -> dict[str, Any]:
     """Return the content of ``manifest.json``: the reduced set, its origin, and how to run it again.
 
-    `kinds` are names of clusters; `files` has the SHA-256 of each file that was written, by its path in the folder.
+    `cluster_names` are names of clusters; `files` has the SHA-256 of each file that was written, by its path in the
+    folder.
     """
     meta = study.meta
     return (
@@ -127,10 +128,7 @@ def read_reduction(study: Study) -> ReducedSet | None:
         for scenario in reduced.kept:
             for parameter in study.space.parameters:
                 value = parameter.read(scenario.values)
-                require(
-                    bool(parameter.choices) == isinstance(value, str),
-                    f"a selected scenario with a {parameter.name} of another type",
-                )
+                require(bool(parameter.choices) == isinstance(value, str), f"a {parameter.name} of the wrong type")
         require(corners | set(reduced.ids) <= ids, "a reduced set with scenarios that were not run")
         return reduced
 
@@ -139,12 +137,9 @@ def _kept(plain: Mapping[str, Any]) -> KeptScenario:
     scenario = made(KeptScenario, plain)
     require(scenario.role in get_args(Role), f"a selected scenario with the role {str(scenario.role)[:60]!r}")
     require(
-        all(isinstance(value, float | int | str) for value in scenario.values.values()),
-        "a selected scenario without values",
+        all(isinstance(value, float | int | str) for value in scenario.values.values()), "a scenario without values"
     )
-    require(
-        all(isinstance(value, float | int) for value in scenario.scores.values()), "a selected scenario without scores"
-    )
+    require(all(isinstance(value, float | int) for value in scenario.scores.values()), "a scenario without scores")
     return scenario
 
 

@@ -55,9 +55,9 @@ class ReducedSet:
     ----------
     by : str
         Aspect whose clusters count.
-    run : int
+    n_run : int
         Number of scenarios that had been run.
-    kept : tuple of KeptScenario
+    scenarios : tuple of SelectedScenario
         Selected scenarios, in the order of selection.
     shapes : tuple of ClusterShape
         By cluster; empty in a study of an early version.
@@ -68,7 +68,7 @@ class ReducedSet:
     hulls : mapping of int to tuple of tuple of int
         By cluster the facets of its hull in the parameter space, or of the hulls of its near-convex parts; each facet
         by the ids of the scenarios at its corners.
-    exposing : ExposingChoice or None
+    exposing : MutantSelection or None
         Result of selecting by mutants; None without.
     threshold : float or None
         Score from which a scenario was critical when they were selected; None without a threshold.

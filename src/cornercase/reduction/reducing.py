@@ -101,7 +101,7 @@ def reduce(
     critical : float, optional
         Score from which a scenario is critical, to select and to evaluate by; by default that of the study, which is
         not changed.
-    exposure : Exposure, optional
+    kill_matrix : KillMatrix, optional
         Which scenarios kill which mutants of the driver, from `cornercase.suite.find_exposure`: scenarios that kill as
         many as possible come first, then those that are selected without.
     scenario : path or Scenario, optional

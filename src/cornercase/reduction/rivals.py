@@ -19,7 +19,7 @@ BETTER: Final = 0.95
 class Rivals:
     """Random selections in each clustering, and k-medoids in the critical clusters of the first.
 
-    `labels` are those of the first clustering, `critical` its critical clusters, `size` the number of selected
+    `labels` are those of the first clustering, `critical_clusters` its critical clusters, `size` the number of selected
     scenarios.
     """
 

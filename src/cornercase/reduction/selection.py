@@ -60,7 +60,7 @@ def choose_scenarios(
 
     No scenario is selected that is similar to a selected one: at most 0.001 of the largest distance away in each
     clustering. `points`, shape (n, d), are in the unit cube; `distances` are those of all clusterings, `labels` those
-    of the first; `shaped` defaults to `find_shapes`.
+    of the first; `shaped_clusters` defaults to `classify_cluster_shapes`.
     """
     if (size is None) == (cover is None):
         raise InputError("`size`, `cover`: give one of them.")

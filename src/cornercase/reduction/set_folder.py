@@ -54,7 +54,7 @@ class SetFolder:
     def add(self, place: str, content: bytes) -> None:
         """Write a file of the new set; refuse to overwrite a file that belongs to no set.
 
-        `place` is the path in the folder, with ``/``; a file that is added again must have the same content.
+        `relative_path` is the path in the folder, with ``/``; a file that is added again must have the same content.
         """
         digest = hashlib.sha256(content).hexdigest()
         if self._digests.get(place) == digest:
@@ -241,9 +241,7 @@ def _within(folder: Path, place: str) -> Path:
     if any(
         part in ("", ".", "..") or ":" in part or "\0" in part for part in parts
     ) or not file.parent.resolve().is_relative_to(folder.resolve()):
-        raise InputError(
-            f"{folder}: the manifest lists {place[:100]}, not a file in the folder; run `reduce` again."
-        )
+        raise InputError(f"{folder}: the manifest lists {place[:100]}, not a file in the folder; run `reduce` again.")
     return file
 
 
