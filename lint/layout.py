@@ -35,6 +35,7 @@ def check() -> Iterator[str]:
     yield from vague_names()
     yield from sizes()
     yield from rooms()
+    yield from imports()
     yield from platform_calls()
     yield from interface_queries()
     yield from options_in_messages()
@@ -105,6 +106,23 @@ def rooms() -> Iterator[str]:
         yield ".importlinter:1: its layers are not the rooms"
     if any("ignore" in key for name in contracts.sections() for key in contracts[name]):
         yield ".importlinter:1: a contract has exceptions"
+
+
+def imports() -> Iterator[str]:
+    """Rooms see of each other what a package shows and what a module of the room itself has, but no sub-packages."""
+    for path, module in modules().items():
+        room = path.partition("/")[0]
+        for node in ast.walk(module):
+            if not isinstance(node, ast.ImportFrom) or not (node.module or "").startswith("cornercase."):
+                continue
+            other, *deeper = str(node.module).split(".")[1:]
+            if other in (room, "_common"):
+                continue
+            if len(deeper) > 1 or (deeper and (PACKAGE / other / deeper[0]).is_dir()):
+                yield complain(path, node, f"{node.module} is a matter of {other}: import it from a module of the room")
+            for alias in node.names:
+                if alias.name.startswith("_") and not (PACKAGE / other / f"{alias.name}.py").exists():
+                    yield complain(path, node, f"{alias.name} is private to {node.module}")
 
 
 def _calls(module: ast.Module, *names: str) -> Iterator[ast.Call]:
