@@ -22,11 +22,11 @@ from typing import Any
 import numpy as np
 
 from cornercase import LogicalScenario, Study
-from cornercase.exploration import AsynchronousExplorer, Configuration, ScenarioExplorer
+from cornercase.exploration import AsynchronousExplorer, ExplorationConfig, ScenarioExplorer
 from cornercase.optimizers import create_optimizer
 from cornercase.recordings import Recording
 from cornercase.scenario import ConcreteScenario
-from cornercase.simulators import SIMULATORS, Simulator, start_simulator
+from cornercase.simulators import SIMULATORS, Simulator, create_simulator
 
 EXAMPLE = Path(__file__).parents[1] / "examples" / "x_intersection" / "x_intersection"
 SHORT, LONG, SHARE = 0.5, 3.0, 0.1
@@ -58,7 +58,7 @@ class Sleeping(Simulator):
             yield Recording(
                 time=time_,
                 names=("Ego", "Pedestrian"),
-                kinds=("car", "pedestrian"),
+                object_types=("car", "pedestrian"),
                 x=np.stack([speed * time_ - start, 0.0 * ones]),
                 y=np.stack([0.0 * ones, walked - 5.0]),
                 heading=np.stack([0.0 * ones, np.pi / 2 * ones]),
@@ -76,28 +76,28 @@ SIMULATORS.register("sleeping", Sleeping)
 def timed(search: str, asynchronous: bool, workers: int, budget: int, folder: Path) -> dict[str, Any]:
     """Run one exploration in processes that are there already, and tell how long it took."""
     logical = LogicalScenario.read(EXAMPLE.with_suffix(".xosc"), EXAMPLE.with_suffix(".space.xosc"))
-    configuration = Configuration(
+    configuration = ExplorationConfig(
         logical, "Ego", "Pedestrian", ("wttc",), optimizer=search, simulator="sleeping", budget=budget, batch=workers,
         workers=workers, asynchronous=asynchronous, seed=1,
     )  # fmt: skip
-    objective = configuration.objective()
-    threshold = configuration.threshold(objective)
+    objective = configuration.make_objective()
+    threshold = configuration.minimized_threshold(objective)
     optimizer = create_optimizer(search, logical.space, 1, threshold=threshold, budget=budget)
-    meta = configuration.meta(objective, {})
+    meta = configuration.make_study_meta(objective, {})
     kind = AsynchronousExplorer if asynchronous else ScenarioExplorer
     names = [one.name for one in logical.space.parameters]
     with (
         Study.create(folder / f"{search}-{asynchronous}-{workers}.db", meta) as study,
-        start_simulator("sleeping", workers=workers) as simulator,
+        create_simulator("sleeping", workers=workers) as simulator,
     ):
-        middle = logical.concrete(logical.space.values(logical.space.middle())[0])
+        middle = logical.concrete_scenario(logical.space.values(logical.space.center_point())[0])
         list(simulator.run([middle] * workers))
         begun, used = time.monotonic(), time.process_time()
         kind(configuration, simulator, optimizer, study, objective).run()
         took, used = time.monotonic() - begun, time.process_time() - used
-        slept = sum(seconds_of([float(row.values[name]) for name in names]) for row in study.done())
-        spent = {stage: round(seconds, 2) for stage, seconds in study.elapsed().items()}
-        same = [scenario for scenario, _ in study.results()]
+        slept = sum(seconds_of([float(row.values[name]) for name in names]) for row in study.finished_rows())
+        spent = {stage: round(seconds, 2) for stage, seconds in study.elapsed_by_stage().items()}
+        same = [scenario for scenario, _ in study.result_order()]
     return {
         "search": search, "asynchronous": asynchronous, "workers": workers, "scenarios": budget, "seconds": took,
         "slept": slept, "busy": slept / workers / took, "cpu": used, "elapsed": spent,

@@ -32,9 +32,9 @@ from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 from scipy.stats import qmc
 
-from cornercase.evidence import REGION, CriticalSet, encoded
-from cornercase.exploration import audits_of, chosen_blindly
-from cornercase.exploration.stopping import Criterion, Stopping
+from cornercase.evidence import MIN_REGION_FRACTION, CriticalSet, encode_points
+from cornercase.exploration import audit_sampler, is_score_independent
+from cornercase.exploration.stopping import StopCriterion, StopCriteria
 from cornercase.optimizers import create_optimizer
 from cornercase.scenario import Parameter, ParameterSpace
 
@@ -141,7 +141,7 @@ class Case:
         Neighbours are connected if both are critical, as `CriticalSet.overlooked` has it.
         """
         points, weights = np.unique(self.everywhere, axis=0, return_counts=True)
-        places, critical = encoded(self.space, points), self.function(points) <= self.threshold
+        places, critical = encode_points(self.space, points), self.function(points) <= self.threshold
         a, b = np.arange(len(places) - 1), np.arange(1, len(places))
         if self.dims > 1:
             near = np.asarray(cKDTree(places).query(places, k=2 * places.shape[1] + 1)[1])[:, 1:]
@@ -150,14 +150,14 @@ class Case:
         graph = coo_array((np.ones(len(a)), (a, b)), shape=(len(places), len(places)))
         part = connected_components(graph, directed=False)[1][critical]
         sizes = np.bincount(part, weights=weights[critical]) / len(self.everywhere)
-        return cKDTree(places[critical]), np.asarray(part, dtype=np.int64), np.flatnonzero(sizes >= REGION)
+        return cKDTree(places[critical]), np.asarray(part, dtype=np.int64), np.flatnonzero(sizes >= MIN_REGION_FRACTION)
 
     def overlooked(self, hits: Floats) -> bool:
         """Whether a region of 1 % of the space or more holds none of the critical scenarios that were run."""
         tree, part, large = self.regions
         if not len(hits):
             return bool(len(large))
-        return bool(np.setdiff1d(large, part[tree.query(encoded(self.space, hits))[1]]).size)
+        return bool(np.setdiff1d(large, part[tree.query(encode_points(self.space, hits))[1]]).size)
 
 
 def space_of(dims: int, finite: bool) -> ParameterSpace:
@@ -205,7 +205,7 @@ def explored(case: Case, search: str, budget: int) -> tuple[Floats, Floats]:
 
 def judged(case: Case, search: str, points: Floats, scores: Floats, audit: float) -> dict[str, Any] | None:
     """What is said after a search, and what is so; None where all scores are the same."""
-    audits = audits_of(case.space, case.seed).ask(round(audit * len(points) / (1.0 - audit)))
+    audits = audit_sampler(case.space, case.seed).ask(round(audit * len(points) / (1.0 - audit)))
     try:
         known = CriticalSet(
             case.space,
@@ -213,28 +213,28 @@ def judged(case: Case, search: str, points: Floats, scores: Floats, audit: float
             scores,
             case.threshold,
             case.seed,
-            filling=chosen_blindly(search, case.space, case.seed, points),
+            initial_design=is_score_independent(search, case.space, case.seed, points),
             audits=(audits, case.function(audits)),
         )
     except ValueError:
         return None
     true = case.critical
     region = case.everywhere[true]
-    missed = float((~known.found(region)).mean())
+    missed = float((~known.predict(region)).mean())
     hits = int((scores <= case.threshold).sum())
     plain: dict[str, Any] = {
         "family": case.family, "dims": case.dims, "aimed": case.aimed, "finite": case.finite, "search": search,
-        "run": len(points), "hits": hits, "overlooked": known.overlooked(),
+        "run": len(points), "hits": hits, "overlooked": known.p_overlooked_region(),
         "true overlooked": case.overlooked(points[scores <= case.threshold]), "true share": float(true.mean()),
         "true missed": missed,
     }  # fmt: skip
     # The truth is known of 32,768 places.
     slack = 2.0 * np.sqrt(true.mean() / len(true))
     for name, said, doubt, so, near in (
-        ("share", known.share, known.doubt, float(true.mean()), slack),
-        ("missed", known.missed, known.missed_doubt, missed, 2.0 / max(int(true.sum()), 1)),
-        ("audited share", known.audited_share, None if len(audits) else "none", float(true.mean()), slack),
-        ("audited missed", known.audited_missed, None if len(audits) else "none", missed, 0.0),
+        ("share", known.critical_fraction, known.interval_unavailable, float(true.mean()), slack),
+        ("missed", known.missed_fraction, known.missed_interval_unavailable, missed, 2.0 / max(int(true.sum()), 1)),
+        ("audited share", known.audited_critical_fraction, None if len(audits) else "none", float(true.mean()), slack),
+        ("audited missed", known.audited_missed_fraction, None if len(audits) else "none", missed, 0.0),
     ):
         plain[name] = None if doubt else (said.low, said.high)
         plain[f"{name} holds"] = None if doubt else bool(said.low - near <= so <= said.high + near)
@@ -282,15 +282,15 @@ def hidden(seeds: int, budget: int) -> None:
     stopped = wrong = 0
     for seed in range(seeds):
         optimizer = create_optimizer("level-set", space, seed, threshold=0.0, budget=budget)
-        stopping = Stopping([Criterion.parse("missed<0.05")], space, 0.0, seed, "level-set")
+        stopping = StopCriteria([StopCriterion.parse("missed<0.05")], space, 0.0, seed, "level-set")
         points, scores = np.zeros((0, 3)), np.zeros(0)
-        while len(points) < budget and stopping.reason() is None:
+        while len(points) < budget and stopping.describe_reached() is None:
             new = optimizer.ask(ROUND)
             values = beside(new)
             optimizer.tell(new, values)
-            stopping.tell(new, values)
+            stopping.add_results(new, values)
             points, scores = np.concatenate([points, new]), np.concatenate([scores, values])
-        missed = float((~CriticalSet(space, points, scores, 0.0, seed).found(region)).mean())
+        missed = float((~CriticalSet(space, points, scores, 0.0, seed).predict(region)).mean())
         if len(points) < budget:
             stopped += 1
             wrong += missed > 0.05

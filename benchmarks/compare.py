@@ -29,8 +29,8 @@ import numpy as np
 
 import cornercase as cc
 from cornercase.drivers import NORMAL, BehaviourDriver
-from cornercase.exploration import demonstration, explore_configuration
-from cornercase.suite import LEVEL, Comparison
+from cornercase.exploration import paper_experiment_config, explore_config
+from cornercase.suite import ALPHA, Comparison
 
 EXAMPLES = {"x-intersection": 0.2, "t-intersection": 1.5}
 LATER = 0.1
@@ -43,12 +43,12 @@ def explored(folder: Path, example: str, optimizer: str, seed: int, budget: int,
     if not path.exists():
         driver = BehaviourDriver(NORMAL._replace(reaction_time=NORMAL.reaction_time + later))
         chosen = replace(
-            demonstration(example, budget=budget, seed=seed),
+            paper_experiment_config(example, budget=budget, seed=seed),
             optimizer=optimizer,
             critical=EXAMPLES[example],
             drivers={"Ego": driver},
         )
-        explore_configuration(chosen, path)
+        explore_config(chosen, path)
     return path
 
 
@@ -60,7 +60,7 @@ def told(found: Comparison) -> dict[str, Any]:
         "changed": found.changed,
         "worse": bool(found.worse),
         "better": bool(found.better),
-        "by tests": any(one.corrected <= LEVEL for one in found.tests),
+        "by tests": any(one.corrected <= ALPHA for one in found.tests),
         "pairs": len(found.pairs),
         "first": min(otherwise, default=None),
         "share holds 0": None if sets is None else sets.change.low <= 0.0 <= sets.change.high,

@@ -32,7 +32,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from cornercase._common.platform import available_cpus
+from cornercase._common.platform import count_available_cpus
 from cornercase.dtw import disk, distance_matrix
 
 Series = list[npt.NDArray[np.float64]]
@@ -72,8 +72,8 @@ def peers(threads: int) -> dict[str, Call]:
             many = threads > 1
             if series[0].shape[1] == 1:
                 flat = [one[:, 0].copy() for one in series]
-                return np.asarray(dtw.distance_matrix(flat, use_c=True, parallel=many, use_mp=False))
-            return np.asarray(dtw_ndim.distance_matrix(series, use_c=True, parallel=many, use_mp=False))
+                return np.asarray(dtw.distance_matrix(flat, use_c=True, min_sine=many, use_mp=False))
+            return np.asarray(dtw_ndim.distance_matrix(series, use_c=True, min_sine=many, use_mp=False))
 
         found["dtaidistance"] = dtaidistance
     except ImportError:
@@ -220,7 +220,7 @@ def memory_of(pid: int) -> float:
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--quick", action="store_true", help="one size, under a minute")
-    parser.add_argument("--threads", type=int, default=available_cpus())
+    parser.add_argument("--threads", type=int, default=count_available_cpus())
     parser.add_argument("--json", type=Path, metavar="FILE")
     parser.add_argument("--paper", action="store_true", help="the paper's sizes")
     parser.add_argument("--disk", action="store_true", help="a matrix on disk, killed and resumed")

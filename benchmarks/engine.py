@@ -38,7 +38,7 @@ import numpy as np
 from cornercase import ConcreteScenario, LogicalScenario
 from cornercase.optimizers import RandomOptimizer
 from cornercase.simulators import BuiltinSimulator, EsminiSimulator
-from cornercase.simulators.esmini.library import CALLBACK, encoded_path, library_path, load_library, set_parameter
+from cornercase.simulators.esmini.library import PARAMETER_CALLBACK, encode_path, find_library_path, load_library, set_parameter
 
 EXAMPLES = Path(__file__).resolve().parents[1] / "examples"
 P = ParamSpec("P")
@@ -61,7 +61,7 @@ class Case:
         """Draw so many concrete scenarios."""
         logical = LogicalScenario.read(self.path, self.space, self.ranges, continuous=True)
         points = RandomOptimizer(logical.space, 0).ask(count)
-        return [logical.concrete(values) for values in logical.space.values(points)]
+        return [logical.concrete_scenario(values) for values in logical.space.values(points)]
 
     def simulator(self) -> BuiltinSimulator:
         """Make a simulator that has prepared nothing yet."""
@@ -133,9 +133,9 @@ def rate(case: Case, size: int, patience: float) -> Rate:
 
 def esmini_rate(case: Case, patience: float) -> Rate:
     """Run the same scenarios, for so many seconds of CPU, by esmini's library, one after the other."""
-    lib = load_library(library_path(None))
+    lib = load_library(find_library_path(None))
     concretes = case.concretes(100)
-    scenario = concretes[0].scenario()
+    scenario = concretes[0].load_file()
     declared = scenario.root.iterfind("ParameterDeclarations/ParameterDeclaration")
     kinds = {one.get("name", ""): one.get("parameterType", "") for one in declared}
     steps = round(DURATION / TIME_STEP)
@@ -147,9 +147,9 @@ def esmini_rate(case: Case, patience: float) -> Rate:
             for name, value in values.values.items():
                 set_parameter(lib, name, value, kinds.get(name, ""))
 
-        callback = CALLBACK(declare)
+        callback = PARAMETER_CALLBACK(declare)
         lib.SE_RegisterParameterDeclarationCallback(callback, None)
-        if lib.SE_Init(encoded_path(concrete.path), 1, 0, 0, 0) != 0:
+        if lib.SE_Init(encode_path(concrete.path), 1, 0, 0, 0) != 0:
             failed += 1
         else:
             for _ in range(steps):
@@ -172,7 +172,7 @@ def apart(function: Callable[P, T], *args: P.args, **kwargs: P.kwargs) -> T:
 
 
 def of_esmini(case: Case, patience: float) -> Rate | None:
-    if EsminiSimulator.availability().missing:
+    if EsminiSimulator.availability().problem:
         return None
     try:
         found = apart(esmini_rate, case, patience)
@@ -203,7 +203,7 @@ def row_of(name: str, goal: float | None, one: Rate, peer: Rate | None) -> dict[
 
 
 def tell_missing_esmini() -> None:
-    if missing := EsminiSimulator.availability().missing:
+    if missing := EsminiSimulator.availability().problem:
         print(f"Without esmini: {missing}")
 
 

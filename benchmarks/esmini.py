@@ -125,7 +125,7 @@ def parameter_sets(path: Path, variations: list[Path], seed: int) -> list[dict[s
         except InputError:
             return [{}]
         points = rng.random((64, logical.space.dimension))
-        (admitted,) = np.nonzero(logical.space.admits(points))
+        (admitted,) = np.nonzero(logical.space.is_admissible(points))
         if admitted.size:
             (values,) = logical.space.values(points[admitted[:1]])
             rounded = {k: round(v, 4) if isinstance(v, float) else v for k, v in values.items()}

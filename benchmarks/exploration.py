@@ -45,8 +45,8 @@ from threadpoolctl import threadpool_limits
 
 from cornercase import LogicalScenario
 from cornercase.evidence import CriticalSet
-from cornercase.exploration import chosen_blindly, pending_at_once
-from cornercase.metrics import METRICS, features_of, known_features
+from cornercase.exploration import is_score_independent, max_pending_scenarios
+from cornercase.metrics import METRICS, compute_features, registered_features
 from cornercase.optimizers import (
     BayesOptimizer,
     CommitteeOptimizer,
@@ -160,7 +160,7 @@ SEARCHES: dict[str, Callable[[ParameterSpace, int, float, int], Any]] = {
     "evolutionary": lambda space, seed, critical, budget: EvolutionaryOptimizer(space, seed),
     "optuna (TPE)": lambda space, seed, critical, budget: OptunaOptimizer(space, seed),
     "level-set": lambda space, seed, critical, budget: LevelSetOptimizer(space, seed, critical),
-    "committee": lambda space, seed, critical, budget: CommitteeOptimizer(space, seed, critical, known_features()),
+    "committee": lambda space, seed, critical, budget: CommitteeOptimizer(space, seed, critical, registered_features()),
 }
 
 
@@ -190,11 +190,11 @@ def outcomes(name: str, folders: Folders, values: list[dict[str, Any]]) -> npt.N
     drivers = {} if case.driver is None else {"Ego": case.driver}
     simulator = BuiltinSimulator(time_step=case.time_step, on_collision=case.on_collision, drivers=drivers)
     found, runs = np.full(len(values), np.nan), []
-    for k, run in enumerate(simulator.run([scenario.concrete(one) for one in values])):
+    for k, run in enumerate(simulator.run([scenario.concrete_scenario(one) for one in values])):
         runs.append(None if isinstance(run, Exception) else run)
         if not isinstance(run, Exception):
             found[k] = metric.score(metric.course(run, "Ego", case.other))
-    return np.column_stack([found, features_of(runs, "Ego", case.other)])
+    return np.column_stack([found, compute_features(runs, "Ego", case.other)])
 
 
 def truth(name: str, folders: Folders, steps: int, folder: Path) -> npt.NDArray[np.float64]:
@@ -202,7 +202,7 @@ def truth(name: str, folders: Folders, steps: int, folder: Path) -> npt.NDArray[
     path = folder / f"{name.replace(', ', '-')}-{steps}-features.npy"
     if not path.exists():
         space = stepped(logical(name, folders).space, steps)
-        values = space.values(space.lattice())
+        values = space.values(space.full_factorial())
         begin = time.perf_counter()
         parts = [values[k : k + 500] for k in range(0, len(values), 500)]
         with ProcessPoolExecutor(len(os.sched_getaffinity(0))) as pool:
@@ -223,9 +223,9 @@ class Judge:
         self.scores = self.scores.ravel()
         self.space = stepped(logical(name, folders).space, steps)
         self.steps = [int(one.size or 0) for one in self.space.parameters]
-        self.lattice = self.space.lattice()
+        self.lattice = self.space.full_factorial()
         # What breaks a constraint is no scenario, and no search asks for it.
-        self.admitted = self.space.admits(self.lattice)
+        self.admitted = self.space.is_admissible(self.lattice)
         self.true = self.scores <= self.case.critical
         regions, _ = label(self.true.reshape(self.steps), structure=np.ones([3] * len(self.steps)))
         self.regions = regions.ravel()
@@ -234,7 +234,7 @@ class Judge:
 
     def places(self, points: npt.NDArray[np.float64]) -> npt.NDArray[np.int64]:
         """Where points stand in the lattice."""
-        numbers = [one.numbers(points[:, j]) for j, one in enumerate(self.space.parameters)]
+        numbers = [one.level_indices(points[:, j]) for j, one in enumerate(self.space.parameters)]
         return np.ravel_multi_index(tuple(numbers), tuple(self.steps))
 
     def agreement(self, told: npt.NDArray[np.bool_]) -> dict[str, float]:
@@ -252,19 +252,19 @@ class Judge:
         try:
             known = CriticalSet(
                 self.space, points, self.scores[places], self.case.critical, seed,
-                filling=chosen_blindly(kind.partition(",")[0], self.space, seed, points),
-                happened=(known_features(), self.features[places]) if kind == "committee" else None,
+                initial_design=is_score_independent(kind.partition(",")[0], self.space, seed, points),
+                features=(registered_features(), self.features[places]) if kind == "committee" else None,
             )  # fmt: skip
         except ValueError:
             return row | {"share": np.nan, "missed": np.nan}
-        within = known.share.low <= self.true[self.admitted].mean() <= known.share.high
+        within = known.critical_fraction.low <= self.true[self.admitted].mean() <= known.critical_fraction.high
         # What is said to be missed is what the set itself does not find, whoever judges the search.
-        open_ = 1.0 - self.agreement(known.found(self.lattice))["recall"]
-        missed = known.missed.low <= open_ <= known.missed.high
+        open_ = 1.0 - self.agreement(known.predict(self.lattice))["recall"]
+        missed = known.missed_fraction.low <= open_ <= known.missed_fraction.high
         # Where no interval is given, none can be wrong.
-        row["share"] = np.nan if known.doubt else float(within)
-        row["missed"] = np.nan if known.missed_doubt else float(missed)
-        return row | {"most missed": 1.0 if known.missed_doubt else min(known.missed.high + known.hidden, 1.0)}
+        row["share"] = np.nan if known.interval_unavailable else float(within)
+        row["missed"] = np.nan if known.missed_interval_unavailable else float(missed)
+        return row | {"most missed": 1.0 if known.missed_interval_unavailable else min(known.missed_fraction.high + known.max_hidden_fraction, 1.0)}
 
     def found(self, places: npt.NDArray[np.int64], seed: int) -> dict[str, float]:
         """Recall and precision of what was run at places, and elsewhere of what the best classifier of it tells."""
@@ -282,7 +282,7 @@ class Workers:
 
     def __init__(self, optimizer: Any, dimension: int, count: int, budget: int, seed: int) -> None:
         self._optimizer, self._dimension, self._left = optimizer, dimension, budget
-        self._free, self._most, self._now = [0.0] * count, pending_at_once(count), 0.0
+        self._free, self._most, self._now = [0.0] * count, max_pending_scenarios(count), 0.0
         self._running: list[tuple[float, int]] = []
         self._points: dict[int, npt.NDArray[np.float64]] = {}
         self._asked, self._random = 0, np.random.default_rng([seed, count])
@@ -291,7 +291,7 @@ class Workers:
         """Point of the scenario that ends next, after others were asked for."""
         if (wanted := min(self._most - len(self._points), self._left)) > 0:
             pending = np.array(list(self._points.values())).reshape(-1, self._dimension)
-            for point in self._optimizer.ask_beside(wanted, pending):
+            for point in self._optimizer.ask_async(wanted, pending):
                 # What was asked for first begins first, on the worker that is free first.
                 end = max(heapq.heappop(self._free), self._now) + (3.0 if self._random.random() < 0.1 else 0.5)
                 heapq.heappush(self._free, end)

@@ -32,8 +32,8 @@ import numpy as np
 import numpy.typing as npt
 from threadpoolctl import threadpool_limits
 
-from cornercase.evidence import CriticalSet, Elsewhere, boundary_process, encoded, with_foretold
-from cornercase.exploration import chosen_blindly
+from cornercase.evidence import CriticalSet, SourceStudyModel, fit_boundary_process, encode_points, augment_points
+from cornercase.exploration import is_score_independent
 from cornercase.metrics import METRICS
 from cornercase.optimizers import LevelSetOptimizer
 from cornercase.recordings import Recording
@@ -129,9 +129,9 @@ class Search:
         """Search, from what another study knows or from nothing, and judge each round."""
         optimizer, elsewhere = LevelSetOptimizer(self.space, seed, self.threshold), None
         if begun is not None:
-            optimizer.begin_from(*begun)
-            elsewhere = Elsewhere(encoded(self.space, begun[0]), begun[1], self.threshold)
-        everywhere = with_foretold(elsewhere, encoded(self.space, self.lattice))
+            optimizer.warm_start(*begun)
+            elsewhere = SourceStudyModel(encode_points(self.space, begun[0]), begun[1], self.threshold)
+        everywhere = augment_points(elsewhere, encode_points(self.space, self.lattice))
         points, rows, within = np.zeros((0, len(self._steps))), [], {}
         while len(points) < most:
             new = optimizer.ask(ROUND)
@@ -139,8 +139,8 @@ class Search:
             points = np.concatenate([points, new])
             at = self.places(points)
             if len(points) >= 2 * ROUND and np.ptp(self.scores[at]) > 0.0:
-                process = boundary_process(
-                    everywhere[at], self.scores[at], self.threshold, foretold=elsewhere is not None
+                process = fit_boundary_process(
+                    everywhere[at], self.scores[at], self.threshold, has_prediction=elsewhere is not None
                 )
                 told = process.predict(everywhere)[0] <= 0.0
                 told[at] = self.true[at]
@@ -150,17 +150,17 @@ class Search:
                 within = self._within(points, seed, elsewhere)
         return {"rows": rows, **within}
 
-    def _within(self, points: Floats, seed: int, elsewhere: Elsewhere | None) -> dict[str, float]:
+    def _within(self, points: Floats, seed: int, elsewhere: SourceStudyModel | None) -> dict[str, float]:
         """Whether the truth lies within the intervals; NaN where none is given."""
         known = CriticalSet(
             self.space, points, self.scores[self.places(points)], self.threshold, seed,
-            filling=chosen_blindly("level-set", self.space, seed, points), elsewhere=elsewhere,
+            initial_design=is_score_independent("level-set", self.space, seed, points), source_model=elsewhere,
         )  # fmt: skip
-        missed = 1.0 - (known.found(self.lattice) & self.true).sum() / self.true.sum()
-        share = known.share.low <= self.true.mean() <= known.share.high
+        missed = 1.0 - (known.predict(self.lattice) & self.true).sum() / self.true.sum()
+        share = known.critical_fraction.low <= self.true.mean() <= known.critical_fraction.high
         return {
-            "share": np.nan if known.doubt else float(share),
-            "missed": np.nan if known.missed_doubt else float(known.missed.low <= missed <= known.missed.high),
+            "share": np.nan if known.interval_unavailable else float(share),
+            "missed": np.nan if known.missed_interval_unavailable else float(known.missed_fraction.low <= missed <= known.missed_fraction.high),
         }
 
 

@@ -31,7 +31,7 @@ from sklearn.metrics import f1_score
 from sklearn.model_selection import StratifiedKFold, cross_val_predict
 from threadpoolctl import threadpool_limits
 
-from cornercase.evidence import boundary_process, encoded
+from cornercase.evidence import fit_boundary_process, encode_points
 from cornercase.optimizers import create_optimizer
 from cornercase.scenario import Parameter, ParameterSpace
 
@@ -189,7 +189,7 @@ def kinds(half: str, rng: np.random.Generator) -> HardSet:
         inner = shape(half, centres[k], rng)
 
         def distance(points: Floats) -> Floats:
-            mine = space.parameters[3].numbers(points[:, 3]) == which[k]
+            mine = space.parameters[3].level_indices(points[:, 3]) == which[k]
             return np.where(mine, inner(points[:, :3]), inner(points[:, :3]) + 1.0)
 
         return of_share(distance, space, 0.015)
@@ -260,11 +260,11 @@ def classifier(
     space: ParameterSpace, points: Floats, scores: Floats, process_only: bool
 ) -> Callable[[Floats], npt.NDArray[np.bool_]]:
     """Which scenarios are critical, by the better of a process and of trees for scenarios that were left out."""
-    at, critical = encoded(space, points), scores <= 0.0
-    process = boundary_process(at, scores, 0.0)
+    at, critical = encode_points(space, points), scores <= 0.0
+    process = fit_boundary_process(at, scores, 0.0)
 
     def by_process(places: Floats) -> npt.NDArray[np.bool_]:
-        return np.asarray(process.predict(encoded(space, places))[0] <= 0.0)
+        return np.asarray(process.predict(encode_points(space, places))[0] <= 0.0)
 
     if process_only or critical.sum() < 5:
         return by_process
@@ -274,7 +274,7 @@ def classifier(
     if f1_score(critical, process.leave_one_out()[0] <= 0.0) >= f1_score(critical, of_trees):
         return by_process
     trees.fit(at, critical)
-    return lambda places: np.asarray(trees.predict(encoded(space, places)), dtype=np.bool_)
+    return lambda places: np.asarray(trees.predict(encode_points(space, places)), dtype=np.bool_)
 
 
 def search(half: str, name: str, kind: str, seed: int, sizes: tuple[int, ...], process_only: bool) -> dict[str, Any]:

@@ -4,7 +4,7 @@ What a search is said to find depends on who tells what is critical from its run
 classifier that tells its own runs best: the one with the least log loss of each run as told by others, in five folds.
 It never sees the truth. The classifiers are the same for all:
 
-- ``process``: the Gaussian process of the scores near the threshold, `cornercase.evidence.boundary_process`;
+- ``process``: the Gaussian process of the scores near the threshold, `cornercase.evidence.fit_boundary_process`;
 - ``committee``: `cornercase.evidence.Committee`, with the features of the recordings;
 - ``scores``: the same with the scores alone;
 - ``forest``: scikit-learn's random forest of the parameters.
@@ -21,14 +21,14 @@ from scipy.special import ndtr
 from sklearn.ensemble import RandomForestClassifier
 from sklearn.model_selection import StratifiedKFold, cross_val_predict
 
-from cornercase.evidence import FOUND, Committee, boundary_process
-from cornercase.metrics import known_features
+from cornercase.evidence import PREDICTED_CRITICAL, Committee, fit_boundary_process
+from cornercase.metrics import registered_features
 
 Floats = npt.NDArray[np.float64]
 Probability = Callable[[Floats], Floats]
 CLASSIFIERS = ("process", "committee", "scores", "forest")
 FOLDS, TREES = 5, 200
-CUTS = {"committee": FOUND, "scores": FOUND}
+CUTS = {"committee": PREDICTED_CRITICAL, "scores": PREDICTED_CRITICAL}
 """Probability from which a classifier takes a scenario for critical, as the package does; 0.5 for others."""
 
 
@@ -37,7 +37,7 @@ def classified(
 ) -> tuple[Floats, Probability]:
     """Probabilities of one kind of classifier: of each run by others, and of scenarios by all runs."""
     if kind == "process":
-        process = boundary_process(points, scores, critical)
+        process = fit_boundary_process(points, scores, critical)
         mean, deviation = process.leave_one_out()
 
         def by_process(at: Floats) -> Floats:
@@ -53,9 +53,9 @@ def classified(
         forest.fit(points, side)
         return held, lambda at: np.asarray(forest.predict_proba(at)[:, 1])
     with_features = kind == "committee"
-    committee = Committee(critical, known_features() if with_features else (), seed)
+    committee = Committee(critical, registered_features() if with_features else (), seed)
     committee.fit(points, scores, features if with_features else None)
-    return committee.out_of_fold(), lambda at: committee.predict(at)[0]
+    return committee.out_of_fold_probability(), lambda at: committee.predict(at)[0]
 
 
 def log_loss(probability: Floats, side: npt.NDArray[np.bool_]) -> float:

@@ -28,7 +28,7 @@ from sklearn.metrics import adjusted_rand_score
 
 from cornercase.clustering import ASPECTS, cluster
 from cornercase.dtw import distance_matrix
-from cornercase.reduction.medoids import choose_medoids
+from cornercase.reduction.medoids import find_k_medoids
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
 from staged import ASPECTS_OF, SETS, UNSEEN, WITHOUT, Floats, Ints, Maker
@@ -44,7 +44,7 @@ def labels_by(method: str, series: list[Floats], distances: Floats, kinds: int) 
     if method == "scikit-learn":
         return np.asarray(HDBSCAN(metric="precomputed", copy=True).fit_predict(distances))
     if method == "k-medoids":
-        return np.asarray(distances[:, choose_medoids(distances, kinds)].argmin(axis=1))
+        return np.asarray(distances[:, find_k_medoids(distances, kinds)].argmin(axis=1))
     if method == "tslearn":
         from tslearn.clustering import TimeSeriesKMeans
         from tslearn.utils import to_time_series_dataset

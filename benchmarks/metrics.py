@@ -51,7 +51,7 @@ from cornercase.metrics import (
     Ttce,
     Wttc,
 )
-from cornercase.metrics.wttc import worst_contact
+from cornercase.metrics.wttc import earliest_circle_contact
 from cornercase.recordings import Recording
 
 STEP = 0.1
@@ -104,7 +104,7 @@ def recorded(actors: tuple[tuple[float, ...], ...], steps: int, turn: float) -> 
     return Recording(
         time=t,
         names=tuple(str(k + 1) for k in range(len(actors))),
-        kinds=("car",) * len(actors),
+        object_types=("car",) * len(actors),
         x=math.cos(turn) * x - math.sin(turn) * y,
         y=math.sin(turn) * x + math.cos(turn) * y,
         heading=heading + turn + 0 * t,
@@ -205,7 +205,7 @@ def configured(made: Any) -> Any:
 def _state(recording: Recording) -> dict[str, Any]:
     """What their formulas take, at the first instant; the gap is that of the boxes along the road."""
     forward = np.array([math.cos(TURN), math.sin(TURN)])
-    start = recording.center("2")[0] - recording.center("1")[0]
+    start = recording.box_center("2")[0] - recording.box_center("1")[0]
     return {
         "apart": start,
         "gap": float(start @ forward) - LENGTH,
@@ -243,8 +243,8 @@ def _their_thw(recording: Recording) -> float:
     if _state(recording)["gap"] < 0:
         return math.inf
     forward = np.array([math.cos(TURN), math.sin(TURN)])
-    front = recording.center("1") @ forward + LENGTH / 2
-    beyond = np.flatnonzero(front > recording.center("2")[0] @ forward - LENGTH / 2)
+    front = recording.box_center("1") @ forward + LENGTH / 2
+    beyond = np.flatnonzero(front > recording.box_center("2")[0] @ forward - LENGTH / 2)
     return float(beyond[0] * STEP) if len(beyond) else math.inf
 
 
@@ -297,9 +297,9 @@ def _their_delta_v(recording: Recording) -> float:
 def _area_steps(recording: Recording, name: str) -> tuple[float, float]:
     """Entering a step early and leaving a step late."""
     from cornercase._common.geometry import box_corners, boxes_overlap
-    from cornercase.metrics._parts.boxes import boxes
+    from cornercase.metrics._parts.boxes import box_corners_over_time
 
-    inside = np.flatnonzero(boxes_overlap(boxes(recording, name), box_corners(*AREA)))
+    inside = np.flatnonzero(boxes_overlap(box_corners_over_time(recording, name), box_corners(*AREA)))
     return (max(inside[0] - 1, 0) * STEP, (inside[-1] + 1) * STEP) if len(inside) else (math.inf, math.inf)
 
 
@@ -456,7 +456,7 @@ def batch() -> dict[str, Any]:
     shape = (3375, 400, 2)
     position, velocity = rng.normal(0, 40, shape), rng.normal(0, 10, shape)
     begin = time.perf_counter()
-    worst_contact(position, velocity, 2 * math.hypot(2, 1), 13.8)
+    earliest_circle_contact(position, velocity, 2 * math.hypot(2, 1), 13.8)
     whole = time.perf_counter() - begin
     recording = recorded(FOLLOWING["closing"], 399, TURN)
     metric = Wttc()

@@ -8,7 +8,7 @@ somebody whose way crosses the ego's, and at least two outcomes come about in 5 
 only. FOLDER holds ``CA-FC_2026``.
 
 Figures are the adjusted mutual information (Vinh et al. 2010) of the clusters with the outcome, as
-`cornercase.clustering.tell_outcome` tells it, and with whether the ego was first. Peers get the same distances: HDBSCAN
+`cornercase.clustering.describe_outcome` tells it, and with whether the ego was first. Peers get the same distances: HDBSCAN
 of scikit-learn with its default settings, and k-medoids, which is told how many outcomes there are.
 """
 
@@ -27,10 +27,10 @@ from sklearn.cluster import HDBSCAN
 from sklearn.metrics import adjusted_mutual_info_score
 
 from cornercase import LogicalScenario, Recording
-from cornercase.clustering import ASPECTS, ScenarioClustering, tell_outcome
+from cornercase.clustering import ASPECTS, ScenarioClustering, describe_outcome
 from cornercase.dtw import distance_matrix
 from cornercase.optimizers import SobolOptimizer
-from cornercase.reduction.medoids import choose_medoids
+from cornercase.reduction.medoids import find_k_medoids
 from cornercase.simulators import BuiltinSimulator
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -75,11 +75,11 @@ def explored(
 ) -> Explored:
     """Run Sobol points of a logical scenario."""
     points = SobolOptimizer(logical.space, seed).ask(count)
-    concretes = [logical.concrete(values) for values in logical.space.values(points)]
+    concretes = [logical.concrete_scenario(values) for values in logical.space.values(points)]
     drivers = {} if driver is None else {"Ego": driver}
     simulator = BuiltinSimulator(duration=40.0, on_collision=on_collision, drivers=drivers)
     recordings = [one for one in simulator.run(concretes) if isinstance(one, Recording)]
-    outcomes = np.array([tell_outcome(one, "Ego", other) for one in recordings])
+    outcomes = np.array([describe_outcome(one, "Ego", other) for one in recordings])
     return Explored(recordings, other, outcomes)
 
 
@@ -118,7 +118,7 @@ def rows_of(name: str, found: Explored) -> Iterator[Row]:
         chosen = ASPECTS.create(aspect)
         distances = distance_matrix([chosen.series(one, "Ego", found.other) for one in found.recordings])
         model = ScenarioClustering().fit(distances)
-        medoids = choose_medoids(distances, kinds)
+        medoids = find_k_medoids(distances, kinds)
         peers = {
             "hdbscan": HDBSCAN(metric="precomputed", copy=True).fit_predict(distances),
             "k-medoids": distances[:, medoids].argmin(axis=1),

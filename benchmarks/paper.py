@@ -28,13 +28,13 @@ from scipy.stats import spearmanr
 from sklearn.metrics import adjusted_rand_score, silhouette_score
 
 from cornercase import SimulationError
-from cornercase.clustering import ASPECTS, analyze, cluster, read_distances, series_of, tell_outcome
-from cornercase.drivers import named_driver
+from cornercase.clustering import ASPECTS, analyze, cluster, read_distances, read_series, describe_outcome
+from cornercase.drivers import driver_by_name
 from cornercase.dtw import distances_to
 from cornercase.evidence import estimate_sensitivity
-from cornercase.exploration import Objective, demonstration, explore_configuration
+from cornercase.exploration import Objective, paper_experiment_config, explore_config
 from cornercase.metrics import METRICS
-from cornercase.reduction import choose_medoids, find_critical_clusters, reduce
+from cornercase.reduction import find_k_medoids, find_critical_clusters, reduce
 from cornercase.scenario import ConcreteScenario
 from cornercase.simulators import BuiltinSimulator
 from cornercase.study import Study
@@ -50,15 +50,15 @@ class Experiment:
 
     def __init__(self, name: str, driver: str | None, budget: int | None, seed: int, folder: Path) -> None:
         path = folder / f"{name}-{driver or 'file'}.db"
-        asked = demonstration(name, budget=budget, seed=seed, driver=driver)
-        explore_configuration(replace(asked, optimizer="bayes:filling=0"), path, progress=True)
+        asked = paper_experiment_config(name, budget=budget, seed=seed, driver=driver)
+        explore_config(replace(asked, optimizer="bayes:filling=0"), path, progress=True)
         with Study.open(path, readonly=False) as study:
             self.found = analyze(study)
             self.distances = {name: read_distances(study, name) for name in self.found}
             self.by_hand = {
                 name: cluster(one, gamma=BY_HAND[0], eps=BY_HAND[1]).labels for name, one in self.distances.items()
             }
-            scenario = asked.logical.scenario
+            scenario = asked.logical.scenario_file
             by_hull = reduce(
                 study, folder / f"{path.stem}-paper", archetypes=15, archetypes_by="hull", scenario=scenario
             )
@@ -66,17 +66,17 @@ class Experiment:
             self.reduced = reduce(study, folder / f"{path.stem}-reduced", scenario=scenario)
             self.critical = find_critical_clusters(study, self.found[self.reduced.by])
             self.unlike = self._unlike(study, scenario.path)
-            rows, meta = study.done(), study.meta
+            rows, meta = study.finished_rows(), study.meta
             self.points = np.array([row.point for row in rows])
             self.names = study.space.names
             self.values = {n: np.array([float(row.values[n]) for row in rows]) for n in self.names}
             self.scores = {m: study.scores(m) for m in meta.metrics}
-            scores = Objective.of_study(meta).oriented(np.stack(list(self.scores.values()), axis=1))
+            scores = Objective.from_study_meta(meta).minimized(np.stack(list(self.scores.values()), axis=1))
             self.influence = estimate_sensitivity(study.space, self.points, scores, seed)
             recordings = [study.recording(row.id) for row in rows]
-            self.ends = [tell_outcome(one, meta.ego, meta.others[0]) for one in recordings]
+            self.ends = [describe_outcome(one, meta.ego, meta.others[0]) for one in recordings]
             self.crash = np.array([any(meta.ego in hit.entities for hit in one.collisions) for one in recordings])
-            self.seconds = study.elapsed()["compare"] / len(self.found)
+            self.seconds = study.elapsed_by_stage()["compare"] / len(self.found)
 
     def _unlike(self, study: Study, scenario: Path) -> dict[str, float]:
         """Share of the critical ones among 2,000 random scenarios that are unlike every kept one."""
@@ -85,7 +85,7 @@ class Experiment:
         settings = meta.settings
         simulator = BuiltinSimulator(
             **{key: settings[key] for key in ("time_step", "duration", "on_collision")},
-            drivers={entity: named_driver(name) for entity, name in settings.get("drivers", {}).items()},
+            drivers={entity: driver_by_name(name) for entity, name in settings.get("drivers", {}).items()},
         )
         concretes = [ConcreteScenario(scenario, values) for values in space.values(points)]
         runs = []
@@ -93,24 +93,24 @@ class Experiment:
             if isinstance(run, SimulationError):
                 raise run
             runs.append(run)
-        objective = Objective.of_study(meta)
+        objective = Objective.from_study_meta(meta)
         metric = objective.metrics[0]
         assert meta.critical is not None
-        limit = objective.flip(meta.critical)
+        limit = objective.convert_orientation(meta.critical)
         runs = [
-            one for one in runs if objective.flip(metric.score(metric.course(one, meta.ego, meta.others[0]))) <= limit
+            one for one in runs if objective.convert_orientation(metric.score(metric.course(one, meta.ego, meta.others[0]))) <= limit
         ]
-        rows = [row.id for row in study.done()]
+        rows = [row.id for row in study.finished_rows()]
         kept = [rows.index(scenario) for scenario in self.reduced.ids]
         shares = {}
         for by, found in self.reduced.critical.items():
             if by in meta.metrics:
                 measured = METRICS.create(by)
-                new = [measured.capped(measured.course(one, meta.ego, meta.others[0])) for one in runs]
+                new = [measured.clip_course(measured.course(one, meta.ego, meta.others[0])) for one in runs]
             else:
                 aspect = ASPECTS.create(by)
                 new = [aspect.series(one, meta.ego, meta.others[0]) for one in runs]
-            series = series_of(study, by)
+            series = read_series(study, by)
             away = distances_to(new, [series[k] for k in kept]).min(axis=1)
             shares[by] = float((away > found.within).mean())
         return shares
@@ -263,7 +263,7 @@ def beyond(x: Experiment) -> list[tuple[str, str, bool]]:
     found = x.found[by]
     kept, distances = found.rows_of(reduced.ids), x.distances[by]
     members = np.isin(found.clustering.labels, x.critical)
-    mine, theirs = (distances[members][:, some].min(axis=1) for some in (kept, choose_medoids(distances, len(kept))))
+    mine, theirs = (distances[members][:, some].min(axis=1) for some in (kept, find_k_medoids(distances, len(kept))))
     ratios = float(mine.max() / theirs.max()), float(mine.mean() / theirs.mean())
     part = bool((found.clustering.labels[~members] >= 0).any())
     kinds = {name: (x.distances[name], one.labels) for name, one in x.found.items()}

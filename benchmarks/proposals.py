@@ -75,7 +75,7 @@ def of_physbo(told: int) -> float:
 
     def ask() -> None:
         with contextlib.redirect_stdout(io.StringIO()):
-            policy = physbo.search.discrete.Policy(test_X=candidates)
+            policy = physbo.search.is_discrete.Policy(test_X=candidates)
             policy.bayes_search(
                 training=physbo.Variable(X=points, t=-scores(points)), max_num_probes=0, interval=0,
                 num_rand_basis=500, is_disp=False,
@@ -101,7 +101,7 @@ def judged(told: int, repeats: int) -> float:
 
     def judge() -> None:
         known = CriticalSet(SPACE, points, scores(points), THRESHOLD)
-        _ = known.share, known.missed
+        _ = known.critical_fraction, known.missed_fraction
 
     return float(np.median([cpu_seconds(judge) for _ in range(repeats)]))
 

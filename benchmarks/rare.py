@@ -27,8 +27,8 @@ from scipy.optimize import brentq
 from scipy.special import ndtri
 from scipy.stats import chi2, gamma, norm
 
-from cornercase.evidence import ImportanceSampling, of_counts, of_weights
-from cornercase.exploration import warnings_of
+from cornercase.evidence import ImportanceSampling, probability_from_counts, probability_from_weights
+from cornercase.exploration import describe_doubts
 from cornercase.scenario import ParameterSpace
 
 Floats = npt.NDArray[np.float64]
@@ -152,17 +152,17 @@ def estimated(function: Function, runs: int, seed: int) -> tuple[Any, bool]:
     """Probability by importance sampling, and whether it warns."""
     dimension, score, _ = function
     space = ParameterSpace.from_ranges([f"x{axis}=0:1" for axis in range(dimension)])
-    sampling, spent, plain = ImportanceSampling(space, 1, round(0.4 * runs), seed), 0, of_counts(0, 0)
-    while sampling.stage != "estimate":
-        points = sampling.ask(runs)
+    sampling, spent, plain = ImportanceSampling(space, 1, round(0.4 * runs), seed), 0, probability_from_counts(0, 0)
+    while sampling.next_stage != "estimate":
+        points = sampling.draw_round(runs)
         scores = score(points)
-        if sampling.stage == "law":
-            plain = of_counts(int((scores <= 0.0).sum()), len(scores))
-        sampling.tell(points, scores, (scores <= 0.0)[:, None])
+        if sampling.next_stage == "law":
+            plain = probability_from_counts(int((scores <= 0.0).sum()), len(scores))
+        sampling.record_round(points, scores, (scores <= 0.0)[:, None])
         spent += len(points)
-    points = sampling.ask(runs - spent)
-    found = of_weights(sampling.weights(points), score(points) <= 0.0)
-    return found, bool(warnings_of("it", found, plain))
+    points = sampling.draw_round(runs - spent)
+    found = probability_from_weights(sampling.importance_weights(points), score(points) <= 0.0)
+    return found, bool(describe_doubts("it", found, plain))
 
 
 def judged(function: Function, runs: int, repetitions: int) -> dict[str, float]:

@@ -63,7 +63,7 @@ def as_scenarios(file: str, name: str, rows: pd.DataFrame) -> list[ConcreteScena
     else:
         values = {
             "ego_kmh": column(rows, "speed_kmh"),
-            "gap": REFERENCES[name].following(column(rows, "speed_kmh") / 3.6),
+            "gap": REFERENCES[name].following_gap(column(rows, "speed_kmh") / 3.6),
         }
         if file == "cut_out":
             values |= {"front_gap": column(rows, "front_gap_m"), "lateral_speed": -column(rows, "lateral_m_s")}
@@ -111,7 +111,7 @@ def compared(folder: Path, sample: int, seed: int, time_steps: tuple[float, ...]
     """One row of figures for each file and model."""
     found = []
     for file in FILES:
-        table = pd.read_csv(folder / f"{file}.csv")
+        table = pd.read_recording_csv(folder / f"{file}.csv")
         for model, rows in table.groupby("model"):
             name, crash = NAMES[str(model)], rows.crash.to_numpy() > 0
             outcome = by_itself(file, name, rows)

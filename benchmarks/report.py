@@ -114,7 +114,7 @@ def study_of(folder: Path, count: int) -> Path:
             batch=100,
         )
         with Study.open(path, readonly=False) as study:
-            if count <= ANALYSED and not study.analyses():
+            if count <= ANALYSED and not study.analyzed_aspects():
                 cc.analyze(study)
                 cc.reduce(study, folder / f"{count}-reduced", scenario=f"{EXAMPLE}.xosc")
     return path

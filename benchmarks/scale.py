@@ -150,13 +150,13 @@ def cluster_overhead(tasks: int) -> dict[str, float]:
 
     import cornercase as cc
     from at_once import Answer, AtOnceSimulator  # type: ignore[import-not-found]
-    from cornercase.simulators import ClusterSimulator, start_simulator
+    from cornercase.simulators import ClusterSimulator, create_simulator
 
     logical = cc.LogicalScenario.read(f"{EXAMPLE}.xosc", f"{EXAMPLE}.space.xosc")
     points = np.random.default_rng(0).random((tasks, logical.space.dimension))
-    concretes = [logical.concrete(one) for one in logical.space.values(points)]
+    concretes = [logical.concrete_scenario(one) for one in logical.space.values(points)]
     begun = time.process_time()
-    with start_simulator("builtin", {}) as builtin:
+    with create_simulator("builtin", {}) as builtin:
         recordings = list(builtin.run(concretes[:200]))
     alone = (time.process_time() - begun) / 200
     recording = recordings[0]

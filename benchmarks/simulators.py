@@ -21,23 +21,23 @@ import numpy as np
 from scipy.stats import qmc
 
 from cornercase.evidence import CriticalSet
-from cornercase.exploration import Objective, demonstration, explore_configuration
+from cornercase.exploration import Objective, paper_experiment_config, explore_config
 from cornercase.study import Study
 
 
 def explored(name: str, simulator: str, budget: int, workers: int, folder: Path) -> dict[str, Any]:
     metric = {"x-intersection": "wttc", "t-intersection": "ttc"}[name]
     path = folder / f"{name}-{simulator.partition(':')[0]}.db"
-    asked = demonstration(name, budget=budget, simulator=simulator, workers=workers)
-    explore_configuration(replace(asked, metrics=(metric,), optimizer="level-set", critical=0.5), path, progress=True)
+    asked = paper_experiment_config(name, budget=budget, simulator=simulator, workers=workers)
+    explore_config(replace(asked, metrics=(metric,), optimizer="level-set", critical=0.5), path, progress=True)
     with Study.open(path, readonly=True) as study:
-        scores = Objective.of_study(study.meta).oriented_of(study)
-        points = np.array([row.point for row in study.done()])
+        scores = Objective.from_study_meta(study.meta).minimized_scores(study)
+        points = np.array([row.point for row in study.finished_rows()])
         space = study.space
         places = space.snap(qmc.Sobol(space.dimension, seed=7).random(4096))
-        found = CriticalSet(space, points, scores, 0.5).found(places)
-        ends = [study.recording(row.id).time[-1] for row in study.done()]
-        seconds = study.elapsed()["simulate"]
+        found = CriticalSet(space, points, scores, 0.5).predict(places)
+        ends = [study.recording(row.id).time[-1] for row in study.finished_rows()]
+        seconds = study.elapsed_by_stage()["simulate"]
         return {
             "found": found,
             "critical": int((scores <= 0.5).sum()),

@@ -36,14 +36,14 @@ def write_study(path: Path, scenarios: int) -> None:
     )  # fmt: skip
     time_, still = np.arange(INSTANTS) * 0.05, np.zeros((2, INSTANTS))
     with Study.create(path, meta) as study:
-        for row in study.writer.propose(1, points, space.values(points)):
+        for row in study.writer.add_pending(1, points, space.values(points)):
             x = np.stack([time_ * 10.0, np.full(INSTANTS, 100.0 * row.point[0])])
             recording = Recording(
-                time=time_, names=("Ego", "B"), kinds=("car", "car"), x=x, y=still, heading=still, speed=still,
+                time=time_, names=("Ego", "B"), object_types=("car", "car"), x=x, y=still, heading=still, speed=still,
                 acceleration=still, length=np.full(2, 4.0), width=np.full(2, 2.0), center_x=np.zeros(2),
             )  # fmt: skip
             course = np.abs(x[1] - x[0])
-            study.writer.finish(row.id, recording, {"distance": (course, float(course.min()))})
+            study.writer.record_result(row.id, recording, {"distance": (course, float(course.min()))})
         distances = np.abs(points[:, :1] - points[:, 0])
         for aspect in ASPECTS:
             study.writer.save_analysis(

@@ -34,11 +34,11 @@ import numpy.typing as npt
 
 import cornercase as cc
 from cornercase.clustering import read_analysis, read_distances
-from cornercase.drivers import mutants_of
-from cornercase.reduction import choose_exposing, choose_medoids
-from cornercase.reduction.choosing import Material, Wish, choose
+from cornercase.drivers import generate_mutants
+from cornercase.reduction import select_killing, find_k_medoids
+from cornercase.reduction.choosing import SelectionInput, SelectionRequest, select
 from cornercase.reduction.critical_clusters import find_critical_clusters
-from cornercase.reduction.grading import read_ran
+from cornercase.reduction.grading import load_study_data
 from cornercase.suite import Requirement
 from cornercase.suite.exposing import run_mutants
 
@@ -94,19 +94,19 @@ def explored(case: Case, path: Path, seed: int, budget: int) -> Path:
             optimizer="level-set", budget=budget, seed=seed, time_step=case.time_step, drivers={"Ego": case.driver},
         )  # fmt: skip
     with cc.Study.open(path, readonly=False) as study:
-        if case.metric not in study.analyses():
+        if case.metric not in study.analyzed_aspects():
             cc.analyze(study)
     return path
 
 
 def outcomes(case: Case, study: cc.Study, path: Path, seed: int) -> tuple[Matrix, list[str]]:
     """Which scenarios expose which mutants, and what was done to these: those that choose, then those that judge."""
-    drawn = mutants_of(case.driver, CHOOSING, seed)
-    drawn += tuple(one for one in mutants_of(case.driver, 2 * JUDGING, seed + 1000) if one not in drawn)[:JUDGING]
+    drawn = generate_mutants(case.driver, CHOOSING, seed)
+    drawn += tuple(one for one in generate_mutants(case.driver, 2 * JUDGING, seed + 1000) if one not in drawn)[:JUDGING]
     kinds = [one.mutation for one in drawn]
     if not path.exists():
         scenario = case.logical
-        concretes = [scenario.concrete(dict(row.values)) for row in study.done()]
+        concretes = [scenario.concrete_scenario(dict(row.values)) for row in study.finished_rows()]
         known = [[Requirement.parse("no collision")]] * len(concretes)
         options = {"time_step": case.time_step, "drivers": {}}
         _, exposed = run_mutants(concretes, ("Ego", (case.other,)), (case.driver, drawn), known, options)
@@ -127,33 +127,33 @@ def over_kinds(exposed: Matrix, kinds: Sequence[str], chosen: dict[str, Sequence
     return float(np.nanmean(found)) if np.isfinite(found).any() else np.nan
 
 
-def archetypes(material: Material, size: int) -> list[int]:
+def archetypes(material: SelectionInput, size: int) -> list[int]:
     """Prototypes and archetypes, as few for each cluster as give so many scenarios; all where there are fewer."""
     found: list[int] = []
     for each in range(1, 16):
-        found = [one.index for one in choose(material, Wish(None, None, each, "hull"))[0]]
+        found = [one.index for one in select(material, SelectionRequest(None, None, each, "hull"))[0]]
         if len(found) >= size:
             break
     return found
 
 
-def exposing(material: Material, choosing: Matrix, size: int) -> list[int]:
+def exposing(material: SelectionInput, choosing: Matrix, size: int) -> list[int]:
     """As `reduce --kill-mutants`."""
-    with_mutants = Material(
-        material.points, material.distances, material.labels, material.embedding, material.critical, choosing
+    with_mutants = SelectionInput(
+        material.points, material.distances, material.labels, material.embedding, material.critical_clusters, choosing
     )
-    return [one.index for one in choose(with_mutants, Wish(size, None, None, "auto"))[0]]
+    return [one.index for one in select(with_mutants, SelectionRequest(size, None, None, "auto"))[0]]
 
 
 def judged(path: Path, case: Case, seed: int) -> Iterator[dict[str, Any]]:
     """What each way of choosing exposes, for each size."""
     with cc.Study.open(path, readonly=True) as study:
         whole, kinds = outcomes(case, study, path.with_suffix(".npy"), seed)
-        analysis, ran = read_analysis(study, case.metric), read_ran(study)
+        analysis, ran = read_analysis(study, case.metric), load_study_data(study)
         first = read_distances(study, case.metric)
         others = [one for name, one in ran.distances.items() if name != case.metric and len(one) == len(first)]
-        material = Material(
-            ran.points(analysis), [first, *others], analysis.labels, analysis.clustering.embedding,
+        material = SelectionInput(
+            ran.parameter_points(analysis), [first, *others], analysis.labels, analysis.clustering.embedding,
             find_critical_clusters(study, analysis),
         )  # fmt: skip
         place = {one: i for i, one in enumerate(ran.rows)}
@@ -163,8 +163,8 @@ def judged(path: Path, case: Case, seed: int) -> Iterator[dict[str, Any]]:
     rng = np.random.default_rng(seed)
     for size in SIZES:
         sets = {
-            "reduce": [one.index for one in choose(material, Wish(size, None, None, "auto"))[0]],
-            "medoids": choose_medoids(first, size).tolist(),
+            "reduce": [one.index for one in select(material, SelectionRequest(size, None, None, "auto"))[0]],
+            "medoids": find_k_medoids(first, size).tolist(),
             "archetypes": archetypes(material, size),
         }
         found = {
@@ -187,7 +187,7 @@ def judged(path: Path, case: Case, seed: int) -> Iterator[dict[str, Any]]:
             }  # fmt: skip
 
 
-def _blind(material: Material, choosing: Matrix, size: int, others: Sequence[int]) -> Sequence[int]:
+def _blind(material: SelectionInput, choosing: Matrix, size: int, others: Sequence[int]) -> Sequence[int]:
     extents = [float(one.max()) for one in material.distances]
 
     def apart(rows: Sequence[int]) -> npt.NDArray[np.float64]:
@@ -196,7 +196,7 @@ def _blind(material: Material, choosing: Matrix, size: int, others: Sequence[int
         ]
         return np.asarray(np.max(scaled, axis=0))
 
-    found = choose_exposing(choosing, apart, size)
+    found = select_killing(choosing, apart, size)
     return [*found, *(one for one in others if one not in found)][:size]
 
 

@@ -121,16 +121,16 @@ def take_four(browser: Browser, study: Path, folder: Path) -> None:
 def take_versions(browser: Browser, folder: Path) -> None:
     """Take the picture of a comparison: of the X-intersection's driver, and of one that reacts 0.1 s later."""
     from cornercase.drivers import NORMAL, BehaviourDriver
-    from cornercase.exploration import demonstration, explore_configuration
+    from cornercase.exploration import paper_experiment_config, explore_config
     from cornercase.report import write_comparison
 
     studies = folder / "normal.db", folder / "later.db"
     for path, time in zip(studies, (NORMAL.reaction_time, NORMAL.reaction_time + 0.1), strict=True):
         driver = BehaviourDriver(NORMAL._replace(reaction_time=time))
         chosen = replace(
-            demonstration("x-intersection", budget=100, seed=1), optimizer="sobol", drivers={"Ego": driver}
+            paper_experiment_config("x-intersection", budget=100, seed=1), optimizer="sobol", drivers={"Ego": driver}
         )
-        explore_configuration(chosen, path)
+        explore_config(chosen, path)
     scenario = ROOT / "examples" / "x_intersection" / "x_intersection.xosc"
     report = write_comparison(cc.compare(*studies), *studies, folder / "compare.html", scenario=scenario)
     with opened(browser, report) as page:
@@ -139,12 +139,12 @@ def take_versions(browser: Browser, folder: Path) -> None:
 
 def study_of_x(path: Path) -> Path:
     """The demonstration, as its command makes it."""
-    from cornercase.exploration import demonstration, explore_configuration
+    from cornercase.exploration import paper_experiment_config, explore_config
 
-    configuration = demonstration("x-intersection")
-    explore_configuration(configuration, path)
+    configuration = paper_experiment_config("x-intersection")
+    explore_config(configuration, path)
     cc.analyze(path)
-    cc.reduce(path, path.parent / "reduced", scenario=configuration.logical.scenario)
+    cc.reduce(path, path.parent / "reduced", scenario=configuration.logical.scenario_file)
     return path
 
 

@@ -9,7 +9,7 @@ import numpy as np
 
 from cornercase._common.errors import InputError, SimulationError
 from cornercase.recordings import Recording
-from cornercase.scenario import ConcreteScenario, Scenario, Scope, Value, read_xml
+from cornercase.scenario import ConcreteScenario, ScenarioFile, Scope, Value, read_xml
 from cornercase.simulators import BuiltinSimulator
 
 ROOT = Path(__file__).parents[1]
@@ -30,14 +30,14 @@ def scenario_files(*folders: Path) -> list[Path]:
     return found
 
 
-def varied(scenario: Scenario, seed: int = 0, most: int = 40) -> list[dict[str, Value]]:
+def varied(scenario: ScenarioFile, seed: int = 0, most: int = 40) -> list[dict[str, Value]]:
     """Values of parameters: the file's own, each changed in two ways, and some of all of them changed at once."""
     random = np.random.default_rng(seed)
-    scope = Scope.of_file(str(scenario.path), scenario.root, [{}], scenario.catalog_entry)
+    scope = Scope.from_file(str(scenario.path), scenario.root, [{}], scenario.find_catalog_entry)
     changes: dict[str, list[Value]] = {}
     for declaration in scenario.root.iterfind("ParameterDeclarations/ParameterDeclaration"):
         name, kind = declaration.get("name", ""), declaration.get("parameterType", "string")
-        value = scope.values[name]
+        value = scope.parameter_values[name]
         if kind in ("integer", "int", "unsignedInt", "unsignedShort"):
             changes[name] = [float(value) + 1.0, max(float(value) - 1.0, 0.0)]
         elif kind == "boolean":
@@ -46,7 +46,7 @@ def varied(scenario: Scenario, seed: int = 0, most: int = 40) -> list[dict[str, 
             own = float(value)
             changes[name] = [own * 1.1 + 0.1, own * 0.8]
         else:
-            others = {str(one) for other, one in scope.values.items() if isinstance(one, str) and other != name}
+            others = {str(one) for other, one in scope.parameter_values.items() if isinstance(one, str) and other != name}
             changes[name] = ["no such thing", *sorted(others)[:1]]
     single: list[dict[str, Value]] = [{name: one} for name, choices in changes.items() for one in choices]
     mixed: list[dict[str, Value]] = [
@@ -65,12 +65,12 @@ def outcome(result: Recording | SimulationError | InputError) -> object:
         return str(result)
     arrays = (result.time, result.x, result.y, result.heading, result.speed, result.acceleration, result.length,
               result.width, result.center_x)  # fmt: skip
-    return result.names, result.kinds, tuple(a.tobytes() for a in arrays), result.collisions
+    return result.names, result.object_types, tuple(a.tobytes() for a in arrays), result.collisions
 
 
 def differing(path: Path, values: Sequence[Mapping[str, Value]], duration: float, **options: object) -> list[int]:
     """Scenarios of a file that give something else among the others than alone, by their place."""
-    scenario = Scenario.read(path)
+    scenario = ScenarioFile.read(path)
     concretes = [ConcreteScenario(path, one, scenario) for one in values]
     simulator = BuiltinSimulator(duration=duration, **options)  # type: ignore[arg-type]
     together = [outcome(one) for one in simulator.run(concretes)]
@@ -86,7 +86,7 @@ if __name__ == "__main__":
 
     for path in scenario_files(REFERENCE, ROOT / "examples"):
         if len(sys.argv) == 1 or any(word in str(path) for word in sys.argv[1:]):
-            values = varied(Scenario.read(path), most=6)
+            values = varied(ScenarioFile.read(path), most=6)
             found = differing(path, values, 10.0)
             sys.stdout.write(f"{path.name}: {'the same' if not found else [values[k] for k in found]}\n")
             sys.stdout.flush()

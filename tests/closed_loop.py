@@ -15,7 +15,7 @@ from cornercase.drivers import (
     NORMAL,
     DrivenPath,
     Situation,
-    in_sight,
+    find_visible_others,
 )
 
 DT = 0.05
@@ -96,7 +96,7 @@ class Run:
                 float(time), DT, path, s, x, y, heading, v, a, **EGO, target_speed=target * full,
                 others_x=state[0], others_y=state[1], others_heading=state[2], others_speed=state[3],
                 others_length=sizes[:, 0], others_width=sizes[:, 1], others_center_x=sizes[:, 2],
-                others_kind=tuple(o.kind for o in others), active=np.ones(scenarios, bool),
+                others_object_type=tuple(o.kind for o in others), active=np.ones(scenarios, bool),
             )  # fmt: skip
             ego, boxes = corners(situation)
             self.touched |= boxes_overlap(ego[:, None], boxes)
@@ -151,7 +151,7 @@ def inside(points, box):
 
 def who_is_seen(situation: Situation, **options) -> list[bool]:
     s = situation
-    seen = in_sight(
+    seen = find_visible_others(
         np.stack((s.x, s.y, s.heading), axis=1), np.array([s.length, s.width, s.center_x]),
         np.stack((s.others_x, s.others_y, s.others_heading), axis=1),
         np.stack((s.others_length, s.others_width, s.others_center_x)), **options,
@@ -167,5 +167,5 @@ def looking(others_x, others_y, others_heading, kinds) -> Situation:
         others_x=np.atleast_2d(others_x), others_y=np.atleast_2d(others_y),
         others_heading=np.atleast_2d(others_heading), others_speed=np.zeros((1, len(kinds))),
         others_length=sizes[:, 0], others_width=sizes[:, 1], others_center_x=sizes[:, 2],
-        others_kind=tuple(kinds), active=np.ones(1, bool),
+        others_object_type=tuple(kinds), active=np.ones(1, bool),
     )  # fmt: skip

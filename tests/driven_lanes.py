@@ -14,7 +14,7 @@ import numpy as np
 import numpy.typing as npt
 
 from cornercase.roads import RoadNetwork
-from cornercase.roads.lane_path import STEP
+from cornercase.roads.lane_path import SAMPLE_DISTANCE
 from cornercase.roads.road import Road
 from cornercase.simulators.builtin.tracks.lane import LaneTrack
 
@@ -80,14 +80,14 @@ def drive_lanes(network: RoadNetwork, every: int = 1) -> Iterator[DrivenLane]:
                 try:
                     yield _drive(network, r, k, lane)
                 except Exception as error:
-                    yield DrivenLane(road.name, lane, start, crash=f"{type(error).__name__}: {error}")
+                    yield DrivenLane(road.road_id, lane, start, crash=f"{type(error).__name__}: {error}")
 
 
 def _drive(network: RoadNetwork, r: int, section: int, lane: int) -> DrivenLane:
     road = network.roads[r]
-    start, end = road.section_span(section)
+    start, end = road.section_interval(section)
     middle = 0.5 * (start + end)
-    path = network.path_of_lane(r, lane, middle, network.runs_along(r, lane, middle))
+    path = network.lane_path_from(r, lane, middle, network.is_traffic_forward(r, lane, middle))
     assert path is not None
     for name in ("x", "y", "heading", "reference"):
         assert np.isfinite(getattr(path, name)).all(), f"{name} is not finite"
@@ -98,7 +98,7 @@ def _drive(network: RoadNetwork, r: int, section: int, lane: int) -> DrivenLane:
     distance = np.linspace(begin, until, int((until - begin) / _APART) + 2)
     distance = distance[distance + way < max(until, begin + way)]
     if not len(distance):
-        return DrivenLane(road.name, lane, start)
+        return DrivenLane(road.road_id, lane, start)
     after = track.advance(distance, np.zeros(len(distance)), np.full(len(distance), way))
     assert (after > distance).all() or until - begin < _SHORT, "stands still"
     s, to = path.s_at(distance), path.s_at(after)
@@ -110,8 +110,8 @@ def _drive(network: RoadNetwork, r: int, section: int, lane: int) -> DrivenLane:
     length, even = _length(road, section, lane)
     whole = abs((until - begin) / length - 1.0) if even and length > _SHORT else 0.0
     if whole > error[worst]:
-        return DrivenLane(road.name, lane, start, float(whole), path.lane_s[0])
-    return DrivenLane(road.name, lane, start, float(error[worst]), float(s[worst]))
+        return DrivenLane(road.road_id, lane, start, float(whole), path.lane_s[0])
+    return DrivenLane(road.road_id, lane, start, float(error[worst]), float(s[worst]))
 
 
 def _jumps(road: Road, section: int, lane: int) -> Floats:
@@ -119,21 +119,21 @@ def _jumps(road: Road, section: int, lane: int) -> Floats:
     start, lanes = road.sections[section]
     sign = 1 if lane > 0 else -1
     inner = [one for number, one in lanes.items() if 0 < number * sign <= abs(lane)]
-    seams = [*(g.s for g in road.geometries), *(one[0] for one in road.offsets)]
+    seams = [*(g.s for g in road.geometries), *(one[0] for one in road.lane_offsets)]
     seams += [start + line[0] for one in inner for line in one.widths or one.borders]
-    at = np.array([seam for seam in sorted(set(seams)) if road.section_span(section)[0] < seam])
-    (x, y, _), (to_x, to_y, _) = (road.at(s, road.center(section, lane, s)) for s in (at - 1e-6, at + 1e-6))
+    at = np.array([seam for seam in sorted(set(seams)) if road.section_interval(section)[0] < seam])
+    (x, y, _), (to_x, to_y, _) = (road.pose_at(s, road.lane_center(section, lane, s)) for s in (at - 1e-6, at + 1e-6))
     return at[np.hypot(to_x - x, to_y - y) > _JUMP]
 
 
 def _length(road: Road, section: int, lane: int) -> tuple[float, bool]:
     """Length of a lane, from the shape of the road alone, and whether it has neither corners nor steps to cut."""
-    start, end = road.section_span(section)
-    s = np.linspace(start, end, int((end - start) / (0.5 * STEP)) + 2)
-    center = road.center(section, lane, s)
-    x, y, _ = road.at(s, center)
+    start, end = road.section_interval(section)
+    s = np.linspace(start, end, int((end - start) / (0.5 * SAMPLE_DISTANCE)) + 2)
+    center = road.lane_center(section, lane, s)
+    x, y, _ = road.pose_at(s, center)
     chord = np.hypot(np.diff(x), np.diff(y))
     turned = np.abs(np.diff(np.unwrap(np.arctan2(np.diff(y), np.diff(x)))))
-    shrunk = 1.0 - road.bend(s) * center
-    even = turned.max(initial=0.0) < _CORNER and shrunk.min() > _NARROW and chord.max() < 2.0 * STEP
+    shrunk = 1.0 - road.reference_curvature(s) * center
+    even = turned.max(initial=0.0) < _CORNER and shrunk.min() > _NARROW and chord.max() < 2.0 * SAMPLE_DISTANCE
     return float(chord.sum()), bool(even)

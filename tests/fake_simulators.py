@@ -108,7 +108,7 @@ class BatchSimulator(FailingSimulator):
     """Runs all in lock-step: what befalls one befalls all, and results come at the end."""
 
     name = "batches"
-    takes_batches = True
+    batched = True
 
     def run(self, concretes):
         self._begin()
@@ -140,7 +140,7 @@ class TellingSimulator(Simulator):
             yield Recording(
                 time=np.arange(2) * 0.1,
                 names=names,
-                kinds=("car",) * len(names),
+                object_types=("car",) * len(names),
                 x=still + np.array(values)[:, None],
                 y=still,
                 heading=still,
@@ -173,7 +173,7 @@ class NoisySimulator(Simulator):
             yield Recording(
                 time=np.arange(3) * 0.1,
                 names=("Ego", "C"),
-                kinds=("car",) * 2,
+                object_types=("car",) * 2,
                 x=row,
                 y=still,
                 heading=still,
@@ -193,7 +193,7 @@ def recording(k):
     return Recording(
         time=np.arange(3) * 0.1,
         names=("Ego",),
-        kinds=("car",),
+        object_types=("car",),
         x=row,
         y=still,
         heading=still,

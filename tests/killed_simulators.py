@@ -36,7 +36,7 @@ class Hard(Simulator):
             yield Recording(
                 time=np.arange(5.0),
                 names=("Ego", "Pedestrian"),
-                kinds=("car", "pedestrian"),
+                object_types=("car", "pedestrian"),
                 x=np.stack([np.zeros(5), np.linspace(9.0, 1.0 + number, 5)]),
                 y=still,
                 heading=still,

@@ -115,7 +115,7 @@ class Scene:
         """How far another is ahead of the ego and to its left, and how much it is turned."""
         r, k = self.recording, self.recording.names.index(name)
         h = r.heading[self.i, at]
-        away = (r.center(name) - r.center(self.ego))[at]
+        away = (r.box_center(name) - r.box_center(self.ego))[at]
         ahead, left = away @ (np.cos(h), np.sin(h)), away @ (-np.sin(h), np.cos(h))
         return ahead, left, turned(r.heading[k, at] - h)
 
@@ -155,7 +155,7 @@ class Scene:
         r, o = self.recording, self.recording.names.index(self.other)
         boxes = []
         for k in (self.i, o):
-            x, y = r.center(r.names[k]).T
+            x, y = r.box_center(r.names[k]).T
             boxes.append(corners(x, y, r.heading[k], r.length[k], r.width[k]))
         apart = gap_along_axes(*boxes) > 0
         known = np.isfinite(boxes[0]).all((1, 2)) & np.isfinite(boxes[1]).all((1, 2))

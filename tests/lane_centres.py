@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 
 from cornercase.roads import RoadNetwork
-from cornercase.roads.lane import differentiated, evaluate_polynomials, read_polynomials
+from cornercase.roads.lane import differentiate_polynomials, evaluate_polynomials, read_polynomials
 from cornercase.roads.road import Road
 from cornercase.scenario import read_xml
 
@@ -51,7 +51,7 @@ def read_centres(file: Path) -> dict[str, list[dict[str, str]]]:
 
 def compare_centres(network: RoadNetwork, points: Sequence[dict[str, str]]) -> Centres:
     """Compare lane centres of a road file with those of CARLA and of esmini."""
-    roads = {road.name: road for road in network.roads}
+    roads = {road.road_id: road for road in network.roads}
     if any(point["road"] not in roads for point in points):
         return Centres(0, {OTHER_VERSION: len(points)}, ())
     good, explained, off = 0, Counter[str](), []
@@ -63,15 +63,15 @@ def compare_centres(network: RoadNetwork, points: Sequence[dict[str, str]]) -> C
         elif reason := _known(point, road, network.path):
             explained[reason] += 1
         else:
-            off.append(f"road {road.name}, lane {point['lane']}, s = {point['s']}: {apart:.3g} m")
+            off.append(f"road {road.road_id}, lane {point['lane']}, s = {point['s']}: {apart:.3g} m")
     return Centres(good, dict(explained), tuple(off))
 
 
 def _apart(point: dict[str, str], road: Road, lean: float = 0.0, climb: float = 0.0) -> float:
     """How far a lane centre is from that of CARLA or of esmini, the nearer one, in m; the road leans by so many rad."""
     s, lane = np.array([float(point["s"])]), int(point["lane"])
-    t = road.center(int(road.section_at(s)[0]), lane, s)
-    x, y, heading = road.at(s, np.cos(lean) * t)
+    t = road.lane_center(int(road.section_at(s)[0]), lane, s)
+    x, y, heading = road.pose_at(s, np.cos(lean) * t)
     # On a road that climbs, what it leans by leans backwards.
     back = np.sin(lean) * np.sin(climb) * t
     x, y = x - back * np.cos(heading), y - back * np.sin(heading)
@@ -91,12 +91,12 @@ def _known(point: dict[str, str], road: Road, file: Path) -> str:
     )
     if _apart(point, replace(road, sections=sections)) <= NEAR:
         return "by a <border>, which CARLA and esmini do not read"
-    element = next(one for one in read_xml(file).iter("road") if one.get("id") == road.name)
+    element = next(one for one in read_xml(file).iter("road") if one.get("id") == road.road_id)
     begins = [float(one.get("s", 0.0)) for one in element.iterfind("lanes/laneOffset")]
     if begins and s < min(begins):
         return "before the first <laneOffset>, which esmini evaluates from the begin of the road"
     banks = read_polynomials(element.iterfind("lateralProfile/superelevation"), "s", "")
-    climbs = differentiated(read_polynomials(element.iterfind("elevationProfile/elevation"), "s", ""))
+    climbs = differentiate_polynomials(read_polynomials(element.iterfind("elevationProfile/elevation"), "s", ""))
     lean, slope = (float(evaluate_polynomials(of, np.array([s]))[0]) for of in (banks, climbs))
     if lean and _apart(point, road, lean, np.arctan(slope)) <= NEAR:
         return "on a road that leans, as in esmini but not here"

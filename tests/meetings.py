@@ -39,7 +39,7 @@ def recording(*collisions, until=20.0, **entities):
     return Recording(
         time=TIMES[shown],
         names=tuple(entities),
-        kinds=tuple(one["kind"] for one in rows),
+        object_types=tuple(one["kind"] for one in rows),
         **motion,
         length=np.array([one["length"] for one in rows]),
         width=np.array([one["width"] for one in rows]),

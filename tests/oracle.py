@@ -39,7 +39,7 @@ def recorded(actors, time) -> Recording:
     return Recording(
         time=time,
         names=tuple(str(i) for i in range(len(actors))),
-        kinds=tuple(actor(**a)["cls"] for a in actors),
+        object_types=tuple(actor(**a)["cls"] for a in actors),
         x=columns["x"] + way * np.cos(yaw),
         y=columns["y"] + way * np.sin(yaw),
         heading=yaw + 0 * time,

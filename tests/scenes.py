@@ -43,7 +43,7 @@ def drive(entities) -> Recording:
     return Recording(
         time=TIME,
         names=tuple(str(i) for i in range(len(rows))),
-        kinds=tuple(e["kind"] for e in entities),
+        object_types=tuple(e["kind"] for e in entities),
         x=x,
         y=y,
         heading=heading,

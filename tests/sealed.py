@@ -6,15 +6,15 @@ import sqlite3
 from contextlib import closing
 from pathlib import Path
 
-from cornercase.study.schema import STATEMENTS, TABLES
-from cornercase.study.seals import put
+from cornercase.study.schema import CREATE_STATEMENTS, TABLES
+from cornercase.study.seals import insert_rows
 
 
 def reseal(path: Path) -> None:
     """Give each row the checksum of what it holds now."""
     with closing(sqlite3.connect(path)) as connection:
         there = dict(connection.execute("SELECT name, sql FROM sqlite_master WHERE type = 'table'").fetchall())
-        plain = [name for name in TABLES if there.get(name) == STATEMENTS[name] and name != "tallies"]
+        plain = [name for name in TABLES if there.get(name) == CREATE_STATEMENTS[name] and name != "tallies"]
         if "tallies" not in there:
             return
         with connection:
@@ -25,7 +25,7 @@ def reseal(path: Path) -> None:
             for name in (*plain, "tallies"):
                 connection.execute(f"DELETE FROM {name}")
             for name, rows in held.items():
-                put(connection, name, rows)
+                insert_rows(connection, name, rows)
 
 
 def changed(path: Path, *statements: str | tuple[str, tuple[object, ...]]) -> None:

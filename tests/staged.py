@@ -139,7 +139,7 @@ def ended(ego: Motion, other: Motion, hit: int | None = None) -> Recording:
     return Recording(
         time=time,
         names=("Ego", "Other"),
-        kinds=("car", "car"),
+        object_types=("car", "car"),
         acceleration=np.gradient(stacked["speed"], STEP, axis=1),
         length=np.full(2, 4.5),
         width=np.full(2, 1.8),

@@ -16,7 +16,7 @@ import numpy as np
 import psutil
 
 from cornercase._common.errors import SimulationError
-from cornercase.exploration import AsynchronousExplorer, Configuration, Objective, ScenarioExplorer
+from cornercase.exploration import AsynchronousExplorer, ExplorationConfig, Objective, ScenarioExplorer
 from cornercase.metrics import METRICS
 from cornercase.optimizers import create_optimizer
 from cornercase.recordings import Recording
@@ -53,7 +53,7 @@ class Synthetic(Simulator):
             yield Recording(
                 time=np.arange(5.0),
                 names=("Ego", "B"),
-                kinds=("car", "car"),
+                object_types=("car", "car"),
                 x=x,
                 y=still,
                 heading=still,
@@ -74,8 +74,8 @@ def about(space, *metrics, **more):
 
 def explorer(study, simulator=None, optimizer="bayes", metrics=("distance",), budget=47, logical=LOGICAL, **options):
     objective = Objective([METRICS.create(name) if isinstance(name, str) else name for name in metrics])
-    configuration = Configuration(logical, "Ego", "B", (), budget=budget, seed=7, **options)
-    threshold = objective.known_threshold(1.0)
+    configuration = ExplorationConfig(logical, "Ego", "B", (), budget=budget, seed=7, **options)
+    threshold = objective.minimized_threshold_or_none(1.0)
     optimizer = create_optimizer(optimizer, logical.space, 7, threshold=threshold, budget=budget)
     kind = AsynchronousExplorer if configuration.asynchronous else ScenarioExplorer
     return kind(configuration, simulator or Synthetic(), optimizer, study, objective)

@@ -25,7 +25,7 @@ from conftest import EXAMPLES
 from cornercase.cli import app
 from cornercase.clustering import ASPECTS
 from cornercase.drivers import DRIVERS
-from cornercase.metrics import FEATURES, METRICS, known_features
+from cornercase.metrics import FEATURES, METRICS, registered_features
 from cornercase.optimizers import OPTIMIZERS
 from cornercase.simulators import SIMULATORS
 
@@ -42,11 +42,11 @@ CHEAP = ("check", "convert", "measure", "metrics", "simulate", "simulators")
 # Options of other programs, and names that are no module's: files, and a property in OpenSCENARIO.
 EXTERNAL = {"--frameRate", "--csv_logger", "--dashboard-address", "--fcd-output", "--nthreads", "--resources"}
 NO_MODULES = {
-    "cornercase.aspects",
+    "cornercase.n_aspects",
     "cornercase.db",
     "cornercase.displays",
     "cornercase.driver",
-    "cornercase.features",
+    "cornercase.random_features",
     "cornercase.lock",
     "cornercase.log",
     "cornercase.xosc",
@@ -266,7 +266,7 @@ def test_all_that_has_a_name_is_described(registry, page):
 
 def test_every_feature_is_described():
     described = set(inline_code_of(ROOT / "docs" / "metrics.md"))
-    assert [one.name for one in known_features() if one.name not in described] == []
+    assert [one.name for one in registered_features() if one.name not in described] == []
 
 
 def test_every_simulator_has_a_page():

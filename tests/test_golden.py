@@ -29,7 +29,7 @@ from typer.testing import CliRunner
 from conftest import at_night
 from cornercase import LogicalScenario
 from cornercase.cli import app
-from cornercase.exploration import examples
+from cornercase.exploration import examples_folder
 from cornercase.optimizers import create_optimizer
 from searches import CUBE, THRESHOLD, two_regions
 
@@ -71,8 +71,8 @@ def results(name: str, folder: Path) -> dict[str, object]:
     """What the command line tells of a study of 60 scenarios with seed 1, without paths and times."""
     study = folder / "study.db"
     stem = name.replace("-", "_")
-    space = SPACE if name == "cpnco" else examples() / stem / f"{stem}.space.xosc"
-    scenario = LogicalScenario.read(None, space).scenario.path
+    space = SPACE if name == "cpnco" else examples_folder() / stem / f"{stem}.space.xosc"
+    scenario = LogicalScenario.read(None, space).scenario_file.path
     run("explore", "--space", space, *STUDIES[name], "--budget", "60", "--seed", "1", "-o", study)
     run("analyze", study)
     run("reduce", study, "--scenario", scenario, "-o", folder / "reduced")

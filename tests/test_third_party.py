@@ -125,7 +125,7 @@ def test_every_command_takes_the_parts_of_another_package(site, tmp_path):
     assert "short" in simulators.stdout
     assert explored.returncode == 0, explored.stderr
     with Study.open(tmp_path / "study.db", readonly=True) as study:
-        points = [row.point.tolist() for row in study.done()]
+        points = [row.point.tolist() for row in study.finished_rows()]
         assert points[0] == pytest.approx([0.5] * 3, abs=0.05)
         assert points[-1] == pytest.approx([1.0] * 3, abs=0.05)
         assert study.recording(1).time[-1] == pytest.approx(5.0, abs=0.051)

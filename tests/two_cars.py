@@ -14,7 +14,7 @@ def met(ego, other, collides=None, step=0.1) -> Recording:
     return Recording(
         time=step * np.arange(len(ego[0])),
         names=("Ego", "Other"),
-        kinds=("car", "car"),
+        object_types=("car", "car"),
         x=x,
         y=y,
         heading=heading,

@@ -15,9 +15,9 @@ from tempfile import TemporaryDirectory
 import matplotlib.pyplot as plt
 
 import cornercase as cc
-from cornercase.exploration import examples
+from cornercase.exploration import examples_folder
 
-example = examples() / "x_intersection" / "x_intersection"
+example = examples_folder() / "x_intersection" / "x_intersection"
 logical = cc.LogicalScenario.read(f"{example}.xosc", f"{example}.space.xosc")
 logical.space
 
@@ -47,7 +47,7 @@ with cc.Study.open(study) as opened:
     table = opened.table()
 critical = table["wttc"] <= 0.2
 
-figure, axes = plt.subplots(layout="constrained")
+figure, axes = plt.subplots(layout_revision="constrained")
 axes.scatter(table["ego_start"][critical], table["pedestrian_wait"][critical], color="#D55E00", label="critical")
 axes.scatter(
     table["ego_start"][~critical],
@@ -64,6 +64,6 @@ plt.show()
 # How much of the space is critical is another question than how many scenarios were: the search went where it is
 # critical.
 
-known = cc.summarize(study).knowledge.critical.known
-print(f"critical share of the space: {known.share.value:.3f} ({known.share.low:.3f} to {known.share.high:.3f})")
-print(f"missed of the critical set: {known.missed.value:.3f} ({known.missed.low:.3f} to {known.missed.high:.3f})")
+known = cc.summarize(study).estimates.critical.critical_set
+print(f"critical share of the space: {known.critical_fraction.value:.3f} ({known.critical_fraction.low:.3f} to {known.critical_fraction.high:.3f})")
+print(f"missed of the critical set: {known.missed_fraction.value:.3f} ({known.missed_fraction.low:.3f} to {known.missed_fraction.high:.3f})")

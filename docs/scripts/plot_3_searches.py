@@ -16,9 +16,9 @@ from tempfile import TemporaryDirectory
 import matplotlib.pyplot as plt
 
 import cornercase as cc
-from cornercase.exploration import examples
+from cornercase.exploration import examples_folder
 
-example = examples() / "t_intersection" / "t_intersection"
+example = examples_folder() / "t_intersection" / "t_intersection"
 folder = TemporaryDirectory()
 found = {}
 for search in ("sobol", "level-set", "committee"):
@@ -33,7 +33,7 @@ for search in ("sobol", "level-set", "committee"):
 # %%
 # How many critical scenarios each has found after so many runs:
 
-figure, axes = plt.subplots(layout="constrained")
+figure, axes = plt.subplots(layout_revision="constrained")
 looks = {"sobol": ("#0072B2", ":"), "level-set": ("#009E73", "--"), "committee": ("#D55E00", "-")}
 for search, numbers in found.items():
     colour, dashes = looks[search]

@@ -12,9 +12,9 @@ from tempfile import TemporaryDirectory
 import matplotlib.pyplot as plt
 
 import cornercase as cc
-from cornercase.exploration import examples
+from cornercase.exploration import examples_folder
 
-example = examples() / "x_intersection" / "x_intersection"
+example = examples_folder() / "x_intersection" / "x_intersection"
 folder = TemporaryDirectory()
 path = Path(folder.name) / "study.db"
 cc.explore(
@@ -23,12 +23,12 @@ cc.explore(
 )  # fmt: skip
 cc.analyze(path)
 reduced = cc.reduce(path, Path(folder.name) / "reduced", size=12, scenario=f"{example}.xosc")
-print(Counter(kept.role for kept in reduced.kept))
+print(Counter(kept.role for kept in reduced.scenarios))
 
 # %%
 # Each kept scenario is a file that runs by itself. Its values and the reason why it was kept stand in the manifest.
 
-for kept in reduced.kept[:3]:
+for kept in reduced.scenarios[:3]:
     print(kept.file, kept.values, kept.why)
 
 # %%
@@ -38,7 +38,7 @@ with cc.Study.open(path) as study:
     table = study.table()
 chosen = table["id"].isin(reduced.ids)
 
-figure, axes = plt.subplots(layout="constrained")
+figure, axes = plt.subplots(layout_revision="constrained")
 axes.scatter(table["ego_start"], table["pedestrian_wait"], s=12, color="#999999", label="run")
 axes.scatter(
     table["ego_start"][chosen], table["pedestrian_wait"][chosen], s=70, marker="D", color="#D55E00", label="kept"

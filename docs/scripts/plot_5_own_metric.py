@@ -9,7 +9,7 @@ import matplotlib.pyplot as plt
 import numpy as np
 
 import cornercase as cc
-from cornercase.exploration import examples
+from cornercase.exploration import examples_folder
 from cornercase.metrics import METRICS, Metric
 
 
@@ -22,8 +22,8 @@ class SpeedNearby(Metric):
     cap = 0.0
 
     def course(self, recording, ego, other):
-        gap = np.hypot(*(recording.center(other) - recording.center(ego)).T)
-        return np.where(gap <= 20.0, recording.speed[recording.index(ego)], np.nan)
+        gap = np.hypot(*(recording.box_center(other) - recording.box_center(ego)).T)
+        return np.where(gap <= 20.0, recording.speed[recording.entity_index(ego)], np.nan)
 
 
 METRICS.register("speed-nearby", SpeedNearby)
@@ -31,8 +31,8 @@ METRICS.register("speed-nearby", SpeedNearby)
 # %%
 # Two drivers go through the same concrete scenario.
 
-scenario = examples() / "x_intersection" / "x_intersection.xosc"
-figure, axes = plt.subplots(layout="constrained")
+scenario = examples_folder() / "x_intersection" / "x_intersection.xosc"
+figure, axes = plt.subplots(layout_revision="constrained")
 for driver, look in (("cautious", "-"), ("aggressive", "--")):
     recording = cc.simulate(scenario, {"ego_start": 40.0, "pedestrian_wait": 5.0}, drivers={"Ego": driver})
     measured = cc.measure(recording, "Ego", "Pedestrian", ["speed-nearby"])

@@ -14,7 +14,7 @@ import numpy as np
 
 import cornercase as cc
 from cornercase.drivers import Driver
-from cornercase.exploration import examples
+from cornercase.exploration import examples_folder
 
 
 class Steady(Driver):
@@ -30,7 +30,7 @@ class Steady(Driver):
 # %%
 # Both run the same 60 scenarios.
 
-example = examples() / "x_intersection" / "x_intersection"
+example = examples_folder() / "x_intersection" / "x_intersection"
 folder = TemporaryDirectory()
 tables = {}
 for name, driver in (("steady", Steady()), ("cautious", "cautious")):
@@ -45,7 +45,7 @@ for name, driver in (("steady", Steady()), ("cautious", "cautious")):
 # %%
 # Points above the diagonal went better with the attentive driver.
 
-figure, axes = plt.subplots(layout="constrained")
+figure, axes = plt.subplots(layout_revision="constrained")
 axes.axline((0, 0), slope=1, color="#999999", linestyle=":")
 axes.scatter(tables["steady"]["wttc"], tables["cautious"]["wttc"], color="#0072B2")
 axes.set(

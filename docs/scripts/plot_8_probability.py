@@ -11,10 +11,10 @@ from tempfile import TemporaryDirectory
 import matplotlib.pyplot as plt
 
 import cornercase as cc
-from cornercase.exploration import examples
+from cornercase.exploration import examples_folder
 
 folder = TemporaryDirectory()
-example = examples() / "t_intersection"
+example = examples_folder() / "t_intersection"
 scenario = example / "t_intersection.xosc"
 study = Path(folder.name) / "study.db"
 cc.explore(
@@ -34,7 +34,7 @@ print(estimates[1200])
 # %%
 # More scenarios narrow the interval.
 
-figure, axes = plt.subplots(layout="constrained")
+figure, axes = plt.subplots(layout_revision="constrained")
 for budget, estimate in estimates.items():
     value = estimate.critical
     axes.errorbar(

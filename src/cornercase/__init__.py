@@ -12,7 +12,7 @@ if (
 
 import lazy_loader as lazy
 
-from cornercase._common.current_folder import take_no_settings as _take_no_settings
+from cornercase._common.current_folder import ignore_settings_of_current_folder as _take_no_settings
 from cornercase._common.displays import DISPLAYS as _DISPLAYS
 from cornercase._common.version import __version__ as __version__
 

@@ -46,4 +46,4 @@ from .study import import_recordings as import_recordings
 from .suite import Comparison as Comparison
 from .suite import SuiteResult as SuiteResult
 from .suite import compare as compare
-from .suite import test as test
+from .suite import run_suite as run_suite

@@ -27,7 +27,7 @@ def test_the_command_runs_the_scenario_to_the_last_bit(tab, studies, reports, na
     path = studies(name)
     page = tab.open(reports(name))
     with Study.open(path, readonly=True) as study:
-        ids = [row.id for row in study.done()][::25]
+        ids = [row.id for row in study.finished_rows()][::25]
         folder = X if name == "plain" else path.parent / "files"
         monkeypatch.chdir(folder)
         for scenario in ids:
@@ -81,7 +81,7 @@ def test_the_recording_of_the_page_is_that_of_the_study_rounded(tab, studies, re
         download.value.save_as(tmp_path / "page.csv")
         exact, found = study.recording(3), read_recording(tmp_path / "page.csv")
     assert found.names == exact.names
-    assert found.kinds == exact.kinds
+    assert found.object_types == exact.object_types
     assert abs(found.x - exact.x).max() <= 5.1e-4
     assert abs(found.heading - exact.heading).max() <= 5.1e-5
     assert [hit.entities for hit in found.collisions] == [hit.entities for hit in exact.collisions]

@@ -114,7 +114,7 @@ def test_filters_show_what_the_study_says(tab, reports, studies):
     page = tab.open(reports("plain"))
     table = table_of(studies("plain"))
     with Study.open(studies("plain"), readonly=True) as study:
-        found, _ = study.analysis("wttc", "ids", "labels")
+        found, _ = study.read_analysis("wttc", "ids", "labels")
         labels = dict(zip(found["ids"].tolist(), found["labels"].tolist(), strict=True))
         outcomes = study.outcomes()
     page.select_option("#aspect", "wttc")
@@ -139,7 +139,7 @@ def test_filters_show_what_the_study_says(tab, reports, studies):
 def test_what_failed_can_be_picked(tab, reports, studies):
     page = tab.open(reports("failed"))
     with Study.open(studies("failed"), readonly=True) as study:
-        failed = {row.id for row in study.failed()}
+        failed = {row.id for row in study.failed_rows()}
     page.select_option("#filter-failed", "1")
     assert failed
     assert shown(page) == failed

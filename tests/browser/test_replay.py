@@ -6,7 +6,7 @@ import numpy as np
 
 import cornercase as cc
 from browser.studies import ENTITY, HOSTILE
-from cornercase.report.replays.motion import motion_at, sees
+from cornercase.report.replays.motion import interpolate_motion, is_visible
 from cornercase.study import Study
 
 # What the scene draws from at some times, of the entities of that slot.
@@ -23,7 +23,7 @@ SEEN = """(times) => {
 def most_critical(study):
     with Study.open(study, readonly=True) as opened:
         scores = opened.scores(opened.meta.metrics[0])
-        return opened.done()[int(np.argmin(scores))].id
+        return opened.finished_rows()[int(np.argmin(scores))].id
 
 
 def test_it_shows_what_was_recorded_also_between_instants(tab, studies, tmp_path):
@@ -32,12 +32,12 @@ def test_it_shows_what_was_recorded_also_between_instants(tab, studies, tmp_path
     with Study.open(studies("plain"), readonly=True) as opened:
         recording = opened.recording(one)
     times = np.concatenate([recording.time, 0.5 * (recording.time[1:] + recording.time[:-1])])
-    moved = motion_at(recording, times)
+    moved = interpolate_motion(recording, times)
     found = np.array(page.evaluate(BOXES, times.tolist()), dtype=float)
     assert np.abs(found[..., 0].T - moved.x).max() < 2e-3
     assert np.abs(found[..., 1].T - moved.y).max() < 2e-3
-    ego, other = recording.index("Ego"), recording.index("Pedestrian")
-    seen = [sees(moved, ego, other, k) for k in range(len(recording.time))]
+    ego, other = recording.entity_index("Ego"), recording.entity_index("Pedestrian")
+    seen = [is_visible(moved, ego, other, k) for k in range(len(recording.time))]
     drawn = page.evaluate(SEEN, recording.time.tolist())
     # The page holds places to a millimetre.
     assert np.mean(np.array(seen) != np.array(drawn)) < 0.02

@@ -31,7 +31,7 @@ PLACES = """([slot, points]) => points.map(([x, y]) => {
 
 def recorded(path, scenario):
     with Study.open(path, readonly=True) as study:
-        return next(recording for one, recording, _ in study.recorded() if one == scenario)
+        return next(recording for one, recording, _ in study.iter_recordings() if one == scenario)
 
 
 def box_at(recording, name, k):
@@ -167,7 +167,7 @@ def test_a_neighbour_of_another_kind_or_outcome_is_put_beside(tab, reports):
 
 def test_what_failed_says_why(tab, reports, studies):
     with Study.open(studies("failed"), readonly=True) as study:
-        failed = study.failed()[0]
+        failed = study.failed_rows()[0]
     page = tab.open(f"{reports('failed')}#id={failed.id}")
     page.wait_for_selector("#replay [data-replay=selected]")
     assert failed.error in page.locator("#replay").inner_text()

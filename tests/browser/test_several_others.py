@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import cornercase as cc
-from cornercase.metrics import METRICS, measured
+from cornercase.metrics import METRICS, evaluate_metrics
 from cornercase.recordings import Recording
 from cornercase.scenario import ParameterSpace
 from cornercase.study import Study
@@ -28,15 +28,15 @@ def report(tmp_path_factory):
     meta = about(space, "distance", "clearance", other=("A", "B"), simulator="builtin")
     points, still, one = np.array([[0.3], [0.7]]), np.zeros((4, 5)), np.full(4, 0.1)
     with Study.create(folder / "study.db", meta) as study:
-        for row in study.writer.propose(1, points, space.values(points)):
+        for row in study.writer.add_pending(1, points, space.values(points)):
             places = np.array([0.0, 4.0, -float(row.values["b"]), 1.0])
             recording = Recording(
-                time=np.arange(5.0), names=("Ego", "A", "B", "C"), kinds=("car",) * 4,
+                time=np.arange(5.0), names=("Ego", "A", "B", "C"), object_types=("car",) * 4,
                 x=np.tile(places[:, None], 5), y=still, heading=still, speed=still, acceleration=still,
                 length=one, width=one, center_x=0.0 * one,
             )  # fmt: skip
             metrics = [METRICS.create(name) for name in meta.metrics]
-            study.writer.finish(row.id, recording, measured(metrics, recording, "Ego", meta.others))
+            study.writer.record_result(row.id, recording, evaluate_metrics(metrics, recording, "Ego", meta.others))
     return cc.write_report(folder / "study.db", folder / "report.html").as_uri()
 
 

@@ -30,18 +30,18 @@ def versions(tmp_path_factory):
     for version in (0, 1):
         path = folder / f"{version} {HOSTILE}.db"
         with Study.create(path, meta) as study:
-            for k, row in enumerate(study.writer.propose(1, POINTS, space.values(POINTS))):
+            for k, row in enumerate(study.writer.add_pending(1, POINTS, space.values(POINTS))):
                 if version and k == 1:
-                    study.writer.fail(row.id, SimulationError(HOSTILE))
+                    study.writer.record_failure(row.id, SimulationError(HOSTILE))
                     continue
                 gap = 10.0 - 3.0 * k * version
                 hit = (Collision(2.0, ("Ego", ENTITY)),) if version and k == 2 else ()
                 recording = Recording(
-                    time=np.arange(5.0), names=("Ego", ENTITY), kinds=("car", "car"),
+                    time=np.arange(5.0), names=("Ego", ENTITY), object_types=("car", "car"),
                     x=np.stack([np.zeros(5), np.full(5, gap)]), y=still, heading=still, speed=still, acceleration=still,
                     length=one, width=one, center_x=0.0 * one, collisions=hit,
                 )  # fmt: skip
-                study.writer.finish(row.id, recording, {"distance": (np.full(5, gap), gap)})
+                study.writer.record_result(row.id, recording, {"distance": (np.full(5, gap), gap)})
         found.append(path)
     return found
 
@@ -54,7 +54,7 @@ def page_of(versions, path) -> Path:
 def test_old_and_new_are_played_side_by_side(tab, versions, tmp_path):
     found = cc.compare(*versions)
     page = tab.open(page_of(versions, tmp_path / "page.html").as_uri())
-    assert [one.pair.ids for one in found.telling] == [(2, 2), (3, 3), (4, 4)]
+    assert [one.pair.ids for one in found.examples] == [(2, 2), (3, 3), (4, 4)]
     titles = page.locator(".pane-title")
     assert page.title().startswith("cornercase: ")
     # The one that failed is told of beside the one that ran.

@@ -88,8 +88,8 @@ def test_the_same_demo_twice_gives_the_same_scores_and_labels(demo, tmp_path):
     with Study.open(demo / "study.db", readonly=True) as a, Study.open(tmp_path / "study.db", readonly=True) as b:
         for metric in a.meta.metrics:
             np.testing.assert_array_equal(a.scores(metric), b.scores(metric))
-        for name in a.analyses():
-            np.testing.assert_array_equal(a.analysis(name)[0]["labels"], b.analysis(name)[0]["labels"])
+        for name in a.analyzed_aspects():
+            np.testing.assert_array_equal(a.read_analysis(name)[0]["labels"], b.read_analysis(name)[0]["labels"])
     assert (demo / "reduced" / "manifest.json").read_bytes() == (tmp_path / "reduced" / "manifest.json").read_bytes()
 
 
@@ -204,7 +204,7 @@ def test_analyze_by_hand(demo):
     )
     assert result.returncode == 0, result.stderr
     with Study.open(demo / "study.db", readonly=True) as study:
-        _, info = study.analysis("wttc")
+        _, info = study.read_analysis("wttc")
     assert (info["gamma"], info["eps"], info["min_samples"]) == (2, 0.3, 4)
     assert cornercase("analyze", demo / "study.db").returncode == 0
 
@@ -220,7 +220,7 @@ def test_simulate_and_measure(tmp_path):
         rows = list(csv.reader(file))
     assert rows[0] == ["time", "distance", "wttc"]
     read = read_recording(recording)
-    gap = np.hypot(*(read.center("Ego") - read.center("Pedestrian")).T)
+    gap = np.hypot(*(read.box_center("Ego") - read.box_center("Pedestrian")).T)
     np.testing.assert_allclose([float(row[1]) for row in rows[1:]], gap)
 
 

@@ -16,13 +16,13 @@ import cornercase as cc
 import fake_simulators  # noqa: F401 - makes its simulators known
 from command_line import SPACE, X, cornercase
 from cornercase._common.errors import InputError
-from cornercase._common.parts import describe_error, group_reasons
+from cornercase._common.parts import describe_error, group_failure_messages
 from cornercase.cli.study_file import read_study_file
-from cornercase.drivers import Driver, told_driver
+from cornercase.drivers import Driver, resolve_driver
 from cornercase.metrics import METRICS, Clearance, measure
 from cornercase.optimizers import OPTIMIZERS, SobolOptimizer
 from cornercase.recordings import Recording, read_recording
-from cornercase.simulators import SIMULATORS, BuiltinSimulator, Simulator, WorkerSimulator, start_simulator
+from cornercase.simulators import SIMULATORS, BuiltinSimulator, Simulator, WorkerSimulator, create_simulator
 from cornercase.study import Study
 from cornercase.suite import Requirement, judge
 from fake_simulators import Plan
@@ -162,8 +162,8 @@ def test_42_8_whoever_wants_to_knows_of_all_failures(tmp_path):
 
 
 def test_42_8_a_driver_that_crashes_costs_its_scenario_alone(folder):
-    options = {"duration": 2.0, "drivers": {"Ego": told_driver("faulty:Crashing")}}
-    with start_simulator("builtin", options, retries=0) as simulator:
+    options = {"duration": 2.0, "drivers": {"Ego": resolve_driver("faulty:Crashing")}}
+    with create_simulator("builtin", options, retries=0) as simulator:
         well, lost = simulator.run([cc.ConcreteScenario(X, {"ego_start": start}) for start in (30.0, 70.0)])
     assert isinstance(well, Recording)
     assert str(lost) == (
@@ -231,7 +231,7 @@ class Touchy(Clearance):
 
     def course(self, recording, ego, other):
         course = super().course(recording, ego, other)
-        if recording.y[recording.index(ego), 0] > -60.0:
+        if recording.y[recording.entity_index(ego), 0] > -60.0:
             if self.wrong == "raise":
                 sys.exit(0)
             if self.wrong == "shape":
@@ -281,7 +281,7 @@ def test_42_s5_a_search_that_fails_is_named_and_the_study_kept(tmp_path, monkeyp
     class Tired(SobolOptimizer):
         name, rounds = "tired", 0
 
-        def ask(self, n, besides=None):
+        def ask(self, n, exclude=None):
             self.rounds += 1
             if self.rounds == 2 and asked == "ask":
                 sys.exit(0)
@@ -314,7 +314,7 @@ class Unruly(Simulator):
         if self.wrong == where:
             sys.exit(0)
 
-    def require_means(self, scenario):
+    def check_supported(self, scenario):
         self.fail("require_means")
 
     def close(self):
@@ -365,7 +365,7 @@ def test_42_8_an_option_says_how_many_failures_in_a_row_end_a_search(tmp_path):
     def ran(most, folder):
         folder.mkdir()
         plan = Plan(folder, {k: ["crash"] for k in range(7)})
-        with start_simulator("failing", {"plan": plan}, retries=0, max_failures=most) as simulator:
+        with create_simulator("failing", {"plan": plan}, retries=0, max_failures=most) as simulator:
             assert isinstance(simulator, WorkerSimulator)
             return len(list(simulator.run(fake_concretes(7))))
 
@@ -395,7 +395,7 @@ def test_42_9_a_notice_comes_from_workers_once(folder, workers):
 
 def test_42_4_the_same_failure_at_different_instants_is_one_reason():
     at = "the driver of Ego (a:B) failed at t = {} s: ValueError: no (a.py line 3 in run: no())"
-    found = group_reasons([at.format(0.5), "too slow", at.format(1.25), at.format(1)])
+    found = group_failure_messages([at.format(0.5), "too slow", at.format(1.25), at.format(1)])
     assert found == {at.format("0.5 to 1.25"): [0, 2, 3], "too slow": [1]}
 
 

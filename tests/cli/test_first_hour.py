@@ -21,8 +21,8 @@ import pytest
 
 from command_line import SPACE, X, cornercase
 from cornercase._common.errors import InputError, NoticeWarning
-from cornercase._common.progress import words_of_seconds
-from cornercase.exploration import Objective, demonstration, explore_configuration
+from cornercase._common.progress import format_duration
+from cornercase.exploration import Objective, paper_experiment_config, explore_config
 from cornercase.optimizers.grid import GridOptimizer
 from cornercase.scenario import ParameterSpace
 from cornercase.simulators.carmaker import simulator as carmaker
@@ -45,14 +45,14 @@ def notices():
 
 
 def test_stumble_07_nothing_is_taken_for_markup_and_no_carmaker_is_here_that_is_not(monkeypatch):
-    monkeypatch.setattr(carmaker, "has_cmapi", lambda: False)
-    monkeypatch.setattr(carmaker, "_listens", lambda: False)
+    monkeypatch.setattr(carmaker, "is_cmapi_installed", lambda: False)
+    monkeypatch.setattr(carmaker, "_is_port_open", lambda: False)
     found = json.loads(cornercase("simulators", "--json").stdout)
     assert "no CarMaker listens on port 16660" in found["carmaker"]["missing"]
     shown = cornercase("simulators").stdout
     (line,) = [one for one in shown.splitlines() if one.split()[:1] == ["carmaker"]]
     assert line.split()[1] == "no"
-    monkeypatch.setattr(carmaker, "has_cmapi", lambda: True)
+    monkeypatch.setattr(carmaker, "is_cmapi_installed", lambda: True)
     assert not json.loads(cornercase("simulators", "--json").stdout)["carmaker"]["missing"]
 
 
@@ -228,7 +228,7 @@ def test_stumble_12_columns_have_no_spaces_and_parquet_holds_courses_and_recordi
     assert list(rows["scenarios"]) == head.split(",")
     for name in ("recordings", "courses"):
         for scenario, part in rows[name].groupby("scenario"):
-            plain = pd.read_csv(tmp_path / "csv" / name / f"{scenario:05}.csv", keep_default_na=False)
+            plain = pd.read_recording_csv(tmp_path / "csv" / name / f"{scenario:05}.csv", keep_default_na=False)
             pd.testing.assert_frame_equal(
                 part.drop(columns="scenario").reset_index(drop=True), plain, check_dtype=False
             )
@@ -393,7 +393,7 @@ def test_stumble_05_where_all_runs_fail_that_is_no_success(tmp_path, monkeypatch
 
 
 def test_stumble_08_times_are_told_as_people_do():
-    assert [words_of_seconds(one) for one in (42, 7500)] == ["42 s", "2 h 5 min"]
+    assert [format_duration(one) for one in (42, 7500)] == ["42 s", "2 h 5 min"]
 
 
 def test_stumble_08_each_long_step_tells_how_far_it_is(searched, tmp_path):
@@ -417,7 +417,7 @@ def test_stumble_11_a_study_that_is_read_blocks_nobody(searched, tmp_path):
         assert one.readonly
         assert two.readonly
         assert cornercase("analyze", study, "--by", "wttc").returncode == 0
-        assert one.analyses() == ["wttc"]
+        assert one.analyzed_aspects() == ["wttc"]
 
 
 def given_to_pytest(text):
@@ -468,8 +468,8 @@ def test_stumble_13_much_is_marked_as_slow():
 
 @pytest.mark.parametrize("name", ["x-intersection", "t-intersection"])
 def test_stumble_03_what_the_demonstration_calls_critical_divides(name, tmp_path):
-    configuration = replace(demonstration(name), budget=64, optimizer="sobol")
-    explore_configuration(configuration, tmp_path / "study.db")
+    configuration = replace(paper_experiment_config(name), budget=64, optimizer="sobol")
+    explore_config(configuration, tmp_path / "study.db")
     with Study.open(tmp_path / "study.db") as study:
-        critical = Objective.of_study(study.meta).critical_of(study)
+        critical = Objective.from_study_meta(study.meta).is_critical_in_study(study)
     assert 0.02 < critical.mean() < 0.5

@@ -264,7 +264,7 @@ def test_a_command_that_fails_because_of_what_it_reads_leaves_no_empty_study(tmp
     assert explored(tmp_path, path).returncode == 0
     assert explored(tmp_path, path, "--metric", "ttc").returncode == 2
     with Study.open(tmp_path / "s.db") as study:
-        assert len(study.done()) == 2
+        assert len(study.finished_rows()) == 2
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="names of files are texts elsewhere")

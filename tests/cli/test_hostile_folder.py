@@ -22,7 +22,7 @@ import cornercase as cc
 from command_line import SPACE, X, cornercase
 from conftest import at_night
 from cornercase._common import platform
-from cornercase._common.current_folder import import_here
+from cornercase._common.current_folder import import_from_current_folder
 from cornercase.cli import warming
 from hostile_folder import HostileFolder
 from strangers import set_meta
@@ -245,7 +245,7 @@ def test_42_s1_only_what_a_driver_imports_is_found_beside_it(tmp_path, monkeypat
     monkeypatch.chdir(tmp_path)
     monkeypatch.syspath_prepend(tmp_path / "elsewhere")
     monkeypatch.setattr(sys, "modules", dict(sys.modules))
-    import_here("driver_here")
+    import_from_current_folder("driver_here")
     assert {"driver_here", "beside_it", "beside_that", "package_here.other"} <= sys.modules.keys()
     assert str(tmp_path) not in sys.path
     # A driver may import as it drives.
@@ -265,11 +265,11 @@ def test_42_s1_what_compiles_beside_a_demo_takes_nothing_from_the_folder(clean, 
         started.append(popen(command, **given, cwd=clean.folder))
         return started[-1]
 
-    monkeypatch.setattr(platform, "available_cpus", lambda: 2)
+    monkeypatch.setattr(platform, "count_available_cpus", lambda: 2)
     monkeypatch.setattr("subprocess.Popen", starting)
     starts: list[Any] = []
-    monkeypatch.setattr("cornercase._common.compiling._WATCH.companions", starts)
-    with warming.two_compile("import cornercase.clustering, cornercase.dtw; print('done')"):
+    monkeypatch.setattr("cornercase._common.compiling._WATCH.start_callbacks", starts)
+    with warming.compile_in_parallel("import cornercase.clustering, cornercase.dtw; print('done')"):
         starts[0]()
         (one,) = started
         one.stdin.close()

@@ -11,9 +11,9 @@ import pytest
 
 import foreign_recordings as foreign
 from command_line import cornercase
-from cornercase.recordings.recording import COLUMNS
+from cornercase.recordings.recording import CSV_COLUMNS
 
-HEADER = ",".join(COLUMNS)
+HEADER = ",".join(CSV_COLUMNS)
 OSI = pytest.mark.skipif(find_spec("osi3") is None, reason="needs the extra 'osi'")
 COMMONROAD = pytest.mark.skipif(find_spec("commonroad") is None, reason="needs the extra 'commonroad'")
 

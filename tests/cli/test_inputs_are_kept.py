@@ -66,7 +66,7 @@ def test_clusters_that_are_kept_take_no_settings(tmp_path):
         explorer(study, metrics=("distance", "wttc"), budget=10).run()
     cc.analyze(tmp_path / "s.db", "distance")
     with pytest.raises(cc.InputError, match="`keep`"):
-        cc.analyze(tmp_path / "s.db", "distance", gamma=4.0, keep=True)
+        cc.analyze(tmp_path / "s.db", "distance", gamma=4.0, keep_clusters=True)
 
 
 def test_an_entity_is_not_measured_against_itself(scenario):

@@ -10,7 +10,7 @@ import sys
 import pytest
 
 from command_line import SPACE, X, cornercase
-from cornercase._common.interrupts import hear_requests
+from cornercase._common.interrupts import install_signal_handlers
 
 pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="it asks as Unix does")
 
@@ -114,7 +114,7 @@ def test_stumble_8_an_interrupted_command_says_a_word(number, place, command, wo
 def test_who_ignores_a_signal_goes_on_ignoring_it():
     before = signal.signal(signal.SIGHUP, signal.SIG_IGN)
     try:
-        hear_requests()
+        install_signal_handlers()
         assert signal.getsignal(signal.SIGHUP) is signal.SIG_IGN
     finally:
         signal.signal(signal.SIGHUP, before)

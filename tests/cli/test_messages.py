@@ -9,24 +9,24 @@ import typer.main
 from command_line import cornercase
 from conftest import car, scenario_file, speed_action, teleport
 from cornercase.cli import app
-from cornercase.cli.messages import _COMMANDS, _PARAMETERS, _RENAMED, in_words_of_the_command_line
+from cornercase.cli.messages import _COMMANDS, _PARAMETERS_WITH_OPTION, _OPTION_BY_PARAMETER, use_option_names
 
 
 def test_parameters_become_options_and_functions_become_commands():
     message = "`stop_when` missed: write it so; give `weights` to `explore`, not `pareto`."
-    assert in_words_of_the_command_line(message) == (
+    assert use_option_names(message) == (
         "--stop-when missed: write it so; give --weight to 'cornercase explore', not --pareto."
     )
 
 
 def test_the_connection_with_a_cluster_is_what_was_given_for_it():
-    assert in_words_of_the_command_line("`client`: a worker has cornercase 0.0.1.") == (
+    assert use_option_names("`client`: a worker has cornercase 0.0.1.") == (
         "--cluster: a worker has cornercase 0.0.1."
     )
 
 
 def test_what_is_neither_stays():
-    assert in_words_of_the_command_line("The file `a.csv` has no column `speed`.") == (
+    assert use_option_names("The file `a.csv` has no column `speed`.") == (
         "The file `a.csv` has no column `speed`."
     )
 
@@ -36,8 +36,8 @@ def test_every_option_and_command_that_is_named_exists():
     commands = group.commands
     options = {text for command in commands.values() for one in command.params for text in one.opts}
     assert set(_COMMANDS) <= set(commands)
-    assert set(_RENAMED.values()) <= options
-    assert {in_words_of_the_command_line(f"`{name}`") for name in _PARAMETERS} <= options
+    assert set(_OPTION_BY_PARAMETER.values()) <= options
+    assert {use_option_names(f"`{name}`") for name in _PARAMETERS_WITH_OPTION} <= options
 
 
 def test_an_exploration_tells_how_many_failed(tmp_path):

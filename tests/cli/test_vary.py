@@ -176,7 +176,7 @@ def through_all_commands(scenario: Path, vary: list[str], folder: Path, *measure
             assert "3 of 3 recordings are identical to those in study.db" in done.stdout
     page = (folder / "report.html").read_text("utf-8")
     with Study.open(folder / "study.db", readonly=True) as opened:
-        assert len(opened.done()) == budget
+        assert len(opened.finished_rows()) == budget
         assert all(name in page for name in opened.space.names)
         assert len(opened.space.names) == len(vary)
 

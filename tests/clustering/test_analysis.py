@@ -62,12 +62,12 @@ def test_an_analysis_is_read_back_as_it_was_written(path):
     with Study.open(path, readonly=True) as study:
         again = read_analyses(study)
         distances = read_distances(study, "distance")
-        rows = [row.id for row in study.done()]
+        rows = [row.id for row in study.finished_rows()]
     assert list(found) == list(again) == ["ego-trajectory", "bearing", "interaction", "distance", "wttc"]
     for name, one in found.items():
         same(one, again[name])
         assert one.by == name
-        assert one.ids.tolist() == rows == one.fitted.tolist()
+        assert one.ids.tolist() == rows == one.fitted_ids.tolist()
         assert sum(one.sizes) + (one.labels < 0).sum() == len(rows)
         assert [profile.cluster for profile in one.profiles if profile.cluster >= 0] == list(range(len(one.sizes)))
     assert f"by distance: {len(rows)} scenarios" in repr(found["distance"])
@@ -78,7 +78,7 @@ def test_the_distances_are_those_of_the_aspect(path):
     with Study.open(path, readonly=False) as study:
         analyze(study, "distance")
         # The course of the synthetic scenarios is constant, at five instants.
-        levels = np.array([[study.course(row.id, "distance")[0]] for row in study.done()])
+        levels = np.array([[study.course(row.id, "distance")[0]] for row in study.finished_rows()])
         expected = squareform(pdist(5 * np.minimum(levels, 100.0)))
         # Distances are computed in single precision.
         np.testing.assert_allclose(read_distances(study, "distance"), expected, rtol=1e-6, atol=1e-5)
@@ -90,11 +90,11 @@ def test_landmarks_are_read_back_and_are_still_those_after_others_joined(path, m
     with opened(path) as study:
         before = analyze(study, "distance")["distance"]
         explorer(study, metrics=("distance", "wttc"), optimizer="sobol", budget=60).run()
-        after = analyze(study, "distance", keep=True)["distance"]
+        after = analyze(study, "distance", keep_clusters=True)["distance"]
         same(after, read_analysis(study, "distance"))
     assert len(before.clustering.landmarks) == 15
     assert len(after.ids) > len(before.ids)
-    assert after.fitted.tolist() == before.ids.tolist()
+    assert after.fitted_ids.tolist() == before.ids.tolist()
     spanning = [one.ids[one.clustering.landmarks].tolist() for one in (before, after)]
     assert spanning[0] == spanning[1]
 
@@ -103,7 +103,7 @@ def test_the_study_tells_how_each_scenario_ended(path):
     analyze(path, "distance")
     with Study.open(path, readonly=True) as study:
         ends = study.outcomes()
-        assert list(ends) == [row.id for row in study.done()]
+        assert list(ends) == [row.id for row in study.finished_rows()]
         # Both stand, one in front of the other.
         assert set(ends.values()) == {"B ahead"}
 
@@ -122,7 +122,7 @@ def test_refuses_before_it_begins(path, options, words):
     with pytest.raises(InputError, match=words):
         analyze(path, **options)
     with Study.open(path, readonly=True) as study:
-        assert study.analyses() == []
+        assert study.analyzed_aspects() == []
 
 
 @pytest.mark.parametrize("wrong", [None, 3])
@@ -169,9 +169,9 @@ def test_kept_clusters_keep_their_settings(path, setting, method):
     analyze(path, "distance", method=method)
     for given in (setting, {"method": "hdbscan"}, {"method": "dbscan"}):
         with pytest.raises(InputError, match=f"leave out .*`{next(iter(given))}`"):
-            analyze(path, "distance", **given, keep=True)
+            analyze(path, "distance", **given, keep_clusters=True)
     # All settings apply to aspects that are clustered for the first time.
-    assert analyze(path, "wttc", method="hdbscan", keep=True)["wttc"].clustering.method == "hdbscan"
+    assert analyze(path, "wttc", method="hdbscan", keep_clusters=True)["wttc"].clustering.method == "hdbscan"
 
 
 @pytest.mark.parametrize("eps", [10.0, 1e-9])
@@ -219,4 +219,4 @@ def test_what_divides_nothing_agrees_with_nothing_else_that_divides_nothing(path
 def test_less_memory_than_analyze_was_seen_to_take_is_refused(count, aspects, taken):
     study: Any = SimpleNamespace(path="study.db")
     with pytest.raises(InputError, match=f"the series of {count} scenarios need up to"):
-        _require_memory(study, {}, aspects, count, MemoryLimit.of(taken))
+        _require_memory(study, {}, aspects, count, MemoryLimit.from_value(taken))

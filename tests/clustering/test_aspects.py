@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from conftest import examples
 from cornercase._common.errors import InputError
-from cornercase.clustering import ASPECTS, Aspect, analyze, read_analysis, read_distances, series_of
+from cornercase.clustering import ASPECTS, Aspect, analyze, read_analysis, read_distances, read_series
 from cornercase.dtw import distance_matrix
 from cornercase.recordings import Recording
 from cornercase.study import Study
@@ -29,7 +29,7 @@ def of(ego, other, time=TIME):
     return Recording(
         time=time,
         names=("Ego", "B"),
-        kinds=("car", "car"),
+        object_types=("car", "car"),
         x=places[:, :, 0],
         y=places[:, :, 1],
         heading=np.arctan2(steps[:, :, 1], steps[:, :, 0]),
@@ -158,10 +158,10 @@ def path(tmp_path):
 def test_a_study_is_analysed_by_any_of_them(path):
     found = analyze(path, [*NAMES, "distance"])
     with Study.open(path, readonly=True) as study:
-        assert study.analyses() == ["ego-trajectory", *sorted(set(NAMES) - {"ego-trajectory"}), "distance"]
+        assert study.analyzed_aspects() == ["ego-trajectory", *sorted(set(NAMES) - {"ego-trajectory"}), "distance"]
         for name, one in found.items():
             # Studies are compared in single precision.
-            expected = distance_matrix(series_of(study, name))
+            expected = distance_matrix(read_series(study, name))
             np.testing.assert_allclose(read_distances(study, name), expected, rtol=1e-5, atol=1e-5)
             again = read_analysis(study, name)
             assert (again.unit, again.window) == (one.unit, None)
@@ -175,12 +175,12 @@ def test_a_window_is_in_seconds_and_stored_and_kept(path):
     # The recordings have instants 1 s apart.
     analyze(path, "distance", window=2.0)
     with Study.open(path, readonly=False) as study:
-        expected = distance_matrix(series_of(study, "distance"), window=3)
+        expected = distance_matrix(read_series(study, "distance"), window=3)
         np.testing.assert_allclose(read_distances(study, "distance"), expected, rtol=1e-5, atol=1e-5)
         assert read_analysis(study, "distance").window == 2.0
-        assert analyze(study, "distance", keep=True)["distance"].window == 2.0
+        assert analyze(study, "distance", keep_clusters=True)["distance"].window == 2.0
         with pytest.raises(InputError, match=r"leave out .*`window`"):
-            analyze(study, "distance", window=1.0, keep=True)
+            analyze(study, "distance", window=1.0, keep_clusters=True)
 
 
 def test_a_window_of_any_width_is_one(path):
@@ -292,6 +292,6 @@ def test_an_aspect_that_fails_is_named_in_one_sentence(path, monkeypatch, aspect
     with pytest.raises(InputError, match=words):
         analyze(path, ["ego-speed", "odd"])
     with Study.open(path, readonly=True) as study:
-        assert study.analyses() == []
+        assert study.analyzed_aspects() == []
         with pytest.raises(InputError, match=words):
-            series_of(study, "odd")
+            read_series(study, "odd")

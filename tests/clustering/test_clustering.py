@@ -9,7 +9,7 @@ from sklearn.metrics import adjusted_rand_score
 from conftest import at_night
 from cornercase._common.errors import InputError
 from cornercase.clustering import ScenarioClustering, cluster
-from cornercase.clustering.validity import density_validity
+from cornercase.clustering.validity import dbcv
 from cornercase.dtw import distance_matrix
 
 
@@ -299,9 +299,9 @@ def test_validity_index_by_hand():
     labels = np.repeat([0, 1], 4)
     # Sparseness is the inner edge of the tree; separation is between the inner points, 104 - 2 apart.
     expected = (102.0 - 1.2) / 102.0
-    assert density_validity(distances, labels, dimensions=1.0) == pytest.approx(expected, rel=1e-5)
+    assert dbcv(distances, labels, dimensions=1.0) == pytest.approx(expected, rel=1e-5)
     noisy = between(np.concatenate((line, line + 103.0, [1000.0, 2000.0]))[:, None])
-    assert density_validity(noisy, np.append(labels, [-1, -1]), dimensions=1.0) == pytest.approx(
+    assert dbcv(noisy, np.append(labels, [-1, -1]), dimensions=1.0) == pytest.approx(
         expected * 0.8, rel=1e-5
     )
 

@@ -7,9 +7,9 @@ from scipy.spatial.distance import cdist
 from sklearn.cluster import DBSCAN
 from sklearn.metrics import adjusted_rand_score
 
-from cornercase.clustering.density import find_dense_regions, order_by_size
-from cornercase.clustering.spanning_tree import find_tree
-from cornercase.clustering.stability import _agreement
+from cornercase.clustering.density import cluster_by_density, renumber_by_size
+from cornercase.clustering.spanning_tree import fill_spanning_tree
+from cornercase.clustering.stability import _adjusted_rand_index
 
 
 @pytest.mark.parametrize("seed", range(40))
@@ -21,8 +21,8 @@ def test_dense_regions_are_those_of_scikit_learn(seed):
     points = np.round(points, 1) if seed % 2 else points
     for eps in (0.1, 0.3, 1.0):
         for needed in (1, 3, 8):
-            expected = order_by_size(DBSCAN(eps=eps, min_samples=needed).fit_predict(points))
-            np.testing.assert_array_equal(find_dense_regions(points, eps, needed, "dbscan"), expected)
+            expected = renumber_by_size(DBSCAN(eps=eps, min_samples=needed).fit_predict(points))
+            np.testing.assert_array_equal(cluster_by_density(points, eps, needed, "dbscan"), expected)
 
 
 @pytest.mark.parametrize("count", [2, 3, 50])
@@ -30,7 +30,7 @@ def test_spanning_tree_is_as_short_as_that_of_scipy(count):
     points = np.random.default_rng(count).normal(size=(count, 2))
     between = cdist(points, points)
     ends, lengths = np.empty((2, count - 1), dtype=np.int64), np.empty(count - 1)
-    find_tree(between, ends, lengths)
+    fill_spanning_tree(between, ends, lengths)
     np.testing.assert_allclose(np.sort(lengths), np.sort(minimum_spanning_tree(between).data))
     np.testing.assert_array_equal(lengths, between[tuple(ends)])
     assert set(ends.ravel().tolist()) == set(range(count))
@@ -41,4 +41,4 @@ def test_agreement_is_that_of_scikit_learn(seed):
     rng = np.random.default_rng(seed)
     one = rng.integers(-1, seed % 5, 60)
     two = np.where(rng.random(60) < 0.7, one, rng.integers(-1, 3, 60))
-    assert _agreement(one, two) == adjusted_rand_score(one, two)
+    assert _adjusted_rand_index(one, two) == adjusted_rand_score(one, two)

@@ -7,7 +7,7 @@ from sklearn.metrics import adjusted_rand_score
 
 from conftest import at_night
 from cornercase.clustering import ASPECTS, cluster
-from cornercase.clustering.kinds import find_kinds
+from cornercase.clustering.kinds import estimate_clusters
 from cornercase.dtw import distance_matrix
 from staged import ASPECTS_OF, SETS, WITHOUT
 
@@ -74,7 +74,7 @@ def test_a_step_of_density_is_no_gap():
     for seed in range(5):
         rng = np.random.default_rng(seed)
         sparse, dense = rng.random((150, 3)) * [6.0, 3.0, 3.0], rng.random((100, 3)) * [1.0, 1.5, 1.5]
-        assert find_kinds(between(np.concatenate((sparse - [6.0, 0.0, 0.0], dense)))).max() == 0
+        assert estimate_clusters(between(np.concatenate((sparse - [6.0, 0.0, 0.0], dense)))).max() == 0
 
 
 def test_a_kernel_that_is_not_positive_ends_no_clustering():
@@ -106,7 +106,7 @@ def test_kinds_of_other_dimensions_and_densities_stay_apart():
     rng = np.random.default_rng(4)
     line = np.c_[rng.uniform(0.0, 20.0, 150), np.zeros((150, 2))]
     ball = rng.normal(loc=(10.0, 9.0, 0.0), size=(100, 3))
-    kinds = find_kinds(between(np.concatenate((line, ball))))
+    kinds = estimate_clusters(between(np.concatenate((line, ball))))
     assert adjusted_rand_score(np.repeat([0, 1], [150, 100]), kinds) > 0.95
 
 
@@ -135,12 +135,12 @@ def test_kinds_of_three_to_six_scenarios_are_found_among_sixty(name):
 
 def test_gaps_that_are_judged_together_are_the_same_in_any_order():
     distances, _ = staged("ten kinds", 60, 1002, "ego-motion")
-    kinds, order = find_kinds(distances), np.random.default_rng(0).permutation(60)
+    kinds, order = estimate_clusters(distances), np.random.default_rng(0).permutation(60)
     assert kinds.max() == 9
-    assert adjusted_rand_score(find_kinds(distances[np.ix_(order, order)])[np.argsort(order)], kinds) == 1.0
+    assert adjusted_rand_score(estimate_clusters(distances[np.ix_(order, order)])[np.argsort(order)], kinds) == 1.0
     # Integers, so that many distances are equal.
     places = np.repeat([0.0, 40.0, 80.0], 20) + np.tile(np.arange(20), 3)
-    kinds, shuffled = find_kinds(between(places[:, None])), find_kinds(between(places[order, None]))
+    kinds, shuffled = estimate_clusters(between(places[:, None])), estimate_clusters(between(places[order, None]))
     assert adjusted_rand_score(kinds[order], shuffled) == 1.0
 
 
@@ -150,17 +150,17 @@ def test_a_wide_gap_makes_no_others(count):
     kinds = []
     for seed in range(10):
         places = np.random.default_rng(seed).random((60, 1)) + 50.0 * (np.arange(60) % count)[:, None]
-        kinds.append(find_kinds(between(places)).max() + 1)
+        kinds.append(estimate_clusters(between(places)).max() + 1)
     assert np.sum(np.array(kinds) == count) >= 9
 
 
 @pytest.mark.parametrize("draw", ["exponential", "lognormal", "standard_cauchy"])
 def test_a_few_at_a_sparse_edge_are_no_kind(draw):
-    kinds = [find_kinds(between(getattr(np.random.default_rng(seed), draw)(size=(60, 2)))).max() for seed in range(20)]
+    kinds = [estimate_clusters(between(getattr(np.random.default_rng(seed), draw)(size=(60, 2)))).max() for seed in range(20)]
     assert np.sum(np.array(kinds) == 0) >= 18
 
 
 @pytest.mark.parametrize("name", at_night(sorted(WITHOUT), sorted(WITHOUT)[1:]))
 def test_a_family_that_varies_smoothly_is_one_kind(name):
-    kinds = [find_kinds(staged(name, 60, seed, "interaction")[0]).max() + 1 for seed in range(1000, 1020, 2)]
+    kinds = [estimate_clusters(staged(name, 60, seed, "interaction")[0]).max() + 1 for seed in range(1000, 1020, 2)]
     assert np.sum(np.array(kinds) == 1) >= 9

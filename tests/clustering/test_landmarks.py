@@ -9,21 +9,21 @@ from sklearn.metrics import adjusted_rand_score
 
 from cornercase._common.errors import InputError
 from cornercase.clustering import (
-    PlacedDistances,
+    EmbeddedDistances,
     ScenarioClustering,
     analyze,
     analyzing,
-    join_kinds,
+    assign_to_clusters,
     landmarks,
     read_analysis,
     read_distances,
-    series_of,
+    read_series,
 )
-from cornercase.clustering.comparing import instants_apart, thinned
-from cornercase.clustering.landmarks import Comparing, find_by_landmarks
-from cornercase.clustering.places import Placing
+from cornercase.clustering.comparing import downsampling_stride, downsample
+from cornercase.clustering.landmarks import PairwiseComparer, cluster_by_landmarks
+from cornercase.clustering.places import LandmarkMDS
 from cornercase.dtw import distance_matrix
-from cornercase.reduction import measure_gaps
+from cornercase.reduction import measure_nearest_distances
 from cornercase.study import Study
 from synthetic import explorer, opened
 
@@ -42,7 +42,7 @@ def courses(count, rng):
 
 @pytest.fixture
 def many(monkeypatch):
-    monkeypatch.setattr(analyzing, "MOST_COMPARED", 30)
+    monkeypatch.setattr(analyzing, "MAX_ALL_PAIRS", 30)
     monkeypatch.setattr(landmarks, "LANDMARKS", 24)
 
 
@@ -56,7 +56,7 @@ def path(tmp_path):
 def test_places_of_squares_give_squares_back():
     rng = np.random.default_rng(1)
     true = squareform(pdist(rng.normal(size=(80, 5)), "sqeuclidean"))
-    placed = PlacedDistances(Placing(true[:30, :30]).place(true[:, :30]))
+    placed = EmbeddedDistances(LandmarkMDS(true[:30, :30]).embed(true[:, :30]))
     np.testing.assert_allclose(placed[:], true, atol=1e-9)
     np.testing.assert_allclose(placed[[3, 70]], true[[3, 70]], atol=1e-9)
     np.testing.assert_allclose(placed[np.ix_([1, 2], [40, 9])], true[np.ix_([1, 2], [40, 9])], atol=1e-9)
@@ -65,49 +65,49 @@ def test_places_of_squares_give_squares_back():
 
 def test_what_is_asked_of_places_is_what_the_matrix_says():
     places = np.random.default_rng(2).normal(size=(400, 3))
-    placed, matrix = PlacedDistances(places), squareform(pdist(places, "sqeuclidean"))
+    placed, matrix = EmbeddedDistances(places), squareform(pdist(places, "sqeuclidean"))
     assert placed.max() == pytest.approx(matrix.max())
     some = np.arange(50, 90)
-    assert placed.middle(some) == some[matrix[np.ix_(some, some)].sum(axis=1).argmin()]
+    assert placed.medoid(some) == some[matrix[np.ix_(some, some)].sum(axis=1).argmin()]
     drawn = [
         np.array([np.random.default_rng(k).choice(400, size, replace=False) for k in range(7)]) for size in (5, 60)
     ]
     # For most scenarios, this choice has none of the nearest ones.
     for choices in (*drawn, places[:, 0].argsort()[None, -60:]):
         expected = np.array([matrix[one].min(axis=0) for one in choices])
-        np.testing.assert_allclose(placed.nearest_of(choices), expected, atol=1e-12)
-    part = placed.part(np.arange(10), np.arange(100, 130))
+        np.testing.assert_allclose(placed.distances_to_nearest_per_choice(choices), expected, atol=1e-12)
+    part = placed.subset(np.arange(10), np.arange(100, 130))
     np.testing.assert_allclose(part[:], matrix[:10, 100:130], atol=1e-12)
 
 
 def test_medoids_of_places_leave_less_than_random_choices():
     rng = np.random.default_rng(3)
-    gaps = measure_gaps(PlacedDistances(rng.normal(size=(500, 2))), np.arange(25))
-    assert gaps.medoids.mean() < gaps.random.mean(axis=1).min()
+    gaps = measure_nearest_distances(EmbeddedDistances(rng.normal(size=(500, 2))), np.arange(25))
+    assert gaps.to_medoids.mean() < gaps.to_random.mean(axis=1).min()
 
 
 def test_the_same_scenario_again_and_again_has_as_many_medoids_as_asked_for():
-    found = PlacedDistances(np.zeros((9, 2))).medoids(4)
+    found = EmbeddedDistances(np.zeros((9, 2))).medoids(4)
     assert len(set(found.tolist())) == 4
 
 
 def test_clusters_by_landmarks_are_those_of_all_pairs():
     series, late = courses(700, np.random.default_rng(4))
-    found = find_by_landmarks(Comparing(series, 1, None), ScenarioClustering())
+    found = cluster_by_landmarks(PairwiseComparer(series, 1, None), ScenarioClustering())
     assert adjusted_rand_score(late, found.clustering.labels) > 0.98
     # Distances of 200 other scenarios, which were not used to find anything.
-    assert found.error < 0.05
+    assert found.embedding_error < 0.05
     true = distance_matrix(series[:100])
-    told = PlacedDistances(found.places[:100])[:]
+    told = EmbeddedDistances(found.embedding[:100])[:]
     assert np.abs(true - told).mean() < 0.05 * true.mean()
 
 
 def test_distances_of_thinned_series_have_the_size_of_those_of_all_instants():
     series, _ = courses(30, np.random.default_rng(5))
     fine = [np.repeat(one, 6, axis=0) for one in series]
-    every = instants_apart([len(one) for one in fine])
+    every = downsampling_stride([len(one) for one in fine])
     assert every == 4
-    thin = [thinned(one, every) for one in fine]
+    thin = [downsample(one, every) for one in fine]
     assert max(map(len, thin)) <= 100 + 1
     assert all((one[-1] == two[-1]).all() for one, two in zip(fine, thin, strict=True))
     rough = every * distance_matrix(thin)
@@ -117,13 +117,13 @@ def test_distances_of_thinned_series_have_the_size_of_those_of_all_instants():
 def test_a_study_of_many_is_analysed_the_same_again_and_stores_no_pairs(path, many):
     found = analyze(path)["distance"]
     with Study.open(path, readonly=True) as study:
-        arrays, _ = study.analysis("distance")
+        arrays, _ = study.read_analysis("distance")
         again, distances = read_analysis(study, "distance"), read_distances(study, "distance")
-        true = distance_matrix(series_of(study, "distance"))
+        true = distance_matrix(read_series(study, "distance"))
     assert "distances" not in arrays
     assert arrays["between"].shape == (24, 24)
     assert len(again.clustering.landmarks) == 24
-    assert again.inexact == found.inexact
+    assert again.embedding_error == found.embedding_error
     assert np.abs(np.asarray(distances) - true).mean() < 0.1 * true.mean()
     assert analyze(path)["distance"].labels.tolist() == found.labels.tolist()
 
@@ -132,11 +132,11 @@ def test_scenarios_join_the_clusters_of_landmarks(path, many):
     first = analyze(path, "distance")["distance"]
     with opened(path) as study:
         explorer(study, metrics=("distance", "wttc"), optimizer="sobol", budget=60).run()
-    later = analyze(path, "distance", keep=True)["distance"]
+    later = analyze(path, "distance", keep_clusters=True)["distance"]
     assert later.labels[: len(first.labels)].tolist() == first.labels.tolist()
     assert len(later.labels) > len(first.labels)
     with Study.open(path, readonly=True) as study:
-        joined = join_kinds(study, later, study, later.ids.tolist())
+        joined = assign_to_clusters(study, later, study, later.ids.tolist())
     others = np.setdiff1d(np.arange(len(later.ids)), later.clustering.landmarks)
     assert joined[others].tolist() == later.labels[others].tolist()
 
@@ -145,14 +145,14 @@ def test_clusters_of_all_pairs_are_kept_when_there_are_many(path, monkeypatch):
     first = analyze(path, "distance")["distance"]
     with opened(path) as study:
         explorer(study, metrics=("distance", "wttc"), optimizer="sobol", budget=60).run()
-    monkeypatch.setattr(analyzing, "MOST_COMPARED", 50)
-    later = analyze(path, "distance", keep=True)["distance"]
-    assert later.inexact is not None
+    monkeypatch.setattr(analyzing, "MAX_ALL_PAIRS", 50)
+    later = analyze(path, "distance", keep_clusters=True)["distance"]
+    assert later.embedding_error is not None
     assert later.labels[: len(first.labels)].tolist() == first.labels.tolist()
 
 
 def test_what_does_not_fit_is_refused_ahead(path, many, monkeypatch):
     monkeypatch.setattr(analyzing, "_LOOKED_AT", 10)
-    monkeypatch.setattr(analyzing, "_OF_A_SCENARIO", 10**9)
+    monkeypatch.setattr(analyzing, "_BYTES_PER_SCENARIO", 10**9)
     with pytest.raises(InputError, match=r"scenarios need .* more than `memory` 1 GB"):
         analyze(path, memory="1 GB")

@@ -14,11 +14,11 @@ from scipy.stats import qmc
 
 from conftest import EXAMPLES, at_night, ran
 from cornercase.clustering import analyze, find_outcome
-from cornercase.clustering.agreement import agree_with_facts, find_facts
-from cornercase.clustering.clauses import Account, Clause, fixed_clauses
-from cornercase.clustering.names import KindName, name_kinds
-from cornercase.clustering.traits import measure_traits
-from cornercase.drivers import named_driver
+from cornercase.clustering.agreement import mutual_information_with_facts, collect_facts
+from cornercase.clustering.clauses import NamingFacts, Predicate, predicates_with_fixed_bounds
+from cornercase.clustering.names import ClusterName, name_clusters
+from cornercase.clustering.traits import measure_features
+from cornercase.drivers import driver_by_name
 from cornercase.exploration import explore
 from cornercase.recordings import Collision
 from cornercase.scenario import LogicalScenario, Parameter, ParameterSpace
@@ -37,22 +37,22 @@ SIZE = 120
 class Told:
     """Scenarios, the facts for naming them, and what an observer sees."""
 
-    account: Account
+    account: NamingFacts
     scenes: list[Scene]
 
     @classmethod
     def of(cls, recordings, ego, other, space=NO_PARAMETERS, values=None):
         values = values or [{"fixed": "x"} for _ in recordings]
         outcomes = [find_outcome(one, ego, other) for one in recordings]
-        traits = [measure_traits(one, end) for one, end in zip(recordings, outcomes, strict=True)]
-        read = [{one.name: one.read(each) for one in space.parameters} for each in values]
+        traits = [measure_features(one, end) for one, end in zip(recordings, outcomes, strict=True)]
+        read = [{one.name: one.extract_value(each) for one in space.parameters} for each in values]
         scenes = [Scene(one, ego, other, each) for one, each in zip(recordings, read, strict=True)]
-        return cls(Account.of(outcomes, traits, space, values), scenes)
+        return cls(NamingFacts.from_scenarios(outcomes, traits, space, values), scenes)
 
     @cached_property
     def columns(self):
         """Columns by which scenarios are clustered here: features and parameters."""
-        traits = np.nan_to_num(np.array(list(self.account.traits.values())).T, nan=-1.0)
+        traits = np.nan_to_num(np.array(list(self.account.features.values())).T, nan=-1.0)
         spread = np.where(traits.std(axis=0) > 0, traits.std(axis=0), 1.0)
         return (traits - traits.mean(axis=0)) / spread
 
@@ -60,7 +60,7 @@ class Told:
 def names_of(told, labels):
     labels = np.asarray(labels)
     examples = [int(np.flatnonzero(labels == kind)[0]) for kind in range(labels.max() + 1)]
-    return {kind: one.text for kind, one in name_kinds(told.account, labels, examples).items()}
+    return {kind: one.text for kind, one in name_clusters(told.account, labels, examples).items()}
 
 
 def require_true(told, labels):
@@ -98,7 +98,7 @@ def told(request):
     if name == "CCCscp":
         ranges["Target_final_speed_kph"] = "20:60"
     logical = LogicalScenario.read(None, RANGES / f"{name}.xosc", [f"{key}={one}" for key, one in ranges.items()])
-    return simulated(logical, "Target" if name == "CCCscp" else "VRU", drivers={"Ego": named_driver("normal")})
+    return simulated(logical, "Target" if name == "CCCscp" else "VRU", drivers={"Ego": driver_by_name("normal")})
 
 
 def test_names_are_true_whatever_is_clustered_and_however_many_kinds_there_are(told):
@@ -196,9 +196,9 @@ def test_kinds_may_be_set_apart_by_the_side_that_the_other_comes_from():
 
 def test_a_second_bound_on_the_same_side_takes_the_place_of_the_first():
     values = np.arange(10.0)
-    above = [Clause(f"above {bound}", values > bound, "above") for bound in (2, 4)]
-    name = KindName(Clause("Ego goes", values >= 0.0))
-    for clause in (above[0], Clause("below 8", values < 8, "below"), Clause("clear", values != 5), above[1]):
+    above = [Predicate(f"above {bound}", values > bound, "above") for bound in (2, 4)]
+    name = ClusterName(Predicate("Ego goes", values >= 0.0))
+    for clause in (above[0], Predicate("below 8", values < 8, "below"), Predicate("clear", values != 5), above[1]):
         name = name.with_qualifier(clause)
     assert name.text == "Ego goes, below 8, clear, above 4"
     assert np.flatnonzero(name.holds).tolist() == [6, 7]
@@ -303,7 +303,7 @@ def test_further_entities_and_parameters_with_odd_names_are_quoted():
     labels = np.repeat([0, 1], 10)
     require_true(told, labels)
     assert names_of(told, labels)[0].endswith('"side, file" is "a or b"')
-    assert 'before "Q, clear"' in {one.text for one in fixed_clauses(told.account)}
+    assert 'before "Q, clear"' in {one.text for one in predicates_with_fixed_bounds(told.account)}
 
 
 @pytest.mark.slow
@@ -317,9 +317,9 @@ def test_clusterings_are_compared_with_what_happened(tmp_path):
     )  # fmt: skip
     found = analyze(study, ["ego-trajectory", "ttc"])
     with Study.open(study, readonly=True) as opened:
-        rows = opened.done()
+        rows = opened.finished_rows()
         recordings = [opened.recording(row.id) for row in rows]
-        facts = find_facts(opened, [find_outcome(one, "Ego", "C") for one in recordings])
+        facts = collect_facts(opened, [find_outcome(one, "Ego", "C") for one in recordings])
         scenes = [Scene(one, "Ego", "C", row.values) for one, row in zip(recordings, rows, strict=True)]
         critical = opened.scores("ttc") <= 1.5
     assert {"outcome", "first", "ego first", "collision", "stopped", "critical"} == set(facts)
@@ -331,12 +331,12 @@ def test_clusterings_are_compared_with_what_happened(tmp_path):
     np.testing.assert_array_equal(np.array(facts["stopped"]) == "True", [one.stops for one in scenes])
     hits = ["C" if one.recording.collisions else "None" for one in scenes]
     assert facts["collision"] == hits
-    of_hits = agree_with_facts(np.array([one == "C" for one in hits], dtype=int), facts)
+    of_hits = mutual_information_with_facts(np.array([one == "C" for one in hits], dtype=int), facts)
     assert of_hits["collision"] == pytest.approx(1.0)
     shuffled = np.random.default_rng(0).permutation(np.arange(SIZE) % 3)
-    assert all(abs(mutual) < 0.1 for mutual in agree_with_facts(shuffled, facts).values())
+    assert all(abs(mutual) < 0.1 for mutual in mutual_information_with_facts(shuffled, facts).values())
     for one in found.values():
-        assert one.tells == agree_with_facts(one.labels, facts)
+        assert one.fact_agreement == mutual_information_with_facts(one.labels, facts)
         names = [profile.name for profile in one.profiles if profile.cluster >= 0]
         assert len(set(names)) == len(names)
         for profile in one.profiles:

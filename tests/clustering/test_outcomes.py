@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 
 from cornercase.clustering import find_outcome
-from cornercase.clustering.clauses import endings
-from cornercase.clustering.traits import measure_traits
-from cornercase.metrics._parts.conflict_area import visits
+from cornercase.clustering.clauses import describe_ending
+from cornercase.clustering.traits import measure_features
+from cornercase.metrics._parts.conflict_area import area_visits
 from cornercase.recordings import Collision
 from meetings import CROSSES, NORTH, PASSES, TIMES, entity, recording, walker
 
@@ -21,7 +21,7 @@ def test_one_that_slows_down_for_another_yields():
     outcome = find_outcome(recording(Ego=ego, P=CROSSES), "Ego", "P")
     assert (outcome.text, outcome.first, outcome.collision) == ("P first", "P", None)
     assert (outcome.yields, outcome.waits, outcome.stops) == (True, False, False)
-    assert endings(outcome) == ("yields to P", "passes after P", "comes after P")
+    assert describe_ending(outcome) == ("yields to P", "passes after P", "comes after P")
     # P's rear leaves the ego's 2 m when its centre is 1.3 m beyond the middle.
     assert outcome.encounter.leaves == pytest.approx(7.3 / 1.5, abs=0.01)
     # The front of the ego meets the side of P, which is 0.3 m wide to each side.
@@ -37,14 +37,14 @@ def test_one_that_brakes_for_a_bend_and_comes_later_does_not_yield():
     outcome = find_outcome(recording(Ego=ego, P=CROSSES), "Ego", "P")
     assert outcome.first == "P"
     assert not outcome.yields
-    assert endings(outcome) == ("passes after P", "comes after P")
+    assert describe_ending(outcome) == ("passes after P", "comes after P")
 
 
 def test_one_that_stands_before_the_other_has_passed_stops_for_it():
     ego = entity(0.0, 0.0, 0.0, (0, 15), (2, 15), (4.2, 0), (5, 0), (8, 12))
     outcome = find_outcome(recording(Ego=ego, P=CROSSES), "Ego", "P")
     assert (outcome.stops, outcome.waits, outcome.yields) == (True, True, True)
-    assert endings(outcome)[0] == "stops for P"
+    assert describe_ending(outcome)[0] == "stops for P"
 
 
 def test_one_that_stops_only_behind_the_crossing_stops_for_nobody():
@@ -56,7 +56,7 @@ def test_one_that_stops_only_behind_the_crossing_stops_for_nobody():
 def test_who_passes_first_does_so_with_a_gap():
     outcome = find_outcome(recording(Ego=PASSES, P=CROSSES), "Ego", "P")
     assert (outcome.text, outcome.first) == ("Ego first", "Ego")
-    assert endings(outcome) == ("passes before P",)
+    assert describe_ending(outcome) == ("passes before P",)
     leaves = (50.0 + 0.3 + 2.0) / 20.0
     assert outcome.encounter.gap == pytest.approx((6.0 - 1.0 - 0.3) / 1.5 - leaves, abs=0.02)
 
@@ -74,11 +74,11 @@ def test_one_that_waits_before_the_crossing_until_the_end_lets_the_other_cross_a
     told = recording(Ego=ego, P=CROSSES, until=9.0)
     outcome = find_outcome(told, "Ego", "P")
     assert (outcome.text, outcome.first) == ("only P crosses", "P")
-    assert endings(outcome) == ("stops for P", "yields to P", "comes after P")
+    assert describe_ending(outcome) == ("stops for P", "yields to P", "comes after P")
     assert math.isnan(outcome.encounter.enters)
     # The same with both exchanged.
     turned = find_outcome(told, "P", "Ego")
-    assert (turned.text, endings(turned)[0]) == ("only P crosses", "passes while Ego waits")
+    assert (turned.text, describe_ending(turned)[0]) == ("only P crosses", "passes while Ego waits")
     # 40 m before the crossing, its further path is unknown.
     far = entity(-22.0, 0.0, 0.0, (0, 12), (2, 12), (4.2, 0))
     assert find_outcome(recording(Ego=far, P=CROSSES, until=9.0), "Ego", "P").text == "ways do not cross"
@@ -88,7 +88,7 @@ def test_ways_that_do_not_meet():
     aside = entity(50.0, 40.0, NORTH, (0, 1.5))
     outcome = find_outcome(recording(Ego=PASSES, P=aside), "Ego", "P")
     assert (outcome.text, outcome.first, outcome.encounter.relation) == ("ways do not cross", None, "apart")
-    assert endings(outcome) == ("does not meet P",)
+    assert describe_ending(outcome) == ("does not meet P",)
 
 
 @pytest.mark.parametrize("aside", [0.0, 0.4, 1.2])
@@ -106,11 +106,11 @@ def test_times_at_a_crossing_are_those_of_the_conflict_area_of_metrics(angle, sp
     way = 40.0 + aside
     other = entity(50.0 - way * math.cos(angle), -way * math.sin(angle), angle, *speeds, length=4.4, width=1.8)
     told = recording(Ego=entity(0.0, 0.3, 0.05, (0, 9), (5, 7), (20, 9)), P=other)
-    ((ego, their),) = visits(told, "Ego", "P", None)
+    ((ego, their),) = area_visits(told, "Ego", "P", None)
     met = find_outcome(told, "Ego", "P").encounter
-    assert (met.first == "Ego") == (ego.enters < their.enters)
-    between = their.enters - ego.leaves if met.first == "Ego" else ego.enters - their.leaves
-    assert (met.enters, met.leaves, met.gap) == pytest.approx((ego.enters, their.leaves, between), abs=0.01)
+    assert (met.first == "Ego") == (ego.entry_time < their.entry_time)
+    between = their.entry_time - ego.exit_time if met.first == "Ego" else ego.entry_time - their.exit_time
+    assert (met.enters, met.leaves, met.gap) == pytest.approx((ego.entry_time, their.exit_time, between), abs=0.01)
 
 
 @pytest.mark.parametrize(
@@ -128,7 +128,7 @@ def test_in_lanes_it_counts_who_is_ahead(ego, other, text, ending):
         "C": entity(other[0], 3.5, 0.0, (0, other[1])),
     }
     outcome = find_outcome(recording(**scene), "Ego", "C")
-    assert (outcome.text, outcome.encounter.relation, endings(outcome)) == (text, "lane", (ending,))
+    assert (outcome.text, outcome.encounter.relation, describe_ending(outcome)) == (text, "lane", (ending,))
 
 
 @pytest.mark.parametrize(
@@ -145,10 +145,10 @@ def test_collisions_have_a_manner_and_a_speed(collision, ego, other, ending, spe
     told = recording(Collision(3.3, collision), Ego=ego, C=other, until=4.0)
     outcome = find_outcome(told, "Ego", "C")
     assert (outcome.text, outcome.collision) == ("Ego and C collide", "C")
-    assert ending in endings(outcome)
-    assert endings(outcome)[-1] == "collides with C"
+    assert ending in describe_ending(outcome)
+    assert describe_ending(outcome)[-1] == "collides with C"
     assert outcome.impacts[0].speed == pytest.approx(speed)
-    assert measure_traits(told, outcome)["impact speed"] == outcome.impacts[0].speed
+    assert measure_features(told, outcome)["impact speed"] == outcome.impacts[0].speed
 
 
 def test_the_ego_collides_with_whom_it_meets_first_and_others_among_themselves():
@@ -157,7 +157,7 @@ def test_the_ego_collides_with_whom_it_meets_first_and_others_among_themselves()
     outcome = find_outcome(told, "Ego", "C")
     assert [one.entity for one in outcome.impacts] == ["B", "C"]
     assert (outcome.collision, outcome.text) == ("B", "Ego and B collide")
-    assert outcome.elsewhere == hits[:1]
+    assert outcome.other_collisions == hits[:1]
     alone = find_outcome(replace(told, collisions=hits[:1]), "Ego", "C")
     assert (alone.collision, alone.text) == ("B and C", "Ego first")
 
@@ -184,8 +184,8 @@ def test_one_that_is_there_only_at_times():
     told = recording(Ego=PASSES, P=never)
     outcome = find_outcome(told, "Ego", "P")
     assert outcome.text == "P is never there"
-    assert endings(outcome) == ("is there without P", "does not meet P")
-    traits = measure_traits(told, outcome)
+    assert describe_ending(outcome) == ("is there without P", "does not meet P")
+    traits = measure_features(told, outcome)
     assert math.isnan(traits["nearest"])
     assert math.isnan(traits["mean speed of the other"])
     assert traits["mean speed"] == pytest.approx(20.0)
@@ -196,14 +196,14 @@ def test_an_ego_that_is_never_there():
     outcome = find_outcome(told, "Ego", "P")
     assert (outcome.exists, outcome.moves, outcome.first) == (False, False, None)
     assert outcome.text == "Ego is never there"
-    assert endings(outcome) == ("is never there", "does not meet P")
-    assert math.isnan(measure_traits(told, outcome)["way"])
+    assert describe_ending(outcome) == ("is never there", "does not meet P")
+    assert math.isnan(measure_features(told, outcome)["way"])
 
 
 def test_who_is_there_only_when_the_other_is_not_does_not_meet_it():
     told = recording(Ego=entity(0.0, 0.0, 0.0, (0, 20.0), exists=(0.0, 2.0)), P=walker((3.0, 99.0)))
     outcome = find_outcome(told, "Ego", "P")
-    assert (outcome.text, endings(outcome)) == ("ways do not cross", ("does not meet P",))
+    assert (outcome.text, describe_ending(outcome)) == ("ways do not cross", ("does not meet P",))
 
 
 def test_an_ego_that_never_moves():
@@ -211,14 +211,14 @@ def test_an_ego_that_never_moves():
     told = recording(Ego=stands, P=CROSSES)
     outcome = find_outcome(told, "Ego", "P")
     assert (outcome.exists, outcome.moves, outcome.stops) == (True, False, False)
-    assert endings(outcome) == ("stands all the time", "does not meet P")
-    assert measure_traits(told, outcome)["standing"] == pytest.approx(20.0)
+    assert describe_ending(outcome) == ("stands all the time", "does not meet P")
+    assert measure_features(told, outcome)["standing"] == pytest.approx(20.0)
 
 
 def test_traits_are_what_can_be_read_off_a_recording():
     ego = entity(0.0, 0.0, 0.0, (0, 10), (2, 10), (4, 0), (6, 0), (8, 4))
     told = recording(Ego=ego, P=entity(50.0, 3.0, 0.0, (0, 0)), until=10.0)
-    traits = measure_traits(told, find_outcome(told, "Ego", "P"))
+    traits = measure_features(told, find_outcome(told, "Ego", "P"))
     expected = {
         "lowest speed": 0.0, "highest speed": 10.0, "first speed": 10.0, "last speed": 4.0, "standing": 2.0,
         "braking": 5.0, "way": 20.0 + 10.0 + 4.0 + 8.0, "duration": 10.0, "turn": 0.0, "shift": 0.0,
@@ -233,6 +233,6 @@ def test_a_change_to_the_left_lane_is_a_shift_without_a_turn():
     aside = 3.5 * np.clip((TIMES - 3.0) / 3.0, 0.0, 1.0)
     ego |= {"y": aside, "heading": np.arctan2(np.gradient(aside, TIMES), 10.0)}
     told = recording(Ego=ego, P=entity(0.0, -30.0, 0.0, (0, 10)))
-    traits = measure_traits(told, find_outcome(told, "Ego", "P"))
+    traits = measure_features(told, find_outcome(told, "Ego", "P"))
     assert traits["shift"] == pytest.approx(3.5)
     assert traits["turn"] == pytest.approx(0.0)

@@ -12,10 +12,10 @@ from sklearn.metrics import adjusted_rand_score
 
 from command_line import cornercase
 from conftest import at_night
-from cornercase.clustering import tell_outcome
+from cornercase.clustering import describe_outcome
 from cornercase.clustering.agreement import compare_labels
 from cornercase.clustering.rules import find_rules
-from cornercase.exploration import demonstration, explore_configuration
+from cornercase.exploration import paper_experiment_config, explore_config
 from cornercase.recordings import Collision
 from cornercase.scenario import Parameter, ParameterSpace
 from oracle import actor, recorded
@@ -126,32 +126,32 @@ def follows(text, values):
 def test_agreement_does_not_look_at_the_names_of_clusters():
     ids, one = np.arange(10, 22), np.repeat([0, 1, -1], 4)
     same = compare_labels(ids, one, np.repeat([2, 0, 1], 4))
-    assert (same.rand, same.differ) == (1.0, ())
-    assert same.mutual == pytest.approx(1.0)
+    assert (same.adjusted_rand, same.differing) == (1.0, ())
+    assert same.mutual_information == pytest.approx(1.0)
     other = np.repeat([2, 0, 1], 4)
     other[3] = 1
     found = compare_labels(ids, one, other)
-    assert found.differ == (13,)
-    assert found.rand == pytest.approx(adjusted_rand_score(one, other))
+    assert found.differing == (13,)
+    assert found.adjusted_rand == pytest.approx(adjusted_rand_score(one, other))
     # Three clusters against one: the largest is matched.
-    assert len(compare_labels(ids, one, np.zeros(12, dtype=int)).differ) == 8
+    assert len(compare_labels(ids, one, np.zeros(12, dtype=int)).differing) == 8
 
 
 def test_outcomes_say_who_was_first_and_who_collides():
     time = np.arange(0.0, 10.0, 0.1)
     early, late = actor(x=-30, v=10), actor(y=-60, yaw=math.pi / 2, v=10)
     recording = recorded([early, late], time)
-    assert tell_outcome(recording, "0", "1") == tell_outcome(recording, "1", "0") == "0 first"
-    assert tell_outcome(recorded([late, early], time), "0", "1") == "1 first"
-    assert tell_outcome(recorded([early, actor(y=200)], time), "0", "1") == "ways do not cross"
+    assert describe_outcome(recording, "0", "1") == describe_outcome(recording, "1", "0") == "0 first"
+    assert describe_outcome(recorded([late, early], time), "0", "1") == "1 first"
+    assert describe_outcome(recorded([early, actor(y=200)], time), "0", "1") == "ways do not cross"
     hit = replace(recording, collisions=(Collision(3.0, ("1", "0")),))
-    assert tell_outcome(hit, "0", "1") == "0 and 1 collide"
+    assert describe_outcome(hit, "0", "1") == "0 and 1 collide"
 
 
 @pytest.mark.slow
 def test_show_and_report_tell_what_the_clusters_are(tmp_path):
     study = tmp_path / "study.db"
-    explore_configuration(demonstration("t-intersection", budget=60, seed=1), study)
+    explore_config(paper_experiment_config("t-intersection", budget=60, seed=1), study)
     for command in (("analyze", study), ("report", study, "-o", tmp_path / "report.html")):
         done = cornercase(*command)
         assert done.returncode == 0, done.stderr

@@ -15,8 +15,8 @@ import pytest
 
 from conftest import at_night
 from cornercase._common import compiling
-from cornercase._common.compiling import count_kernels, heard_compilation, kernel, why_not_kept
-from cornercase._common.kernel_contents import contents
+from cornercase._common.compiling import count_ready_kernels, listen_to_compilation, kernel, reason_not_cached
+from cornercase._common.kernel_contents import kernel_digest
 
 PROGRAM = """
 import json, sys, time
@@ -134,7 +134,7 @@ def test_what_a_kernel_holds_is_in_its_digest(monkeypatch):
             monkeypatch.setitem(sys.modules, name, module)
             exec(text, vars(module))
         outer = sys.modules["outer"].outer
-        return contents(outer.py_func, outer.targetoptions)
+        return kernel_digest(outer.py_func, outer.targetoptions)
 
     files, digests = dict(FILES), []
     digests.append(digest())
@@ -194,7 +194,7 @@ def test_a_kernel_is_compiled_again_when_the_fields_of_a_named_tuple_have_change
 def test_a_global_without_a_digest_is_refused():
     function = FunctionType(compile("limits", "", "eval"), {"limits": [1.0], "__name__": __name__})
     with pytest.raises(TypeError, match="cannot be hashed"):
-        contents(function, {})
+        kernel_digest(function, {})
 
 
 def test_who_listens_hears_what_is_compiled_and_the_user_does_not(caplog):
@@ -204,14 +204,14 @@ def test_who_listens_hears_what_is_compiled_and_the_user_does_not(caplog):
     doubled: Any = kernel()(double)
     # Kernels of earlier tests do not count once they are deleted.
     gc.collect()
-    ready, known = count_kernels()
+    ready, known = count_ready_kernels()
     heard: list[str] = []
-    with heard_compilation(heard.append):
+    with listen_to_compilation(heard.append):
         doubled._cache.flush()
         assert doubled(2) == 4
         assert doubled(3) == 6
     assert heard == [f"{__name__}.double"]
-    assert count_kernels() == (ready + 1, known)
+    assert count_ready_kernels() == (ready + 1, known)
     assert caplog.records == []
 
 
@@ -225,9 +225,9 @@ def test_a_full_disk_keeps_nobody_from_what_is_compiled(caplog, monkeypatch):
     tripled: Any = kernel()(triple)
     tripled._cache.flush()
     monkeypatch.setattr("numba.core.caching.FunctionCache.save_overload", refuse)
-    monkeypatch.setattr(compiling._WATCH, "unkept", "")
+    monkeypatch.setattr(compiling._COMPILATION_LISTENER, "not_cached_reason", "")
     assert tripled(2) == 6
-    assert "No space left on device" in why_not_kept()
+    assert "No space left on device" in reason_not_cached()
     assert "Compiled kernels cannot be cached" in caplog.text
 
 

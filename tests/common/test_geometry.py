@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from scipy.spatial import KDTree
 
 from conftest import examples
-from cornercase._common.geometry import box_corners, box_distance, boxes_overlap, first_contact
+from cornercase._common.geometry import box_corners, box_distance, boxes_overlap, time_to_contact
 
 coordinate = st.floats(-30, 30)
 angle = st.floats(-7, 7)
@@ -52,8 +52,8 @@ def test_segments_and_points_have_distances():
 def test_unknown_boxes_have_no_distance_and_no_contact():
     here, nowhere = box_corners(0, 0, 0, 4, 2), box_corners(np.nan, 0, 0, 4, 2)
     assert np.isnan(box_distance(here, nowhere))
-    assert np.isnan(first_contact(here, nowhere, np.array([1.0, 0.0])))
-    assert np.isnan(first_contact(here, here + 10, np.array([np.nan, 0.0])))
+    assert np.isnan(time_to_contact(here, nowhere, np.array([1.0, 0.0])))
+    assert np.isnan(time_to_contact(here, here + 10, np.array([np.nan, 0.0])))
 
 
 @settings(deadline=None, max_examples=examples(150))
@@ -77,7 +77,7 @@ def test_first_contact_is_the_first_time_that_boxes_overlap(a, b, velocity, acce
         bend = 0 if acceleration is None else 0.5 * acceleration * np.asarray(t)[..., None] ** 2
         return boxes_overlap(a, b + (velocity * np.asarray(t)[..., None] + bend)[..., None, :])
 
-    found = float(first_contact(a, b, velocity, acceleration))
+    found = float(time_to_contact(a, b, velocity, acceleration))
     grid = np.linspace(0, 20, 4001)
     assert not touch(grid[grid < found - 1e-9]).any()
     if np.isfinite(found):
@@ -89,9 +89,9 @@ def test_first_contact_is_the_first_time_that_boxes_overlap(a, b, velocity, acce
 def test_contact_up_to_the_horizon_only():
     here, there = box_corners(0, 0, 0, 4, 2), box_corners(14, 0, 0, 4, 2)
     closing = np.array([-5.0, 0.0])
-    assert first_contact(here, there, closing) == pytest.approx(2)
-    assert first_contact(here, there, closing, horizon=1.9) == np.inf
-    assert first_contact(here, there, closing, horizon=2.0) == pytest.approx(2)
+    assert time_to_contact(here, there, closing) == pytest.approx(2)
+    assert time_to_contact(here, there, closing, horizon=1.9) == np.inf
+    assert time_to_contact(here, there, closing, horizon=2.0) == pytest.approx(2)
 
 
 def test_contact_under_acceleration_takes_the_earlier_root_and_keeps_small_accelerations_exact():
@@ -99,19 +99,19 @@ def test_contact_under_acceleration_takes_the_earlier_root_and_keeps_small_accel
     here, there = box_corners(0, 0, 0, 4, 2), box_corners(14, 0, 0, 4, 2)
     for gain in (3.0, -1.0, -1.25, 1e-3):
         expected = (np.sqrt(25 + 20 * gain) - 5) / gain
-        found = first_contact(here, there, np.array([-5.0, 0.0]), np.array([-gain, 0.0]))
+        found = time_to_contact(here, there, np.array([-5.0, 0.0]), np.array([-gain, 0.0]))
         assert found == pytest.approx(expected, rel=1e-9)
-    tiny = first_contact(here, there, np.array([-5.0, 0.0]), np.array([-1e-14, 0.0]))
+    tiny = time_to_contact(here, there, np.array([-5.0, 0.0]), np.array([-1e-14, 0.0]))
     assert tiny == pytest.approx(2, rel=1e-12)
-    assert first_contact(here, there, np.array([-5.0, 0.0]), np.array([1.3, 0.0])) == np.inf
+    assert time_to_contact(here, there, np.array([-5.0, 0.0]), np.array([1.3, 0.0])) == np.inf
 
 
 @settings(max_examples=examples(100), deadline=None)
 @given(box, box, st.floats(1, 10), vector)
 def test_contact_comes_nearer_as_time_goes_on_and_sees_relative_motion_only(a, b, until_centres_meet, drift):
     velocity = (a.mean(0) - b.mean(0)) / until_centres_meet
-    start = float(first_contact(a, b, velocity))
+    start = float(time_to_contact(a, b, velocity))
     assert 0 <= start <= until_centres_meet
     later = 0.7 * start
-    moved = first_contact(a + drift * later, b + (drift + velocity) * later, velocity)
+    moved = time_to_contact(a + drift * later, b + (drift + velocity) * later, velocity)
     assert moved == pytest.approx(start - later, abs=1e-7)

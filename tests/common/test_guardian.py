@@ -11,7 +11,7 @@ import psutil
 import pytest
 
 from cornercase._common.errors import InputError
-from cornercase._common.guardian import Guardian
+from cornercase._common.guardian import Reaper
 from waiting import lives, until
 
 # Makes a folder, starts a child and a grandchild, and waits.
@@ -61,16 +61,16 @@ def test_a_process_ends_with_the_one_at_the_other_end_of_its_input():
 
 
 def test_a_guardian_that_is_killed_is_replaced_and_one_with_nothing_to_guard_ends(tmp_path):
-    with Guardian() as guardian:
-        folder = guardian.new_folder()
+    with Reaper() as guardian:
+        folder = guardian.make_temporary_folder()
         assert guardian._process is not None
         first = guardian._process.pid
         guardian._process.kill()
         guardian._process.wait()
-        second = guardian.new_folder()
+        second = guardian.make_temporary_folder()
         assert guardian._process.pid != first
         number = guardian._process.pid
-        guardian.remove(folder)
+        guardian.remove_folder(folder)
         assert second.is_dir()
     assert not folder.exists()
     assert not second.exists()
@@ -79,13 +79,13 @@ def test_a_guardian_that_is_killed_is_replaced_and_one_with_nothing_to_guard_end
 
 def test_a_place_for_temporary_files_that_is_missing_or_full_is_told(monkeypatch, tmp_path):
     monkeypatch.setattr("tempfile.tempdir", str(tmp_path / "missing"))
-    with Guardian() as guardian, pytest.raises(InputError, match=r"No temporary folder.*TMPDIR"):
-        guardian.new_folder()
+    with Reaper() as guardian, pytest.raises(InputError, match=r"No temporary folder.*TMPDIR"):
+        guardian.make_temporary_folder()
 
 
 @pytest.mark.skipif(not Path("/dev/full").exists(), reason="there is nothing that is always full")
 def test_workers_say_where_the_disk_is_full_and_the_scenario_may_be_run_again(tmp_path):
-    from cornercase._common.errors import LostError
+    from cornercase._common.errors import RunLostError
     from cornercase.scenario import ConcreteScenario
     from cornercase.simulators import WorkerSimulator
     from fake_simulators import Plan
@@ -95,7 +95,7 @@ def test_workers_say_where_the_disk_is_full_and_the_scenario_may_be_run_again(tm
     with WorkerSimulator("failing", {"plan": plan}, retries=0) as simulator:
         found = list(simulator.run(concretes))
     assert [int(one.x[0, 0]) for one in found if not isinstance(one, Exception)] == [0, 1, 3]
-    assert isinstance(found[2], LostError)
+    assert isinstance(found[2], RunLostError)
     assert "No space left on device" in str(found[2])
     assert str(found[2]).endswith("tried 2 times")
     assert os.listdir(tmp_path)

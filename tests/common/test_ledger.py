@@ -8,22 +8,22 @@ import pytest
 from lxml import etree
 
 from cornercase._common.errors import InputError, NoticeWarning
-from cornercase._common.ledger import Entry, Label, Ledger, Notice, Status, ranked, warn_of
-from cornercase._common.progress import loudness
-from cornercase.scenario.xml import XmlFiles
+from cornercase._common.ledger import SupportEntry, NoticeLabel, SupportTable, Notice, SupportStatus, sort_notices, warn_notices
+from cornercase._common.progress import verbosity
+from cornercase.scenario.xml import XmlFileCache
 
-LEDGER = Ledger(
+LEDGER = SupportTable(
     [
-        Entry("House", "", Status.USED, (), ""),
-        Entry("House", "name", Status.USED, (), ""),
-        Entry("House", "colour", Status.WITHOUT_EFFECT, ("white",), "all houses are white"),
-        Entry("House", "floors", Status.REFUSED, ("1",), "give floors='1'"),
-        Entry("Room", "", Status.USED, (), ""),
-        Entry("Room", "size", Status.USED, (), ""),
-        Entry("Cellar/Room", "size", Status.WITHOUT_EFFECT, ("0",), "cellars have no size"),
-        Entry("Cellar", "", Status.USED, (), ""),
-        Entry("Garden", "", Status.WITHOUT_EFFECT, (), "gardens are left out"),
-        Entry("Pool", "", Status.REFUSED, (), "remove it"),
+        SupportEntry("House", "", SupportStatus.USED, (), ""),
+        SupportEntry("House", "name", SupportStatus.USED, (), ""),
+        SupportEntry("House", "colour", SupportStatus.WITHOUT_EFFECT, ("white",), "all houses are white"),
+        SupportEntry("House", "floors", SupportStatus.REFUSED, ("1",), "give floors='1'"),
+        SupportEntry("Room", "", SupportStatus.USED, (), ""),
+        SupportEntry("Room", "size", SupportStatus.USED, (), ""),
+        SupportEntry("Cellar/Room", "size", SupportStatus.WITHOUT_EFFECT, ("0",), "cellars have no size"),
+        SupportEntry("Cellar", "", SupportStatus.USED, (), ""),
+        SupportEntry("Garden", "", SupportStatus.WITHOUT_EFFECT, (), "gardens are left out"),
+        SupportEntry("Pool", "", SupportStatus.REFUSED, (), "remove it"),
     ]
 )
 
@@ -33,14 +33,14 @@ def read(tmp_path):
     def read(text: str):
         path = tmp_path / "house.xml"
         path.write_text(text, encoding="utf-8")
-        files = XmlFiles()
-        return files, files.root(path), path
+        files = XmlFileCache()
+        return files, files.get_root(path), path
 
     return read
 
 
 def _notices(root: etree._Element, path: Path) -> list[str]:
-    return [f"{', '.join(one.what)}: {one.why}; {list(one.lines)}" for one in LEDGER.notices(root, path)]
+    return [f"{', '.join(one.parts)}: {one.reason}; {list(one.lines)}" for one in LEDGER.unsupported_notices(root, path)]
 
 
 def test_names_what_is_without_effect(read):
@@ -90,19 +90,19 @@ def test_looking_through_a_file_is_not_reading_it(read):
 def test_refuses_by_name(read, text):
     _, root, path = read(text)
     with pytest.raises(InputError, match=r"house.xml, line 1: .*(<Pool>|floors '2' of <House>) cannot be used; "):
-        LEDGER.refuse(root, path)
+        LEDGER.check_supported(root, path)
 
 
 @pytest.mark.parametrize("text", ["<House floors='1.0'/>", "<House><Garden><Pool/></Garden></House>"])
 def test_refuses_nothing_that_changes_nothing_or_has_no_effect_anyway(read, text):
     _, root, path = read(text)
-    LEDGER.refuse(root, path)
+    LEDGER.check_supported(root, path)
 
 
 def test_many_lines_are_counted(read):
     _, root, path = read("<House>" + "\n<Garden/>" * 9 + "</House>")
     root.find("Garden")
-    (notice,) = LEDGER.notices(root, path)
+    (notice,) = LEDGER.unsupported_notices(root, path)
     assert str(notice) == "<Garden> (house.xml, lines 2, 3, 4, 5, 6 and 4 more): gardens are left out"
 
 
@@ -118,35 +118,35 @@ def test_what_was_read_is_kept_however_the_elements_are_reached(read):
 def test_warnings_are_of_who_called(read):
     _, root, path = read("<House><Garden/></House>")
     with pytest.warns(NoticeWarning, match="without effect: <Garden>") as caught:
-        warn_of(LEDGER.notices(root, path))
+        warn_notices(LEDGER.unsupported_notices(root, path))
     assert caught[0].filename == __file__
 
 
 def test_what_nobody_read_is_not_named_where_reading_did_not_end(read):
     _, root, path = read("<House><Room/><Garden/><Shed/></House>")
-    whats = [one.what for one in LEDGER.notices(root, path, read=False)]
+    whats = [one.parts for one in LEDGER.unsupported_notices(root, path, is_complete=False)]
     assert whats == [("<Garden>",), ("<Shed> in <House>",)]
 
 
 def test_43_5_each_notice_that_matters_is_given_and_the_others_are_counted(read):
     *_, path = read("<House/>")
-    minor = [Notice((f"<{name}>", f"<{name}s>"), "is paint", path, (), matters=False) for name in "ab"]
+    minor = [Notice((f"<{name}>", f"<{name}s>"), "is paint", path, (), affects_result=False) for name in "ab"]
     major = Notice(("<Roof>",), "is missing", path, ())
-    read_otherwise = Notice(("<Door>",), "is read as a window", path, (), Label.ADAPTED)
-    assert ranked([*minor, major, read_otherwise]) == (read_otherwise, major, *minor)
+    read_otherwise = Notice(("<Door>",), "is read as a window", path, (), NoticeLabel.ADAPTED)
+    assert sort_notices([*minor, major, read_otherwise]) == (read_otherwise, major, *minor)
     with pytest.warns(NoticeWarning) as caught:
-        warn_of([*minor, major, read_otherwise])
+        warn_notices([*minor, major, read_otherwise])
     assert [str(one.message).partition(" (")[0] for one in caught] == [
         "adapted: <Door>",
         "without effect: <Roof>",
         "without effect: 4 more parts, which affect no position or speed; `check` and -v list them",
     ]
-    token = loudness.set("verbose")
+    token = verbosity.set("verbose")
     try:
         with pytest.warns(NoticeWarning) as caught:
-            warn_of(minor)
+            warn_notices(minor)
     finally:
-        loudness.reset(token)
+        verbosity.reset(token)
     assert [str(one.message).partition(" (")[0] for one in caught] == [
         "without effect: <a>, <as>",
         "without effect: <b>, <bs>",

@@ -10,7 +10,7 @@ import time
 import pytest
 
 from cornercase._common import locks
-from cornercase._common.locks import held_lock, taken_lock
+from cornercase._common.locks import lock, try_lock
 
 HOLDER = """
 import sys, time
@@ -27,22 +27,22 @@ def test_one_process_at_a_time_holds_a_lock_and_its_end_frees_it(tmp_path):
     with subprocess.Popen([sys.executable, "-c", HOLDER, str(path)], stdout=subprocess.PIPE, text=True) as process:
         assert process.stdout is not None
         assert process.stdout.readline().strip() == "True"
-        assert taken_lock(path) is None
+        assert try_lock(path) is None
         process.kill()
-    lock = taken_lock(path)
+    lock = try_lock(path)
     assert lock is not None
     lock.release()
 
 
 def test_one_process_holds_a_lock_once_and_any_thread_may_release_it(tmp_path):
     path = tmp_path / "study.db.lock"
-    lock = taken_lock(path)
+    lock = try_lock(path)
     assert lock is not None
-    assert taken_lock(path) is None
+    assert try_lock(path) is None
     releasing = threading.Thread(target=lock.release)
     releasing.start()
     releasing.join()
-    again = taken_lock(path)
+    again = try_lock(path)
     assert again is not None
     again.release()
 
@@ -50,7 +50,7 @@ def test_one_process_holds_a_lock_once_and_any_thread_may_release_it(tmp_path):
 def test_a_lock_that_cannot_be_made_is_an_error(tmp_path):
     (tmp_path / "file").touch()
     with pytest.raises(OSError, match="file"):
-        taken_lock(tmp_path / "file" / "study.db.lock")
+        try_lock(tmp_path / "file" / "study.db.lock")
 
 
 def test_a_thread_that_holds_a_lock_goes_on_and_others_wait(tmp_path):
@@ -60,12 +60,12 @@ def test_a_thread_that_holds_a_lock_goes_on_and_others_wait(tmp_path):
     def other():
         inside.wait()
         go_on.set()
-        with held_lock(path):
+        with lock(path):
             order.append("other")
 
     waiting = threading.Thread(target=other)
     waiting.start()
-    with held_lock(path), held_lock(path):
+    with lock(path), lock(path):
         inside.set()
         go_on.wait()
         order.append("first")
@@ -76,21 +76,21 @@ def test_a_thread_that_holds_a_lock_goes_on_and_others_wait(tmp_path):
 def test_a_holder_that_does_not_come_back_is_waited_for_once(tmp_path, monkeypatch):
     monkeypatch.setattr(locks, "_LONGEST", 0.4)
     path, waited = tmp_path / "cornercase.lock", []
-    stopped = taken_lock(path)
+    stopped = try_lock(path)
     assert stopped is not None
     for _ in range(3):
         begun = time.monotonic()
-        with held_lock(path):
+        with lock(path):
             waited.append(time.monotonic() - begun)
     assert waited[0] >= 0.4
     assert max(waited[1:]) < 0.4
     stopped.release()
     # A holder that continues releases it for everybody.
-    with held_lock(path):
-        assert taken_lock(path) is None
+    with lock(path):
+        assert try_lock(path) is None
 
 
 def test_where_nothing_can_be_written_nothing_is_locked(tmp_path):
     (tmp_path / "file").touch()
-    with held_lock(tmp_path / "file" / "cornercase.lock"):
+    with lock(tmp_path / "file" / "cornercase.lock"):
         pass

@@ -1,6 +1,6 @@
 import numpy as np
 
-from cornercase._common.masks import anywhere
+from cornercase._common.masks import any_true
 
 
 def test_a_mask_holds_anywhere_where_any_of_it_is_true():
@@ -10,4 +10,4 @@ def test_a_mask_holds_anywhere_where_any_of_it_is_true():
         np.array([False, True]),
         np.ones((2, 3), dtype=bool),
     ):
-        assert anywhere(mask) is bool(mask.any())
+        assert any_true(mask) is bool(mask.any())

@@ -12,8 +12,8 @@ import pytest
 
 from cornercase._common import platform
 from cornercase._common.errors import InputError
-from cornercase._common.files import portable_name, written_whole
-from cornercase._common.pending_files import written_together
+from cornercase._common.files import portable_name, atomic_write
+from cornercase._common.pending_files import atomic_write_group
 from waiting import lives, until
 
 
@@ -28,10 +28,10 @@ time.sleep(600)
     process = subprocess.Popen([sys.executable, "-c", outer], stdout=subprocess.PIPE, text=True)
     assert process.stdout is not None
     child = int(process.stdout.readline())
-    platform.end_process_tree(process.pid)
+    platform.kill_process_tree(process.pid)
     process.communicate(timeout=120)
     until(lambda: not lives(child))
-    platform.end_process_tree(process.pid)
+    platform.kill_process_tree(process.pid)
 
 
 @pytest.mark.parametrize(
@@ -46,11 +46,11 @@ time.sleep(600)
     ],
 )
 def test_exit_codes_of_all_platforms_have_words(code, words):
-    assert platform.words_of_exit_code(code) == words
+    assert platform.describe_exit_code(code) == words
 
 
 def test_a_parent_that_is_gone_is_noticed(monkeypatch):
-    watch, parent = platform.parent_watch(), os.getppid()
+    watch, parent = platform.make_parent_check(), os.getppid()
     assert watch()
     # Any new parent; in a container or in the background, the parent of the tests may be 1 already.
     monkeypatch.setattr(os, "getppid", lambda: parent + 1)
@@ -61,7 +61,7 @@ def test_a_parent_that_is_gone_is_noticed_where_its_number_stays(monkeypatch):
     """As on Windows."""
     process = subprocess.Popen([sys.executable, "-c", "input()"], stdin=subprocess.PIPE)
     monkeypatch.setattr(os, "getppid", lambda: process.pid)
-    watch = platform.parent_watch()
+    watch = platform.make_parent_check()
     assert watch()
     process.communicate(b"\n", timeout=60)
     assert not watch()
@@ -71,9 +71,9 @@ def test_windows_keeps_its_cache_where_its_programs_do(monkeypatch, tmp_path):
     monkeypatch.delenv("XDG_CACHE_HOME", raising=False)
     monkeypatch.setenv("LOCALAPPDATA", str(tmp_path))
     monkeypatch.setattr(platform, "_WINDOWS", True)
-    assert platform.user_cache() == tmp_path
+    assert platform.user_cache_folder() == tmp_path
     monkeypatch.setattr(platform, "_WINDOWS", False)
-    assert platform.user_cache().parent == Path.home()
+    assert platform.user_cache_folder().parent == Path.home()
 
 
 def test_a_file_that_is_looked_at_for_a_moment_is_replaced_all_the_same(monkeypatch, tmp_path):
@@ -88,7 +88,7 @@ def test_a_file_that_is_looked_at_for_a_moment_is_replaced_all_the_same(monkeypa
     monkeypatch.setattr(platform, "_WINDOWS", True)
     monkeypatch.setattr(platform, "_PAUSE", 0.0)
     monkeypatch.setattr(os, "replace", held)
-    with written_whole(tmp_path / "file.txt") as temporary:
+    with atomic_write(tmp_path / "file.txt") as temporary:
         temporary.write_text("new")
     assert (tmp_path / "file.txt").read_text() == "new"
     assert len(tries) == 3
@@ -105,7 +105,7 @@ def test_the_content_is_on_the_disk_before_it_gets_its_name_and_the_name_after_i
             return real(*values)
 
         monkeypatch.setattr(os, name, order)
-    with written_whole(tmp_path / "new" / "file.txt") as temporary:
+    with atomic_write(tmp_path / "new" / "file.txt") as temporary:
         temporary.write_text("new")
     if sys.platform == "linux":
         assert told[:3] == [("fsync", "file"), ("replace", "file"), ("fsync", "folder")]
@@ -117,9 +117,9 @@ def test_files_that_are_written_together_appear_together_or_not_at_all(tmp_path)
     (tmp_path / "a.txt").write_text("earlier")
 
     def write(failing: str) -> None:
-        with written_together():
+        with atomic_write_group():
             for name in ("a.txt", "new/b.txt"):
-                with written_whole(tmp_path / name) as temporary:
+                with atomic_write(tmp_path / name) as temporary:
                     temporary.write_text("new")
                     assert (tmp_path / "a.txt").read_text() == "earlier"
                     if name == failing:
@@ -148,8 +148,8 @@ def test_what_a_writer_in_another_container_of_this_name_writes_is_not_removed(t
     theirs = {one.name for one in tmp_path.iterdir()}
     assert len(theirs) == 2
     # Its processes are invisible here, so it is unknown whether the writer is alive.
-    monkeypatch.setattr("cornercase._common.pending_files._of_processes", lambda: "pid:[1]")
-    with written_whole(target) as temporary:
+    monkeypatch.setattr("cornercase._common.pending_files._process_namespace", lambda: "pid:[1]")
+    with atomic_write(target) as temporary:
         temporary.write_text("of this one")
     assert {one.name for one in tmp_path.iterdir()} == theirs | {"file.txt"}
 
@@ -160,7 +160,7 @@ def test_what_a_killed_writer_left_is_removed_and_what_a_living_one_writes_is_no
     assert killed.returncode != 0
     assert len(list(tmp_path.iterdir())) == 2
     (tmp_path / ".file.txt.other").write_text("of another program")
-    with written_whole(target) as first, written_whole(target) as second:
+    with atomic_write(target) as first, atomic_write(target) as second:
         assert first != second
         first.write_text("one")
         second.write_text("two")
@@ -171,7 +171,7 @@ def test_what_a_killed_writer_left_is_removed_and_what_a_living_one_writes_is_no
 def test_a_new_file_has_the_permissions_of_the_users_choice(tmp_path):
     mask = os.umask(0o027)
     try:
-        with written_whole(tmp_path / "file.txt") as temporary:
+        with atomic_write(tmp_path / "file.txt") as temporary:
             temporary.write_text("new")
         assert os.umask(0o027) == 0o027
     finally:

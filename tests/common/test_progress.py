@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from cornercase._common.progress import ProgressBar, bars_wanted, step, words_of_seconds
+from cornercase._common.progress import ProgressBar, show_bars, progress_step, format_duration
 
 
 class Clock:
@@ -17,7 +17,7 @@ class Clock:
     ("seconds", "words"), [(0.2, "0 s"), (40, "40 s"), (250, "4 min 10 s"), (7500, "2 h 5 min"), (90_000, "25 h 0 min")]
 )
 def test_stumble_8_hours_are_hours(seconds, words):
-    assert words_of_seconds(seconds) == words
+    assert format_duration(seconds) == words
 
 
 def test_stumble_8_the_time_that_it_takes_to_get_ready_is_no_rate(monkeypatch, capsys):
@@ -39,7 +39,7 @@ def test_stumble_8_the_time_that_it_takes_to_get_ready_is_no_rate(monkeypatch, c
 def test_stumble_8_a_long_step_gets_a_bar_and_a_short_one_none(monkeypatch, capsys):
     clock = Clock(monkeypatch)
     for wanted, each, lines in ((True, 3.0, 6), (True, 0.1, 0), (False, 3.0, 0)):
-        with bars_wanted(wanted), step(10, "choosing", "sets") as tell:
+        with show_bars(wanted), progress_step(10, "choosing", "sets") as tell:
             for done in range(1, 11):
                 clock.now += each
                 tell(done)
@@ -50,7 +50,7 @@ def test_stumble_8_a_long_step_gets_a_bar_and_a_short_one_none(monkeypatch, caps
 
 def test_what_is_slow_has_a_rate_by_the_minute(monkeypatch, capsys):
     clock = Clock(monkeypatch)
-    bar = ProgressBar(3, "judging", "sets", begun=clock.now)
+    bar = ProgressBar(3, "judging", "sets", start_time=clock.now)
     clock.now += 60.0
     bar.update(1, "")
     assert capsys.readouterr().err == "1 of 3 sets, 1.0/min, 2 min 0 s left\n"

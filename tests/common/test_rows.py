@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from conftest import examples
-from cornercase._common.rows import row_keys, surely_distinct
+from cornercase._common.rows import row_keys, no_duplicates
 
 # Few distinct values, so that rows repeat; rows of a lattice differ in few bits.
 _VALUES = st.sampled_from([0.0, -0.0, 0.25, 0.5, 1.0, float(np.nextafter(0.5, 1.0))])
@@ -20,10 +20,10 @@ def test_rows_that_are_there_twice_are_never_taken_for_distinct(rows, others):
     points = np.array(rows).reshape(-1, 2)
     keys = set(row_keys(np.array(sorted(others)).reshape(-1, 2)))
     twice = len({*row_keys(points), *keys}) < len(points) + len(keys)
-    assert surely_distinct(points, keys) != twice
+    assert no_duplicates(points, keys) != twice
 
 
 @pytest.mark.parametrize(("side", "dimension"), [(200_000, 1), (512, 2), (64, 3), (8, 6), (2, 17)])
 def test_the_points_of_a_lattice_are_told_apart(side, dimension):
     lattice = np.stack(np.meshgrid(*[np.arange(side) / side] * dimension), axis=-1).reshape(-1, dimension)
-    assert surely_distinct(lattice, ())
+    assert no_duplicates(lattice, ())

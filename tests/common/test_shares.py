@@ -1,12 +1,12 @@
 import pytest
 from scipy.stats import binom
 
-from cornercase._common.shares import clopper_pearson
+from cornercase._common.shares import clopper_pearson_interval
 
 
 @pytest.mark.parametrize(("hits", "drawn"), [(0, 1), (0, 50), (3, 50), (25, 50), (49, 50), (50, 50)])
 def test_at_its_ends_as_many_hits_or_as_few_are_as_likely_as_the_tail(hits, drawn):
-    low, high = clopper_pearson(hits, drawn, 0.05)
+    low, high = clopper_pearson_interval(hits, drawn, 0.05)
     assert 0.0 <= low <= hits / drawn <= high <= 1.0
     if hits:
         assert binom.sf(hits - 1, drawn, low) == pytest.approx(0.05)
@@ -15,6 +15,6 @@ def test_at_its_ends_as_many_hits_or_as_few_are_as_likely_as_the_tail(hits, draw
 
 
 def test_ends_are_those_of_all_shares_where_nothing_speaks_against_them():
-    assert clopper_pearson(0, 0, 0.05) == (0.0, 1.0)
-    assert clopper_pearson(0, 7, 0.05)[0] == 0.0
-    assert clopper_pearson(7, 7, 0.05)[1] == 1.0
+    assert clopper_pearson_interval(0, 0, 0.05) == (0.0, 1.0)
+    assert clopper_pearson_interval(0, 7, 0.05)[0] == 0.0
+    assert clopper_pearson_interval(7, 7, 0.05)[1] == 1.0

@@ -18,20 +18,20 @@ from cornercase.drivers import (
     BehaviourDriver,
     DrivenPath,
     ReferenceDriver,
-    decides_compiled,
-    load_driver,
-    named_driver,
-    told_driver,
+    is_compiled_driver_name,
+    load_user_driver,
+    driver_by_name,
+    resolve_driver,
 )
-from cornercase.scenario import ConcreteScenario, Scenario, write_concrete
+from cornercase.scenario import ConcreteScenario, ScenarioFile, write_concrete_file
 from cornercase.simulators import BuiltinSimulator
 
 
 def test_presets_by_name_state_all_their_parameters():
     assert {"cautious", "normal", "aggressive"} <= set(DRIVERS.names())
-    assert named_driver("aggressive").settings == {"driver": "behaviour", **AGGRESSIVE._asdict()}
+    assert driver_by_name("aggressive").settings == {"driver": "behaviour", **AGGRESSIVE._asdict()}
     with pytest.raises(InputError, match="did you mean 'cautious'"):
-        named_driver("cautous")
+        driver_by_name("cautous")
 
 
 def test_unusable_parameters_are_named():
@@ -88,7 +88,7 @@ def own_module(tmp_path, monkeypatch):
 @pytest.mark.usefixtures("own_module")
 def test_a_users_own_driver_is_found_in_the_current_folder_and_drives():
     before = list(sys.path)
-    driver = named_driver("own_drivers:Steady")
+    driver = driver_by_name("own_drivers:Steady")
     assert sys.path == before
     assert driver.settings["driver"] == "steady"
     run = Run(driver, straight(), [Other("car", 150.0, 3.0)], speed=4.0, target=8.0, duration=20.0)
@@ -97,7 +97,7 @@ def test_a_users_own_driver_is_found_in_the_current_folder_and_drives():
 
 @pytest.mark.usefixtures("own_module")
 def test_a_driver_that_derives_from_the_base_class_needs_only_its_decision():
-    driver = named_driver("own_drivers:Derived")
+    driver = driver_by_name("own_drivers:Derived")
     assert driver.settings["driver"] == "own_drivers:Derived"
     run = Run(driver, straight(), speed=4.0, target=8.0, duration=20.0)
     assert run.speed[-1, 0] == pytest.approx(8.0, abs=0.01)
@@ -122,7 +122,7 @@ def test_a_driver_that_derives_from_the_base_class_needs_only_its_decision():
 )
 def test_what_is_no_driver_is_refused_in_one_sentence(name, says):
     with pytest.raises(InputError) as caught:
-        load_driver(name)
+        load_user_driver(name)
     message = str(caught.value)
     assert says in message
     assert "\n" not in message
@@ -149,8 +149,8 @@ def test_options_in_a_name_are_the_parameters_of_the_driver():
     assert DRIVERS.create("simple:reaction_time=1").settings["reaction_time"] == 1.0
     assert DRIVERS.create("rss:delay=1").settings == ReferenceDriver("rss", delay=1.0).settings
     # Studies and files store the name, and a batch with it runs compiled.
-    assert told_driver("normal:reaction_time=0.6") == "normal:reaction_time=0.6"
-    assert decides_compiled("normal:reaction_time=0.6")
+    assert resolve_driver("normal:reaction_time=0.6") == "normal:reaction_time=0.6"
+    assert is_compiled_driver_name("normal:reaction_time=0.6")
 
 
 @pytest.mark.parametrize(
@@ -169,7 +169,7 @@ def test_options_in_a_name_are_the_parameters_of_the_driver():
 )
 def test_what_no_driver_can_have_is_refused(name, words):
     with pytest.raises(InputError, match=words):
-        told_driver(name)
+        resolve_driver(name)
 
 
 def test_a_written_file_drives_as_its_driver_with_options(tmp_path):
@@ -177,15 +177,15 @@ def test_a_written_file_drives_as_its_driver_with_options(tmp_path):
     file = EXAMPLES / "t_intersection" / "t_intersection.xosc"
     slow = "normal:reaction_time=1.4"
     written = tmp_path / "written.xosc"
-    write_concrete(Scenario.read(file), {}, written, drivers={"Ego": slow})
+    write_concrete_file(ScenarioFile.read(file), {}, written, drivers={"Ego": slow})
     assert same_recording(ends(written), ends(file, Ego=slow))
     assert not same_recording(ends(written), ends(file))
 
 
 def test_a_file_gives_a_driver_nothing_but_numbers(tmp_path):
     written = tmp_path / "written.xosc"
-    write_concrete(
-        Scenario.read(EXAMPLES / "t_intersection" / "t_intersection.xosc"), {}, written,
+    write_concrete_file(
+        ScenarioFile.read(EXAMPLES / "t_intersection" / "t_intersection.xosc"), {}, written,
         drivers={"Ego": "normal:horizon=long"},
     )  # fmt: skip
     with pytest.raises(

@@ -80,6 +80,6 @@ def test_remembers_for_a_while_who_got_out_of_sight():
         blocked = 10.0 if step >= 20 else 200.0
         situation = looking([20.0, blocked], [0.0, 0.0], [0.0, 0.0], ["misc", "truck"])
         driver.acceleration(replace(situation, time=step * DT))
-        known.append(bool(driver.known[0, 0]))
+        known.append(bool(driver.known_mask[0, 0]))
     assert known.index(True) * DT == pytest.approx(NORMAL.reaction_time)
     assert (len(known) - known[::-1].index(True)) * DT == pytest.approx(1.0 + NORMAL.memory, abs=DT + 1e-9)

@@ -22,7 +22,7 @@ from cornercase.drivers import (
     BehaviourDriver,
     DrivenPath,
 )
-from cornercase.drivers.contact import begins_before, first_contact, last_contact, meeting
+from cornercase.drivers.contact import is_first_contact_before, find_first_contact_row, last_contact_ending_after, contact_interval
 from cornercase.drivers.route import plan_route
 
 
@@ -74,9 +74,9 @@ def test_speed_limit_is_the_smallest_that_every_place_ahead_demands(curvatures, 
     route = plan_route(path, lateral_acceleration=lateral, deceleration=braking)
     for k in range(0, 101, 10):
         demands = [lateral / max(abs(curvature[j]), lateral / 1e4) + 2 * braking * (s[j] - s[k]) for j in range(101)]
-        assert route.squared_speed[0, k] <= min(demands[k:]) * (1 + 1e-9)
+        assert route.max_speed_squared[0, k] <= min(demands[k:]) * (1 + 1e-9)
         # Nowhere lower than required by the neighbouring samples.
-        assert route.squared_speed[0, k] >= min(demands[max(k - 1, 0) :]) - 2 * braking * 0.5 - 1e-9
+        assert route.max_speed_squared[0, k] >= min(demands[max(k - 1, 0) :]) - 2 * braking * 0.5 - 1e-9
 
 
 @given(
@@ -91,7 +91,7 @@ def test_times_of_contact_agree_with_boxes_at_many_instants(own, heading, speed,
     x, y, facing = own
     place = np.array([[0.0, x, y, math.cos(facing), math.sin(facing), 0.0]])
     legs = np.array([[0.0, 0.0, math.cos(heading), math.sin(heading), 0.0, 4.0]])
-    first, last, _ = meeting(place, 0, (2.3, 0.9), margin, (legs, length / 2, 0.8, speed), 4.0)
+    first, last, _ = contact_interval(place, 0, (2.3, 0.9), margin, (legs, length / 2, 0.8, speed), 4.0)
     time = np.linspace(0.0, 4.0, 2001)
     way = speed * time
     moving = box_corners(way * math.cos(heading), way * math.sin(heading), heading, length, 1.6)
@@ -124,16 +124,16 @@ def test_who_is_met_within_gaps_is_met_at_these_times(other, turn, legs, speed, 
         rows[k] = a, b, cos, sin, 0.5 * k, 0.5 * k + duration
         a, b, towards = a + duration * speed * cos, b + duration * speed * sin, towards + turn
     them = (rows, 2.0, 0.8, speed)
-    first, last, _ = meeting(place, 0, (2.3, 0.9), 0.35, them, 6.0)
+    first, last, _ = contact_interval(place, 0, (2.3, 0.9), 0.35, them, 6.0)
     who = (place, 0, (2.3, 0.9), 0.35, them, 6.0)
     # A later instant excludes whatever an earlier one does.
-    found = last_contact(*who, min(sooner, arrives), gaps[1])
+    found = last_contact_ending_after(*who, min(sooner, arrives), gaps[1])
     if found[0] >= 0:
         assert rows[found[0], 4] + found[2] == last
     ends_late = found[0] >= 0 and rows[found[0], 4] + found[2] + gaps[1] > arrives
     assert ends_late == (first < math.inf and arrives < last + gaps[1])
     if found[0] >= 0:
-        assert begins_before(*who, found, arrives, -gaps[0]) == (first - gaps[0] < arrives)
+        assert is_first_contact_before(*who, found, arrives, -gaps[0]) == (first - gaps[0] < arrives)
 
 
 @given(
@@ -153,8 +153,8 @@ def test_places_that_are_passed_over_hold_no_contact(turns, other, offset, speed
     legs = np.array([[a, b, math.cos(towards), math.sin(towards), 0.0, 8.0]])
     for horizon in (0.0, 8.0):
         them = (legs, 2.0, 0.8, speed)
-        touched = [k for k in range(1, len(x)) if meeting(places, k, (2.3, 0.9), 0.35, them, horizon)[0] <= horizon]
-        assert first_contact(places, most, (2.3, 0.9), 0.35, them, horizon) == (touched[0] if touched else -1)
+        touched = [k for k in range(1, len(x)) if contact_interval(places, k, (2.3, 0.9), 0.35, them, horizon)[0] <= horizon]
+        assert find_first_contact_row(places, most, (2.3, 0.9), 0.35, them, horizon) == (touched[0] if touched else -1)
 
 
 @pytest.mark.parametrize("name", PRESETS)
@@ -411,7 +411,7 @@ def test_scenarios_that_are_not_active_keep_their_state():
     two = replace(here, **twice)
     for step in range(20):
         driver.acceleration(replace(two, time=step * DT, active=np.array([True, step < 5])))
-    assert driver.known[:, 0].tolist() == [True, False]
+    assert driver.known_mask[:, 0].tolist() == [True, False]
 
 
 @given(

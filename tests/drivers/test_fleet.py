@@ -14,24 +14,24 @@ from conftest import at_night, examples
 from cornercase.drivers import (
     BEHAVIOUR,
     DRIVERS,
-    FOREIGN,
+    NOT_COMPILED,
     NORMAL,
     SIMPLE,
     BehaviourDriver,
-    Driven,
+    DrivenState,
     DrivenPath,
     Driver,
     SimpleDriver,
     Situation,
-    accelerate,
-    form_fleet,
-    route_row,
-    with_route,
-    workspace,
+    compute_acceleration,
+    build_fleet,
+    find_route_row,
+    set_route,
+    make_workspace,
 )
-from cornercase.drivers.contact import first_contact, meeting
+from cornercase.drivers.contact import find_first_contact_row, contact_interval
 from cornercase.drivers.route import plan_route
-from cornercase.drivers.way import MOST_PLACES, Way, arrive, soonest
+from cornercase.drivers.way import MAX_SAMPLES, LookaheadPath, arrival_time, earliest_arrival_time
 
 KINDS = ("car", "truck", "pedestrian", "car")
 LENGTH, WIDTH, CENTER_X = np.array([BOXES[kind] for kind in KINDS]).T
@@ -79,14 +79,14 @@ def situation(state, e, time, path, distance):
 
 def each(fleet, d, told):
     """Decisions of a fleet's driver, one scenario after the other."""
-    rows, work = [], workspace(len(told.others_kind))
+    rows, work = [], make_workspace(len(told.others_object_type))
     for n in range(SCENARIOS):
-        driven = Driven(
+        driven = DrivenState(
             *(float(one[n]) for one in (told.distance, told.x, told.y, told.heading, told.speed, told.target_speed))
         )
         others = np.stack([one[n] for one in (told.others_x, told.others_y, told.others_heading, told.others_speed)])
-        route = route_row(fleet, d, 1, n)
-        rows.append(accelerate(fleet, d, n, route, told.time, told.time_step, driven, others, work))
+        route = find_route_row(fleet, d, 1, n)
+        rows.append(compute_acceleration(fleet, d, n, route, told.time, told.time_step, driven, others, work))
     return np.array(rows)
 
 
@@ -97,9 +97,9 @@ def test_gathered_drivers_decide_as_each_alone_does_and_remember_the_same(seed):
     alone = [DRIVERS.create(name) for name in names]
     for driver in (*fleet_drivers, *alone):
         driver.start(SCENARIOS, len(KINDS) - 1)
-    fleet = form_fleet(fleet_drivers, [0, 3, 1], SCENARIOS, LENGTH, WIDTH, CENTER_X, KINDS)
+    fleet = build_fleet(fleet_drivers, [0, 3, 1], SCENARIOS, LENGTH, WIDTH, CENTER_X, KINDS)
     for d in range(3):
-        fleet = with_route(fleet, d, 1, path)
+        fleet = set_route(fleet, d, 1, path)
     distance, braked = np.linspace(0.0, 90.0, SCENARIOS), 0
     for step, state in enumerate(wandering(seed)):
         distance = distance + 0.3
@@ -111,9 +111,9 @@ def test_gathered_drivers_decide_as_each_alone_does_and_remember_the_same(seed):
             braked += np.count_nonzero(found < -0.5)
     for one, other in zip(fleet_drivers, alone, strict=True):
         if isinstance(one, BehaviourDriver) and isinstance(other, BehaviourDriver):
-            assert one.known.any()
-            assert np.array_equal(one.known, other.known)
-            assert np.array_equal(one.yielding, other.yielding)
+            assert one.known_mask.any()
+            assert np.array_equal(one.known_mask, other.known_mask)
+            assert np.array_equal(one.yielding_mask, other.yielding_mask)
     assert braked > 20
 
 
@@ -121,9 +121,9 @@ def test_only_drivers_that_decide_as_compiled_are_compiled():
     drivers = [Own(), Reluctant(), DRIVERS.create("simple"), DRIVERS.create("aggressive")]
     for driver in drivers:
         driver.start(SCENARIOS, 3)
-    fleet = form_fleet(drivers, range(4), SCENARIOS, LENGTH, WIDTH, CENTER_X, KINDS)
-    assert fleet.kind.tolist() == [FOREIGN, FOREIGN, SIMPLE, BEHAVIOUR]
-    assert [route_row(fleet, d, 7, 0) for d in (2, 3)] == [0, -1]
+    fleet = build_fleet(drivers, range(4), SCENARIOS, LENGTH, WIDTH, CENTER_X, KINDS)
+    assert fleet.kind.tolist() == [NOT_COMPILED, NOT_COMPILED, SIMPLE, BEHAVIOUR]
+    assert [find_route_row(fleet, d, 7, 0) for d in (2, 3)] == [0, -1]
 
 
 def sampled(lengths, radius):
@@ -136,7 +136,7 @@ def sampled(lengths, radius):
 
 def planned(fleet, d, track, n):
     """Points of a route as stored in a fleet."""
-    routes, row = fleet.routes, route_row(fleet, d, track, n)
+    routes, row = fleet.routes, find_route_row(fleet, d, track, n)
     begin = routes.begin[row]
     return routes.points[begin : begin + routes.samples[row]], routes.measures[row]
 
@@ -148,25 +148,25 @@ def agrees(fleet, d, track, path):
     for n in range(SCENARIOS):
         points, measures = planned(fleet, d, track, n)
         row = n if len(plan.x) > 1 else 0
-        expected = (plan.x, plan.y, plan.cos, plan.sin, plan.squared_speed, plan.straight)
+        expected = (plan.x, plan.y, plan.cos, plan.sin, plan.max_speed_squared, plan.straight_count)
         assert np.array_equal(points, np.stack([one[row] for one in expected], axis=-1))
-        assert np.array_equal(measures, [plan.step[row], plan.longest[row], plan.sharpest[row]])
+        assert np.array_equal(measures, [plan.step[row], plan.max_spacing[row], plan.max_turn[row]])
 
 
 def test_routes_stand_beside_each_other_and_are_replaced():
     drivers = [DRIVERS.create("normal"), DRIVERS.create("normal")]
     for driver in drivers:
         driver.start(SCENARIOS, 3)
-    fleet = form_fleet(drivers, [0, 1], SCENARIOS, LENGTH, WIDTH, CENTER_X, KINDS)
+    fleet = build_fleet(drivers, [0, 1], SCENARIOS, LENGTH, WIDTH, CENTER_X, KINDS)
     paths = {(0, 0): straight(60.0), (0, 2): sampled([40.0] * SCENARIOS, 20.0), (1, 1): right_turn()}
     for (d, track), path in paths.items():
-        fleet = with_route(fleet, d, track, path)
-    assert [route_row(fleet, *one) for one in ((0, 1, 3), (1, 0, 0), (1, 9, 0))] == [-1, -1, -1]
+        fleet = set_route(fleet, d, track, path)
+    assert [find_route_row(fleet, *one) for one in ((0, 1, 3), (1, 0, 0), (1, 9, 0))] == [-1, -1, -1]
     changes = {(0, 2): sampled([70.0, 50.0, 60.0, 20.0, 30.0], 30.0), (0, 0): straight(80.0), (1, 1): straight(10.0)}
     for change in (None, *changes):
         if change is not None:
             paths[change] = changes[change]
-            fleet = with_route(fleet, *change, changes[change])
+            fleet = set_route(fleet, *change, changes[change])
         for (d, track), path in paths.items():
             agrees(fleet, d, track, path)
     assert len(fleet.routes.points) == fleet.routes.samples.sum()
@@ -175,10 +175,10 @@ def test_routes_stand_beside_each_other_and_are_replaced():
 def test_a_path_that_changes_in_some_scenarios_is_planned_anew_there():
     driver = DRIVERS.create("normal")
     driver.start(SCENARIOS, 3)
-    fleet = form_fleet([driver], [0], SCENARIOS, LENGTH, WIDTH, CENTER_X, KINDS)
+    fleet = build_fleet([driver], [0], SCENARIOS, LENGTH, WIDTH, CENTER_X, KINDS)
     before, after = sampled([60.0] * SCENARIOS, 20.0), sampled([60.0] * SCENARIOS, 40.0)
-    fleet = with_route(fleet, 0, 0, before)
-    changed = with_route(fleet, 0, 0, after, where=np.arange(SCENARIOS) == 3)
+    fleet = set_route(fleet, 0, 0, before)
+    changed = set_route(fleet, 0, 0, after, changed=np.arange(SCENARIOS) == 3)
     assert changed.routes.points is fleet.routes.points
     mixed = DrivenPath(*(np.copy(getattr(before, one)) for one in ("distance", "x", "y", "heading", "curvature")))
     for name in ("distance", "x", "y", "heading", "curvature"):
@@ -240,11 +240,11 @@ def test_straight_stretches_that_are_passed_over_hold_no_contact(bends, other, t
     path = DrivenPath(0.5 * np.arange(len(x)), x, y, heading, np.append(curvature, 0.0))
     plan = plan_route(path, lateral_acceleration=3.0, deceleration=2.0)
     points = np.stack(
-        [one[0] for one in (plan.x, plan.y, plan.cos, plan.sin, plan.squared_speed, plan.straight)], axis=-1
+        [one[0] for one in (plan.x, plan.y, plan.cos, plan.sin, plan.max_speed_squared, plan.straight_count)], axis=-1
     )
-    places = np.zeros((MOST_PLACES, 6))
-    most = float(plan.longest[0] + (1.4 + abs(offset)) * plan.sharpest[0])
-    way = Way(
+    places = np.zeros((MAX_SAMPLES, 6))
+    most = float(plan.max_spacing[0] + (1.4 + abs(offset)) * plan.max_turn[0])
+    way = LookaheadPath(
         places, np.zeros(3), np.zeros((1, 6)), len(x), most, points, 0, 0, float(plan.step[0]), 0.0, offset, 1.4,
         (2.3, 0.9), 5.0, 10.0,
     )  # fmt: skip
@@ -263,9 +263,9 @@ def test_straight_stretches_that_are_passed_over_hold_no_contact(bends, other, t
     for horizon in (0.0, 8.0):
         for them in ((legs, 2.0, 0.8, speed), (legs[:1], 2.0, 0.8, speed)):
             touched = [
-                k for k in range(1, len(x)) if meeting(all_places, k, (2.3, 0.9), 0.35, them, horizon)[0] <= horizon
+                k for k in range(1, len(x)) if contact_interval(all_places, k, (2.3, 0.9), 0.35, them, horizon)[0] <= horizon
             ]
-            found = first_contact(places, most, (2.3, 0.9), 0.35, them, horizon, way)
+            found = find_first_contact_row(places, most, (2.3, 0.9), 0.35, them, horizon, way)
             assert found == (touched[0] if touched else -1)
 
 
@@ -279,14 +279,14 @@ def test_straight_stretches_that_are_passed_over_hold_no_contact(bends, other, t
 def test_no_place_is_reached_before_the_soonest_instant(curves, speed, wanted, distance):
     points = np.zeros((len(curves), 6))
     points[:, 4] = curves
-    way = Way(
-        np.zeros((MOST_PLACES, 6)), np.array([0.0, speed * speed, math.sqrt(speed * speed)]), np.zeros((1, 6)),
+    way = LookaheadPath(
+        np.zeros((MAX_SAMPLES, 6)), np.array([0.0, speed * speed, math.sqrt(speed * speed)]), np.zeros((1, 6)),
         len(curves), 0.5, points, 0, 0, 0.5, distance, 0.0, 1.4, (2.3, 0.9), speed, wanted,
     )  # fmt: skip
     # Each one while no later sample is known.
-    earliest = [soonest(NORMAL, way, k) for k in range(1, len(curves))]
-    arrivals = [arrive(NORMAL, way, k) for k in range(1, len(curves))]
+    earliest = [earliest_arrival_time(NORMAL, way, k) for k in range(1, len(curves))]
+    arrivals = [arrival_time(NORMAL, way, k) for k in range(1, len(curves))]
     assert all(one <= two for one, two in zip(earliest, arrivals, strict=True))
     if min(curves) == 400.0 and speed > 0.1:
         steady = way._replace(arrivals=np.array([0.0, speed * speed, speed]), target_speed=speed)
-        assert soonest(NORMAL, steady, 1) == pytest.approx(arrive(NORMAL, steady, 1))
+        assert earliest_arrival_time(NORMAL, steady, 1) == pytest.approx(arrival_time(NORMAL, steady, 1))

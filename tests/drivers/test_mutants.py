@@ -8,7 +8,7 @@ from itertools import pairwise
 import pytest
 
 from cornercase._common.errors import InputError
-from cornercase.drivers import AGGRESSIVE, DRIVERS, NORMAL, BehaviourDriver, mutants_of, name_driver
+from cornercase.drivers import AGGRESSIVE, DRIVERS, NORMAL, BehaviourDriver, generate_mutants, nearest_preset_name
 
 # Parameters that make a driver worse when increased; all others do so when reduced.
 MORE = {"reaction_time", "comfortable_deceleration", "target_share", "lateral_acceleration", "acceleration"}
@@ -26,7 +26,7 @@ def changed(driver, mutant):
 
 def test_a_mutant_is_its_driver_but_for_one_parameter_that_is_worse():
     for driver in ("normal", "cautious:horizon=4", "simple"):
-        mutants = mutants_of(driver, 60, 3)
+        mutants = generate_mutants(driver, 60, 3)
         assert len({one.driver for one in mutants}) == 60
         for one in mutants:
             ((name, larger),) = changed(driver, one.driver).items()
@@ -34,10 +34,10 @@ def test_a_mutant_is_its_driver_but_for_one_parameter_that_is_worse():
 
 
 def test_the_kinds_take_turns_and_severities_spread():
-    mutants = mutants_of("normal", 60)
+    mutants = generate_mutants("normal", 60)
     assert set(Counter(one.mutation for one in mutants).values()) == {4}
     later = sorted(
-        settings(one.driver)["reaction_time"] for one in mutants_of("normal", 300) if one.mutation == "reacts later"
+        settings(one.driver)["reaction_time"] for one in generate_mutants("normal", 300) if one.mutation == "reacts later"
     )
     assert 0.6 <= later[0] < 0.65
     assert 1.6 < later[-1] <= 2.0
@@ -45,33 +45,33 @@ def test_the_kinds_take_turns_and_severities_spread():
 
 
 def test_seeds_and_numbers():
-    assert mutants_of("normal", 30, 7)[:20] == mutants_of("normal", 20, 7)
-    assert mutants_of("normal", 30, 7) != mutants_of("normal", 30, 8)
-    assert len(mutants_of("simple", 1000)) == 1000
+    assert generate_mutants("normal", 30, 7)[:20] == generate_mutants("normal", 20, 7)
+    assert generate_mutants("normal", 30, 7) != generate_mutants("normal", 30, 8)
+    assert len(generate_mutants("simple", 1000)) == 1000
 
 
 def test_drivers_that_are_made_have_names():
     slow = BehaviourDriver(NORMAL._replace(reaction_time=0.75))
-    assert name_driver(slow) == "normal:reaction_time=0.75"
-    assert name_driver(BehaviourDriver(AGGRESSIVE)) == "aggressive"
+    assert nearest_preset_name(slow) == "normal:reaction_time=0.75"
+    assert nearest_preset_name(BehaviourDriver(AGGRESSIVE)) == "aggressive"
     # As stored in a study.
-    assert DRIVERS.create(name_driver(slow.settings)).settings == slow.settings
+    assert DRIVERS.create(nearest_preset_name(slow.settings)).settings == slow.settings
 
 
 def test_drivers_without_mutants_are_refused():
     for driver in ("cc-human", "mymodule:MyDriver"):
         with pytest.raises(InputError, match=f"driver {driver} has no mutants"):
-            mutants_of(driver, 3)
+            generate_mutants(driver, 3)
     with pytest.raises(InputError, match="no mutants"):
-        name_driver({"driver": "somebody"})
+        nearest_preset_name({"driver": "somebody"})
 
     class Otherwise(BehaviourDriver):
         def acceleration(self, situation):
             return -1.0 * situation.speed
 
     with pytest.raises(InputError, match="no mutants"):
-        name_driver(Otherwise())
+        nearest_preset_name(Otherwise())
     with pytest.raises(InputError, match="no mutants"):
-        name_driver({**Otherwise().settings, "source": "64e76f09288e841b"})
+        nearest_preset_name({**Otherwise().settings, "source": "64e76f09288e841b"})
     with pytest.raises(InputError, match="count"):
-        mutants_of("normal", 0)
+        generate_mutants("normal", 0)

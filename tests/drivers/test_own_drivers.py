@@ -13,7 +13,7 @@ import pytest
 
 import cornercase as cc
 from command_line import SPACE, X, cornercase
-from cornercase.drivers import DRIVERS, NORMAL, BehaviourDriver, driver_command, driver_text, told_driver
+from cornercase.drivers import DRIVERS, NORMAL, BehaviourDriver, driver_command_option, format_driver, resolve_driver
 from cornercase.report import write_report
 from cornercase.study import Study
 
@@ -71,7 +71,7 @@ def test_42_5_options_of_an_own_driver_stand_behind_a_second_colon(folder):
         assert (stored["driver"], stored["options"]) == ("my_aeb:Aeb", {"reaction": 0.3, "eager": True})
         motion = study.recording(1)
     # It brakes from then on.
-    ego = motion.acceleration[motion.index("Ego")]
+    ego = motion.acceleration[motion.entity_index("Ego")]
     assert motion.time[ego < -1.0].min() == pytest.approx(0.3, abs=0.11)
 
 
@@ -98,7 +98,7 @@ def test_42_5_an_option_that_the_class_does_not_declare_is_refused(folder, drive
 
 def test_42_5_options_reach_the_class_that_an_own_driver_derives_from(folder, monkeypatch):
     monkeypatch.chdir(folder)
-    made: Any = told_driver("my_aeb:Braking:hard=2,reaction=0.1")
+    made: Any = resolve_driver("my_aeb:Braking:hard=2,reaction=0.1")
     assert (made.hard, made.reaction) == (2.0, 0.1)
 
 
@@ -174,8 +174,8 @@ def test_42_5_commands_that_need_the_driver_again_say_how_to_give_it(folder):
 
 def test_42_5_drivers_that_python_makes_are_named_too(folder, monkeypatch):
     monkeypatch.chdir(folder)
-    made = told_driver("my_aeb:Set")
-    assert made is told_driver(made)
+    made = resolve_driver("my_aeb:Set")
+    assert made is resolve_driver(made)
     given: dict[str, Any] = {
         "ego": "Ego",
         "other": "Pedestrian",
@@ -193,12 +193,12 @@ def test_42_5_drivers_that_python_makes_are_named_too(folder, monkeypatch):
         cc.explore(X, folder / f"{name}.db", optimizer="sobol", drivers={"Ego": driver}, **given)
         with Study.open(folder / f"{name}.db") as study:
             stored[name] = study.meta.settings["drivers"]["Ego"]
-    assert driver_command(stored["name"]) == "my_aeb:Aeb:reaction=0.3"
-    assert driver_command(stored["preset"]) == driver_text(stored["preset"]) == "normal:reaction_time=1.0"
-    assert driver_command({"driver": "rss", "delay": 1.5}) == "rss:delay=1.5"
+    assert driver_command_option(stored["name"]) == "my_aeb:Aeb:reaction=0.3"
+    assert driver_command_option(stored["preset"]) == format_driver(stored["preset"]) == "normal:reaction_time=1.0"
+    assert driver_command_option({"driver": "rss", "delay": 1.5}) == "rss:delay=1.5"
     # It is unknown how an object was created; its class, settings and file are known.
-    assert driver_command(stored["object"]) is None
-    assert driver_text(stored["object"]).startswith("my_aeb:Set, gain=2.0, sha256 ")
+    assert driver_command_option(stored["object"]) is None
+    assert format_driver(stored["object"]).startswith("my_aeb:Set, gain=2.0, sha256 ")
     page = write_report(folder / "object.db", folder / "r.html").read_text()
     assert "--driver Ego=DRIVER " in page
     assert "DRIVER stands for the driver of Ego, an object that Python code made (my_aeb:Set, gain=2.0" in page
@@ -221,5 +221,5 @@ def test_42_5_what_a_study_says_of_drivers_makes_none(monkeypatch):
         ["foreign"],
         3.5,
     ):
-        driver_command(stored)
-        assert isinstance(driver_text(stored), str)
+        driver_command_option(stored)
+        assert isinstance(format_driver(stored), str)

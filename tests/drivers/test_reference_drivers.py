@@ -18,10 +18,10 @@ from cornercase.drivers import (
     drive_cut_in,
     drive_cut_out,
     drive_deceleration,
-    named_driver,
+    driver_by_name,
 )
-from cornercase.drivers.references.fuzzy import critical_metric, passes_clear, proactive_metric
-from cornercase.drivers.references.models import rss_distance, rss_lateral_distance
+from cornercase.drivers.references.fuzzy import critical_metric, is_laterally_safe, proactive_metric
+from cornercase.drivers.references.models import rss_longitudinal_distance, rss_lateral_distance
 from cornercase.recordings import Recording
 from cornercase.scenario import ConcreteScenario
 from cornercase.simulators import BuiltinSimulator
@@ -34,7 +34,7 @@ CASES = [(file, name) for file in FILES for name in NAMES.values() if file == "c
 
 
 def rows_of(file, name):
-    rows = pd.read_csv(ROOT / "tests" / "data" / "r157" / f"{file}.csv")
+    rows = pd.read_recording_csv(ROOT / "tests" / "data" / "r157" / f"{file}.csv")
     return rows[rows.model.map(NAMES) == name].reset_index(drop=True)
 
 
@@ -69,7 +69,7 @@ def test_finds_the_fuzzy_metrics_of_the_implementation_of_the_commission(file):
 def test_formulas_give_what_is_computed_by_hand():
     at = np.array
     # 20 m/s behind 10 m/s: 15 + 1.6875/2 + 22.25²/12 - 100/12; beside 0.5 m/s: 0.3 + 0.65625 + 0.78125.
-    assert rss_distance(at([20.0]), at([10.0]))[0] == pytest.approx(15.0 + 0.84375 + 41.255208 - 8.333333)
+    assert rss_longitudinal_distance(at([20.0]), at([10.0]))[0] == pytest.approx(15.0 + 0.84375 + 41.255208 - 8.333333)
     assert rss_lateral_distance(at([0.5]))[0] == pytest.approx(0.3 + 0.65625 + 0.78125)
     # Safe from 15 + 50 - 7.142857 + 2 m on, unsafe below 15 + 33.333333 - 7.142857 m, each without the margin of 2 m.
     gaps = at([61.857143 + 1e-6, 43.190476 - 1e-5, (61.857143 + 43.190476) / 2])
@@ -83,7 +83,7 @@ def test_formulas_give_what_is_computed_by_hand():
     assert critical_metric(at([1.0]), at([10.0]), at([10.0]), at([0.0]))[0] == 0.0
     # 1.6 m at 1 m/s, before 8.6 m and 10 m are passed at 12 m/s, and after.
     beside, inward, closing = at([1.6, 1.7, 1.6, -0.1]), at([1.0, 1.0, 0.0, 0.0]), at([12.0, 12.0, 12.0, 12.0])
-    clear = passes_clear(at([10.0] * 4), beside, inward, closing, at([8.6] * 4))
+    clear = is_laterally_safe(at([10.0] * 4), beside, inward, closing, at([8.6] * 4))
     assert clear.tolist() == [False, True, True, False]
 
 
@@ -98,7 +98,7 @@ def test_prevents_the_same_in_a_scenario_file(file, name):
         values = {"ego_kmh": rows.ego_kmh, "other_kmh": rows.other_kmh, "gap": rows.gap_m}
         values["lateral_speed"] = rows.lateral_m_s
     else:
-        values = {"ego_kmh": rows.speed_kmh, "gap": REFERENCES[name].following(rows.speed_kmh / 3.6)}
+        values = {"ego_kmh": rows.speed_kmh, "gap": REFERENCES[name].following_gap(rows.speed_kmh / 3.6)}
         if file == "cut_out":
             values |= {"front_gap": rows.front_gap_m, "lateral_speed": -rows.lateral_m_s}
         else:
@@ -119,14 +119,14 @@ def test_goes_at_the_speed_asked_for_past_who_is_not_in_its_way(name):
     beside = Other("car", 60.0, 3.5, speed=5.0)
     ahead_and_faster = Other("car", 100.0, 0.0, speed=20.0)
     behind = Other("car", -20.0, 0.0, speed=9.0)
-    run = Run(named_driver(name), straight(900.0), (beside, ahead_and_faster, behind), speed=10.0, target=14.0)
+    run = Run(driver_by_name(name), straight(900.0), (beside, ahead_and_faster, behind), speed=10.0, target=14.0)
     assert run.acceleration.max() == pytest.approx(2.0)
     assert run.speed[-1, 0] == pytest.approx(14.0)
     assert run.acceleration.min() >= -1e-9
 
 
 def test_a_careful_human_takes_its_foot_off_decides_and_brakes_within_0_6_s():
-    run = Run(named_driver("cc-human"), straight(400.0), (Other("car", 150.0, 0.0),), speed=20.0, target=20.0)
+    run = Run(driver_by_name("cc-human"), straight(400.0), (Other("car", 150.0, 0.0),), speed=20.0, target=20.0)
     given, full = run.acceleration[:, 0], 0.774 * 9.81
     np.testing.assert_allclose(given[:15], -0.4)
     np.testing.assert_allclose(given[15:26], -12.65 * 0.05 * np.arange(1, 12))
@@ -141,7 +141,7 @@ def test_brakes_for_who_stands_in_a_bend(name):
     angle = np.linspace(0.0, 2.0, 1001)
     path = DrivenPath(100.0 * angle, 100.0 * np.sin(angle), 100.0 * (1.0 - np.cos(angle)), angle, np.full(1001, 0.01))
     other = Other("car", 100.0 * np.sin(1.2), 100.0 * (1.0 - np.cos(1.2)), heading=1.2)
-    run = Run(named_driver(name), path, (other,), speed=15.0, target=15.0, duration=16.0)
+    run = Run(driver_by_name(name), path, (other,), speed=15.0, target=15.0, duration=16.0)
     assert run.distance[-1, 0] < 120.0
     assert run.speed[-1, 0] < 0.1
     assert not run.touched.any()
@@ -153,7 +153,7 @@ def test_takes_a_path_that_runs_otherwise_in_each_scenario(name):
     s, turned = np.arange(0.0, 300.0, 0.5), np.array([0.0, 0.1])
     x, y = s * np.cos(turned)[:, None], s * np.sin(turned)[:, None]
     path = DrivenPath(np.tile(s, (2, 1)), x, y, np.tile(turned[:, None], len(s)), np.zeros((2, len(s))))
-    driver, zero, one = named_driver(name), np.zeros((2, 1)), np.ones(1)
+    driver, zero, one = driver_by_name(name), np.zeros((2, 1)), np.ones(1)
     driver.start(2, 1)
     given = [
         driver.acceleration(
@@ -162,7 +162,7 @@ def test_takes_a_path_that_runs_otherwise_in_each_scenario(name):
                 length=4.3, width=1.9, center_x=1.4,
                 target_speed=np.full(2, 20.0), others_x=25.0 * np.cos(turned)[:, None],
                 others_y=25.0 * np.sin(turned)[:, None], others_heading=turned[:, None], others_speed=zero,
-                others_length=4.3 * one, others_width=1.9 * one, others_center_x=1.4 * one, others_kind=("car",),
+                others_length=4.3 * one, others_width=1.9 * one, others_center_x=1.4 * one, others_object_type=("car",),
                 active=np.ones(2, dtype=np.bool_),
             )
         )
@@ -175,16 +175,16 @@ def test_takes_a_path_that_runs_otherwise_in_each_scenario(name):
 @pytest.mark.parametrize("name", REFERENCES)
 def test_decides_the_same_alone_and_among_others(name):
     gaps, options = np.array([20.0, 35.0, 60.0, 90.0]), {"speed": 18.0, "target": 18.0, "duration": 5.0}
-    together = Run(named_driver(name), straight(900.0), (Other("car", gaps, 0.0, speed=6.0),), scenarios=4, **options)
+    together = Run(driver_by_name(name), straight(900.0), (Other("car", gaps, 0.0, speed=6.0),), scenarios=4, **options)
     for k, gap in enumerate(gaps):
-        alone = Run(named_driver(name), straight(900.0), (Other("car", gap, 0.0, speed=6.0),), **options)
+        alone = Run(driver_by_name(name), straight(900.0), (Other("car", gap, 0.0, speed=6.0),), **options)
         assert (alone.acceleration[:, 0] == together.acceleration[:, k]).all()
 
 
 def test_whoever_hides_behind_the_one_ahead_is_seen_when_that_leaves_the_middle_of_the_lane():
     def run(aside):
         others = (Other("car", 50.0, aside, speed=15.0), Other("misc", 220.0, 0.0))
-        return Run(named_driver("cc-human"), straight(900.0), others, speed=15.0, target=15.0, duration=2.0)
+        return Run(driver_by_name("cc-human"), straight(900.0), others, speed=15.0, target=15.0, duration=2.0)
 
     assert (run(0.37).acceleration == 0.0).all()
     assert run(0.38).acceleration[0, 0] == pytest.approx(-0.4)
@@ -196,4 +196,4 @@ def test_a_name_or_a_delay_that_cannot_be_is_named():
     with pytest.raises(InputError, match=r"`delay` of the driver 'rss' is -1"):
         ReferenceDriver("rss", delay=-1)
     assert ReferenceDriver("rss", delay=1.5).settings == {"driver": "rss", "delay": 1.5}
-    assert [named_driver(name).settings["driver"] for name in REFERENCES] == list(REFERENCES)
+    assert [driver_by_name(name).settings["driver"] for name in REFERENCES] == list(REFERENCES)

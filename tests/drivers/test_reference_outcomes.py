@@ -9,7 +9,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from cornercase.drivers import ReferenceOutcome, judge_reference
+from cornercase.drivers import ReferenceOutcome, assess_preventability
 from cornercase.scenario import ConcreteScenario
 from cornercase.simulators import BuiltinSimulator
 from two_cars import met
@@ -20,7 +20,7 @@ BRAKES = (20.0 * T, 0.0, 0.0, 20.0)
 
 
 def judged(driver, run, original=None):
-    return judge_reference(driver, run, run if original is None else original, "Ego", "Other")
+    return assess_preventability(driver, run, run if original is None else original, "Ego", "Other")
 
 
 def ahead(gap, speed, aside=0.0, collides=None, heading=0.0):
@@ -29,7 +29,7 @@ def ahead(gap, speed, aside=0.0, collides=None, heading=0.0):
 
 @pytest.mark.slow
 def test_it_agrees_with_the_outcomes_of_the_commission_where_an_encounter_ends_at_the_intrusion():
-    rows = pd.read_csv(ROOT / "tests" / "data" / "r157" / "cut_in.csv")
+    rows = pd.read_recording_csv(ROOT / "tests" / "data" / "r157" / "cut_in.csv")
     rows = rows[(rows.model == "CC_human_driver") & (rows.lateral_m_s > 0.4)]
     assert 10 < (rows.crash > 0).sum() < len(rows) - 10
     columns = {"ego_kmh": rows.ego_kmh, "other_kmh": rows.other_kmh}
@@ -47,8 +47,8 @@ def test_who_does_not_touch_anybody_prevents_it_and_who_does_does_not(driver):
     hit, missed = ahead(20.0, 10.0, collides=2.0), ahead(200.0, 20.0)
     assert judged(driver, missed, hit) == ReferenceOutcome(False)
     assert judged(driver, hit) == ReferenceOutcome(True, 2.0)
-    assert "prevents it" in judged(driver, missed, hit).tell(driver)
-    assert judged(driver, hit).tell(driver) == f"{driver} does not prevent it either, and collides at 2 s"
+    assert "prevents it" in judged(driver, missed, hit).describe(driver)
+    assert judged(driver, hit).describe(driver) == f"{driver} does not prevent it either, and collides at 2 s"
 
 
 def test_a_reference_of_the_regulation_says_nothing_of_what_it_is_no_model_of():
@@ -56,14 +56,14 @@ def test_a_reference_of_the_regulation_says_nothing_of_what_it_is_no_model_of():
     crossing = met(BRAKES, (40.0, 15.0 * (2.0 - T), -np.pi / 2, 15.0), 2.0)
     oncoming = met(BRAKES, (80.0 - 20.0 * T, 0.0, np.pi, 20.0), 2.0)
     behind = met(BRAKES, (-14.0 + 25.0 * T, 0.0, 0.0, 25.0), 2.0)
-    pedestrian = replace(along, kinds=("car", "pedestrian"))
+    pedestrian = replace(along, object_types=("car", "pedestrian"))
     for original in (crossing, oncoming, behind, pedestrian):
         assert judged("cc-human", missed, original) == ReferenceOutcome(None)
         assert judged("fsm:delay=1", original, original) == ReferenceOutcome(None)
         assert judged("cautious", missed, original) == ReferenceOutcome(False)
     # The entity that the reference collides with has to be covered too.
     assert judged("rss", crossing, along) == ReferenceOutcome(None)
-    assert "says nothing" in judged("rss", crossing, along).tell("rss")
+    assert "says nothing" in judged("rss", crossing, along).describe("rss")
     # The direction of a standing entity is ignored.
     standing = met(BRAKES, (44.0, 0.0, np.pi / 2, 0.0), 2.0)
     assert judged("cc-human", standing) == ReferenceOutcome(True, 2.0)

@@ -13,9 +13,9 @@ from hypothesis import strategies as st
 
 from conftest import at_night, examples
 from cornercase._common.errors import InputError
-from cornercase._common.progress import loudness
+from cornercase._common.progress import verbosity
 from cornercase.dtw import cpu, distance_matrix, distances_to, kernel_matrix, pairs
-from cornercase.dtw.bounds import may_be_within
+from cornercase.dtw.bounds import find_pairs_within_distance
 
 
 def defined(x, y, *, squared, window):
@@ -49,7 +49,7 @@ def sets_of_series(draw, dims):
 
 
 costs = st.sampled_from(["euclidean", "squared"])
-windows = st.one_of(st.none(), st.integers(1, 12))
+windows = st.require_one_of(st.none(), st.integers(1, 12))
 
 
 def check(series, found, local_cost, window, **tolerance):
@@ -176,14 +176,14 @@ def test_interrupt_ends_between_tiles(monkeypatch):
 
     threads = threading.active_count()
     with pytest.raises(KeyboardInterrupt):
-        cpu.distances(
+        cpu.compute_distances_on_cpu(
             [one[:, None] for one in series],
             None,
             squared=False,
             window=None,
             dtype="float64",
             n_jobs=2,
-            advance=advance,
+            report_progress=advance,
         )
     assert started
     # The whole matrix is 75 blocks, each of one tile at least.
@@ -198,11 +198,11 @@ def test_few_series():
 
 
 def test_progress_reaches_the_end(capsys):
-    token = loudness.set("verbose")
+    token = verbosity.set("verbose")
     try:
         distance_matrix([[0.0, 1.0]] * 30, progress=True)
     finally:
-        loudness.reset(token)
+        verbosity.reset(token)
     assert "1 of 1 million steps" in capsys.readouterr().err
 
 
@@ -281,10 +281,10 @@ def test_landmarks_are_refused_in_one_sentence(series, landmarks, options, words
 def cells_computed(monkeypatch):
     """Count the cells that reach the kernels from here on."""
     counted = []
-    run = cpu.distances
+    run = cpu.compute_distances_on_cpu
 
     def counting(rows, columns, **options):
-        counted.append(pairs.cells(rows, columns))
+        counted.append(pairs.count_cells(rows, columns))
         return run(rows, columns, **options)
 
     monkeypatch.setattr(cpu, "distances", counting)
@@ -326,9 +326,9 @@ def resting(draw):
 @given(series=resting(), local_cost=costs, dtype=st.sampled_from(["float64", "float32"]))
 def test_cut_rests_change_no_bit(series, local_cost, dtype):
     options = {"squared": local_cost == "squared", "window": None, "dtype": dtype, "n_jobs": 1}
-    whole = cpu.distances(series, None, **options, advance=lambda done: None)
-    short, _ = pairs.without_common_rests(series, None)
-    assert np.array_equal(cpu.distances(short, None, **options, advance=lambda done: None), whole)
+    whole = cpu.compute_distances_on_cpu(series, None, **options, report_progress=lambda done: None)
+    short, _ = pairs.trim_common_constant_parts(series, None)
+    assert np.array_equal(cpu.compute_distances_on_cpu(short, None, **options, report_progress=lambda done: None), whole)
     if dtype == "float64":
         assert np.array_equal(distance_matrix(series, local_cost=local_cost), whole)
 
@@ -406,8 +406,8 @@ def test_pairs_that_underflow_are_not_computed():
     rng = np.random.default_rng(0)
     series = [rng.normal(size=(20, 1)) + 1000.0 * (i % 2) for i in range(10)]
     together = np.equal.outer(np.arange(10) % 2, np.arange(10) % 2)
-    assert (may_be_within(series, 900.0, squared=False) == together).all()
-    assert may_be_within(series, 30_000.0, squared=False).all()
+    assert (find_pairs_within_distance(series, 900.0, squared=False) == together).all()
+    assert find_pairs_within_distance(series, 30_000.0, squared=False).all()
     assert (kernel_matrix(series, 1e-2) > 0).sum() <= together.sum()
 
 
@@ -418,7 +418,7 @@ def test_the_bound_never_leaves_out_what_is_within(values):
     for squared in (False, True):
         distances = distance_matrix(series, local_cost="squared" if squared else "euclidean")
         for limit in np.unique(distances):
-            assert may_be_within(series, float(limit), squared)[distances <= limit].all()
+            assert find_pairs_within_distance(series, float(limit), squared)[distances <= limit].all()
 
 
 @pytest.mark.parametrize("gamma", [0.0, -1.0, float("nan"), float("inf")])

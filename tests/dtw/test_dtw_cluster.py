@@ -10,7 +10,7 @@ import pytest
 
 from cornercase._common.errors import InputError
 from cornercase.dtw import disk, distance_matrix, distances_to, pairs, tiles
-from cornercase.dtw.pairs import Settings
+from cornercase.dtw.pairs import DtwSettings
 
 distributed = pytest.importorskip("distributed")
 
@@ -49,7 +49,7 @@ def test_a_matrix_on_disk_goes_on_where_it_was_ended(client, tmp_path, monkeypat
     monkeypatch.setattr(disk, "SIDE", 16)
     series, computed = walks(70), []
     here = distance_matrix(series, out=tmp_path / "here.npy")
-    plain = tiles.Tiles.squares
+    plain = tiles.ClusterTiles.iter_squares
 
     def ends(self, wanted):
         for number, square in enumerate(plain(self, wanted)):
@@ -61,10 +61,10 @@ def test_a_matrix_on_disk_goes_on_where_it_was_ended(client, tmp_path, monkeypat
         computed.extend(wanted)
         return plain(self, wanted)
 
-    monkeypatch.setattr(tiles.Tiles, "squares", ends)
+    monkeypatch.setattr(tiles.ClusterTiles, "iter_squares", ends)
     with pytest.raises(KeyboardInterrupt):
         distance_matrix(series, out=tmp_path / "there.npy", client=client)
-    monkeypatch.setattr(tiles.Tiles, "squares", counted)
+    monkeypatch.setattr(tiles.ClusterTiles, "iter_squares", counted)
     there = distance_matrix(series, out=tmp_path / "there.npy", resume=True, client=client)
     assert here.tobytes() == there.tobytes()
     assert (tmp_path / "here.npy").read_bytes() == (tmp_path / "there.npy").read_bytes()
@@ -75,9 +75,9 @@ def test_a_matrix_on_disk_goes_on_where_it_was_ended(client, tmp_path, monkeypat
 def test_progress_counts_every_cell(client):
     series = [np.arange(float(k % 7 + 1))[:, None] for k in range(80)]
     seen: list[int] = []
-    settings = Settings(False, None, np.dtype("float64"), 1, "cpu")
-    tiles.distances(series, None, settings, client, seen.append)
-    assert sum(seen) == pairs.cells(series, None)
+    settings = DtwSettings(False, None, np.dtype("float64"), 1, "cpu")
+    tiles.compute_distances_on_cluster(series, None, settings, client, seen.append)
+    assert sum(seen) == pairs.count_cells(series, None)
     assert len(seen) > 1
 
 
@@ -96,9 +96,9 @@ def test_distances_too_large_name_the_pair(client):
 
 
 def test_a_worker_of_another_version_is_told_of():
-    settings = Settings(False, None, np.dtype("float64"), 1, "cpu")
+    settings = DtwSettings(False, None, np.dtype("float64"), 1, "cpu")
     with pytest.raises(InputError, match=r"a worker has cornercase .*, but this process has 0\.0\.0"):
-        tiles.compute_square("0.0.0", settings, {}, [np.zeros((1, 1))], None)
+        tiles.compute_square_on_worker("0.0.0", settings, {}, [np.zeros((1, 1))], None)
 
 
 def test_dask_is_loaded_by_those_who_ask_for_it_alone():

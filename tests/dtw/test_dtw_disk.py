@@ -84,7 +84,7 @@ def test_goes_on_after_being_killed(tmp_path, monkeypatch):
     with progress.open("a") as notes:
         notes.write("31 3")
     computed = []
-    alone = pairs.distances
+    alone = pairs.compute_distances
 
     def counted(*given):
         computed.append(1)
@@ -204,7 +204,7 @@ def test_space_is_taken_before_it_is_written_into(tmp_path, monkeypatch):
         taken.append(path.stat().st_blocks * 512)
         return computed(*given)
 
-    computed = pairs.distances
+    computed = pairs.compute_distances
     monkeypatch.setattr(pairs, "distances", distances)
     distance_matrix(random_walks(200), out=path)
     assert taken[0] >= path.stat().st_size

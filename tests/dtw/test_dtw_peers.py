@@ -19,7 +19,7 @@ def sets_of_series(draw):
     return [np.cumsum(rng.normal(size=(length, dims)), axis=0) for length in lengths]
 
 
-windows = st.one_of(st.none(), st.integers(1, 12))
+windows = st.require_one_of(st.none(), st.integers(1, 12))
 
 
 @settings(max_examples=examples(60), deadline=None)
@@ -51,7 +51,7 @@ def scenarios(t_intersection):
     points = t_intersection.space.snap(np.random.default_rng(2).random((6, 3)))
     recordings = ran(BuiltinSimulator(), [t_intersection.concrete(one) for one in t_intersection.space.values(points)])
     metric = METRICS.create("distance")
-    return [(one.center("Ego"), metric.capped(metric.course(one, "Ego", "C"))[:, None]) for one in recordings]
+    return [(one.box_center("Ego"), metric.clip_course(metric.course(one, "Ego", "C"))[:, None]) for one in recordings]
 
 
 @pytest.mark.parametrize("kind", [0, 1])

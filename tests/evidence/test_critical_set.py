@@ -8,10 +8,10 @@ from scipy.stats import qmc
 
 from cornercase._common.errors import InputError
 from cornercase.evidence import CriticalSet, GaussianProcess
-from cornercase.exploration.stopping import Criterion
+from cornercase.exploration.stopping import StopCriterion
 from cornercase.metrics import Feature
 from cornercase.optimizers import LevelSetOptimizer, SobolOptimizer
-from cornercase.scenario import Constraint, Declaration, Parameter, ParameterSpace
+from cornercase.scenario import Constraint, ParameterDeclaration, Parameter, ParameterSpace
 from searches import CUBE, EVERYWHERE, THRESHOLD, explored, two_regions
 
 TRUE = two_regions(EVERYWHERE) <= THRESHOLD
@@ -34,7 +34,7 @@ def test_leaving_one_out_is_learning_from_the_others():
     means, deviations = process.leave_one_out()
     for i in (0, 7, 29):
         others = np.delete(np.arange(30), i)
-        apart = np.linalg.norm((points[:, None] - points) / process.kernel.widths, axis=-1) * np.sqrt(5)
+        apart = np.linalg.norm((points[:, None] - points) / process.kernel.length_scales, axis=-1) * np.sqrt(5)
         kernel = process.kernel.signal**2 * (1 + apart + apart**2 / 3) * np.exp(-apart)
         within = kernel[np.ix_(others, others)] + process.kernel.noise**2 * np.eye(29)
         weights = np.linalg.solve(within, kernel[others, i])
@@ -54,9 +54,9 @@ def test_the_intervals_hold_the_truth_about_as_often_as_they_say():
             for count in (60, 120):
                 points = qmc.Sobol(3, seed=seed).random(128)[:count]
                 known = CriticalSet(CUBE, points, function(points), threshold, seed)
-                missed = (true & ~known.found(EVERYWHERE)).sum() / true.sum()
-                within["share"] += known.share.low <= true.mean() <= known.share.high
-                within["missed"] += missed <= known.missed.high
+                missed = (true & ~known.predict(EVERYWHERE)).sum() / true.sum()
+                within["share"] += known.critical_fraction.low <= true.mean() <= known.critical_fraction.high
+                within["missed"] += missed <= known.missed_fraction.high
                 runs += 1
     # Of 32 with a probability of 0.9, 25 to 32 in all but one of a hundred cases.
     assert runs == 32
@@ -68,10 +68,10 @@ def test_the_intervals_hold_the_truth_about_as_often_as_they_say():
 def test_less_is_missed_and_more_is_known_the_longer_it_goes_on():
     points = explored(LevelSetOptimizer(CUBE, 1, THRESHOLD), 200, function=two_regions)
     early, late = (CriticalSet(CUBE, points[:n], two_regions(points[:n]), THRESHOLD) for n in (50, 200))
-    assert late.missed.high < 0.5 * early.missed.high
-    assert late.share.high - late.share.low < 0.5 * (early.share.high - early.share.low)
-    assert late.share.value == pytest.approx(TRUE.mean(), rel=0.03)
-    assert late.overlooked() < 0.02
+    assert late.missed_fraction.high < 0.5 * early.missed_fraction.high
+    assert late.critical_fraction.high - late.critical_fraction.low < 0.5 * (early.critical_fraction.high - early.critical_fraction.low)
+    assert late.critical_fraction.value == pytest.approx(TRUE.mean(), rel=0.03)
+    assert late.p_overlooked_region() < 0.02
 
 
 def test_a_region_in_which_nothing_was_run_is_reckoned_with():
@@ -79,17 +79,17 @@ def test_a_region_in_which_nothing_was_run_is_reckoned_with():
     ball = np.linalg.norm(points - (0.8, 0.75, 0.5), axis=1) < 0.3
     known, blind = (CriticalSet(CUBE, p, two_regions(p), THRESHOLD) for p in (points, points[~ball]))
     # A ball of 0.3 is 11 % of the cube.
-    assert known.unvisited(0.02) < 0.04
-    assert known.unvisited(0.02) + 0.01 < blind.unvisited(0.02) < 0.11
-    assert blind.unvisited(0.005) > blind.unvisited(0.02) > blind.unvisited(0.12)
+    assert known.unexplored_fraction(0.02) < 0.04
+    assert known.unexplored_fraction(0.02) + 0.01 < blind.unexplored_fraction(0.02) < 0.11
+    assert blind.unexplored_fraction(0.005) > blind.unexplored_fraction(0.02) > blind.unexplored_fraction(0.12)
 
 
 def test_on_a_line_a_region_in_which_something_was_run_is_not_overlooked():
     line = ParameterSpace.from_ranges(["a=0:1"])
     points = SobolOptimizer(line, 0).ask(80)
     known = CriticalSet(line, points, np.abs(points[:, 0] - 0.55), 0.2)
-    assert known.share.value == pytest.approx(0.4, abs=0.01)
-    assert known.overlooked() == 0.0
+    assert known.critical_fraction.value == pytest.approx(0.4, abs=0.01)
+    assert known.p_overlooked_region() == 0.0
 
 
 def test_a_region_that_the_process_foretells_is_overlooked_until_something_is_run_there():
@@ -99,44 +99,44 @@ def test_a_region_that_the_process_foretells_is_overlooked_until_something_is_ru
     points = qmc.Sobol(3, seed=3).random(128)
     apart = np.abs(points[:, 0] - 0.75) > 0.12
     known, blind = (CriticalSet(CUBE, p, waves(p), 0.0) for p in (points, points[apart]))
-    assert known.overlooked(0.02) < 0.05
-    assert blind.overlooked(0.02) > known.overlooked(0.02)
+    assert known.p_overlooked_region(0.02) < 0.05
+    assert blind.p_overlooked_region(0.02) > known.p_overlooked_region(0.02)
 
 
 def test_of_a_space_that_was_run_whole_all_is_known():
     space = ParameterSpace(
         [Parameter("a", 0, 9, 1.0), Parameter("kind", 0, 2, None, ("x", "y", "z")), Parameter("b", 0, 4, 1.0)]
     )
-    points = space.lattice()
-    scores = np.abs(points[:, 0] - points[:, 2]) + (space.parameters[1].numbers(points[:, 1]) == 1)
+    points = space.full_factorial()
+    scores = np.abs(points[:, 0] - points[:, 2]) + (space.parameters[1].level_indices(points[:, 1]) == 1)
     known = CriticalSet(space, points, scores, 0.25)
-    assert known.share.low == known.share.high == pytest.approx((scores <= 0.25).mean(), abs=1e-3)
-    assert known.missed.high < 0.05
-    assert known.overlooked() == 0.0
+    assert known.critical_fraction.low == known.critical_fraction.high == pytest.approx((scores <= 0.25).mean(), abs=1e-3)
+    assert known.missed_fraction.high < 0.05
+    assert known.p_overlooked_region() == 0.0
 
 
 @pytest.mark.parametrize(("threshold", "share"), [(0.5, 1 / 12), (-1.0, 0.0), (99.0, 1.0)])
 def test_of_few_scenarios_that_were_all_run_all_is_known(threshold, share):
     space = ParameterSpace([Parameter("a", 0, 3, 1.0), Parameter("b", 0, 2, 1.0)])
-    points = space.lattice()
+    points = space.full_factorial()
     scores = np.arange(12.0)
     # The search chose the least scores first; that does not matter once all scenarios were run.
-    known = CriticalSet(space, points, scores, threshold, filling=np.zeros(12, dtype=np.bool_))
-    assert known.doubt is known.missed_doubt is None
-    assert (known.share.low, known.share.value, known.share.high) == pytest.approx((share, share, share))
-    assert (known.missed.value, known.missed.high) == (0.0, 0.0)
+    known = CriticalSet(space, points, scores, threshold, initial_design=np.zeros(12, dtype=np.bool_))
+    assert known.interval_unavailable is known.missed_interval_unavailable is None
+    assert (known.critical_fraction.low, known.critical_fraction.value, known.critical_fraction.high) == pytest.approx((share, share, share))
+    assert (known.missed_fraction.value, known.missed_fraction.high) == (0.0, 0.0)
     scores[0] = np.nan
-    assert "only 0" in (CriticalSet(space, points, scores, threshold, filling=np.zeros(12, dtype=np.bool_)).doubt or "")
+    assert "only 0" in (CriticalSet(space, points, scores, threshold, initial_design=np.zeros(12, dtype=np.bool_)).interval_unavailable or "")
 
 
 @pytest.mark.parametrize("seed", [0, 1])
 def test_constraints_that_leave_little_leave_enough_places(seed):
     strip = ((Constraint("greaterThan", "0.49"), Constraint("lessThan", "0.51")),)
-    declarations = [Declaration("x", "double", "0.5", strip), Declaration("y", "double", "0.5", ())]
-    space = ParameterSpace.from_ranges(["x=0:1", "y=0:1"]).constrained(declarations)
+    declarations = [ParameterDeclaration("x", "double", "0.5", strip), ParameterDeclaration("y", "double", "0.5", ())]
+    space = ParameterSpace.from_ranges(["x=0:1", "y=0:1"]).with_constraints(declarations)
     points = SobolOptimizer(space, seed).ask(60)
     known = CriticalSet(space, points, points.sum(axis=1), 0.7, seed)
-    assert known.share.value == pytest.approx(0.2, abs=0.001)
+    assert known.critical_fraction.value == pytest.approx(0.2, abs=0.001)
 
 
 def test_no_more_can_be_critical_than_what_was_not_run():
@@ -144,8 +144,8 @@ def test_no_more_can_be_critical_than_what_was_not_run():
     points = SobolOptimizer(space, 0).ask(29)
     scores = points.sum(axis=1)
     none, every = (CriticalSet(space, points, scores, threshold) for threshold in (-1.0, 9.0))
-    assert none.share.high == pytest.approx(1 / 30)
-    assert every.share.low == pytest.approx(29 / 30)
+    assert none.critical_fraction.high == pytest.approx(1 / 30)
+    assert every.critical_fraction.low == pytest.approx(29 / 30)
 
 
 def test_failed_scenarios_do_not_count_and_too_few_say_nothing():
@@ -166,21 +166,21 @@ def test_failed_scenarios_do_not_count_and_too_few_say_nothing():
 def test_no_critical_scenario_at_all_leaves_a_small_share():
     points = qmc.Sobol(3, seed=0).random(128)
     known = CriticalSet(CUBE, points, two_regions(points) + 3.0, THRESHOLD)
-    assert known.share.high < 0.05
-    assert known.missed.low == 1.0
+    assert known.critical_fraction.high < 0.05
+    assert known.missed_fraction.low == 1.0
 
 
 @pytest.mark.parametrize("threads", [1, 2])
 def test_it_says_the_same_again_whatever_the_number_of_threads(monkeypatch, threads):
     points = qmc.Sobol(3, seed=0).random(64)
     expected = estimates(CriticalSet(CUBE, points, two_regions(points), THRESHOLD, 5))
-    monkeypatch.setattr("cornercase.evidence.gaussian_process.available_cpus", lambda: threads)
+    monkeypatch.setattr("cornercase.evidence.gaussian_process.count_available_cpus", lambda: threads)
     assert estimates(CriticalSet(CUBE, points, two_regions(points), THRESHOLD, 5)) == expected
 
 
 def test_criteria_are_read():
-    assert Criterion.parse("missed<0.01") == Criterion("missed", 0.01)
-    assert Criterion.parse("overlooked( 0.02 ) < 0.05") == Criterion("overlooked", 0.05, 0.02)
+    assert StopCriterion.parse("missed<0.01") == StopCriterion("missed", 0.01)
+    assert StopCriterion.parse("overlooked( 0.02 ) < 0.05") == StopCriterion("overlooked", 0.05, 0.02)
     for text in (
         "missed",
         "missed<",
@@ -192,32 +192,32 @@ def test_criteria_are_read():
         "__import__<1",
     ):
         with pytest.raises(InputError, match="`stop_when`"):
-            Criterion.parse(text)
+            StopCriterion.parse(text)
 
 
 def test_before_anything_critical_was_met_the_share_is_bounded_by_what_was_run():
     points = qmc.Sobol(3, seed=0).random(64)[:40]
     known = CriticalSet(CUBE, points, two_regions(points) + 3.0, THRESHOLD)
     # The rule of three.
-    assert known.share.low == 0.0
-    assert known.share.high == pytest.approx(3 / 40, rel=0.05)
+    assert known.critical_fraction.low == 0.0
+    assert known.critical_fraction.high == pytest.approx(3 / 40, rel=0.05)
     # Scenarios chosen by scores give no interval.
     blindly = np.arange(40) < 20
-    fewer = CriticalSet(CUBE, points, two_regions(points) + 3.0, THRESHOLD, filling=blindly)
-    assert fewer.share.high == pytest.approx(3 / 20, rel=0.1)
-    assert known.overlooked() == known.unvisited() > 0.2
+    fewer = CriticalSet(CUBE, points, two_regions(points) + 3.0, THRESHOLD, initial_design=blindly)
+    assert fewer.critical_fraction.high == pytest.approx(3 / 20, rel=0.1)
+    assert known.p_overlooked_region() == known.unexplored_fraction() > 0.2
     for text in ("interval<0.05", "overlooked<0.05", "missed<0.05"):
-        one = Criterion.parse(text)
-        assert one.value(known) >= one.below
+        one = StopCriterion.parse(text)
+        assert one.evaluate(known) >= one.bound
 
 
 def test_while_all_that_was_met_is_critical_the_share_is_bounded_by_what_was_run():
     # Everything is critical except a corner of 3 % of the cube that no score points to.
     points = SobolOptimizer(CUBE, 0).ask(40)
     known = CriticalSet(CUBE, points, points.sum(axis=1), 9.0)
-    assert known.share.value == known.share.high == 1.0
-    assert known.share.low == pytest.approx(1.0 - 3 / 40, rel=0.05)
-    assert Criterion.parse("interval<0.05").value(known) >= 0.05
+    assert known.critical_fraction.value == known.critical_fraction.high == 1.0
+    assert known.critical_fraction.low == pytest.approx(1.0 - 3 / 40, rel=0.05)
+    assert StopCriterion.parse("interval<0.05").evaluate(known) >= 0.05
 
 
 def test_two_sets_are_drawn_independently():
@@ -226,21 +226,21 @@ def test_two_sets_are_drawn_independently():
     scores = rng.normal(size=(2, 64))
     one, other = (CriticalSet(CUBE, points, each, 0.0) for each in scores)
     # For noise, the fraction of one set in another is the size of the other.
-    assert one.share_in(other).value == pytest.approx(other.share.value, abs=0.03)
+    assert one.fraction_inside(other).value == pytest.approx(other.critical_fraction.value, abs=0.03)
     # Also for the same scores, drawn twice: nothing predicts where they are critical.
-    assert one.share_in(one).value < 0.7
+    assert one.fraction_inside(one).value < 0.7
 
 
 def test_a_scenario_of_a_finite_space_is_critical_or_not_in_one_draw():
     space = ParameterSpace([Parameter("a", 0, 4, 1.0), Parameter("b", 0, 5, 1.0)])
-    points = space.lattice()
+    points = space.full_factorial()
     known = CriticalSet(space, points[::2], np.random.default_rng(0).normal(size=15), 0.0)
-    (at, weights), drawn = known._some, known._parts.drawn
-    places = known._places.points[at]
+    (at, weights), drawn = known._joint_points, known._parts_samples.joint_draws
+    places = known._sample.points[at]
     assert len(np.unique(places, axis=0)) == len(places) == len(drawn) == 30
     assert weights.sum() == pytest.approx(1.0)
     # Scenarios that were run are known: the fractions differ by whole other scenarios.
-    shares = known._parts.all * 30
+    shares = known._parts_samples.critical_fraction * 30
     assert shares.min() >= known._critical.sum() - 0.5
     assert shares.max() <= known._critical.sum() + 15.5
 
@@ -251,8 +251,8 @@ def test_draws_without_a_critical_place_do_not_count_as_nothing_missed(seed):
     points, scores = rng.random((60, 3)), rng.normal(size=60)
     # One scenario is critical, by noise: nearly the whole critical set is missed.
     known = CriticalSet(CUBE, points, scores, float(np.sort(scores)[:2].mean()))
-    assert known.found(EVERYWHERE).mean() < 0.01
-    assert known.missed.low > 0.5
+    assert known.predict(EVERYWHERE).mean() < 0.01
+    assert known.missed_fraction.low > 0.5
 
 
 def test_a_ball_keeps_to_the_space_in_ten_dimensions():
@@ -265,7 +265,7 @@ def test_a_ball_keeps_to_the_space_in_ten_dimensions():
         at, around = rng.random((300, 10)), rng.random((4000, 10))
         apart = np.sort(np.linalg.norm(at[:, None] - around, axis=2), axis=1)[:, int(size * 4000)]
         met = (np.linalg.norm(at[:, None] - points, axis=2) <= apart[:, None]).any(axis=1)
-        assert known.unvisited(size) == pytest.approx(1.0 - met.mean(), abs=0.08)
+        assert known.unexplored_fraction(size) == pytest.approx(1.0 - met.mean(), abs=0.08)
 
 
 def test_audits_correct_what_is_said_and_never_say_what_is_found():
@@ -273,30 +273,30 @@ def test_audits_correct_what_is_said_and_never_say_what_is_found():
     audits = np.random.default_rng(5).random((200, 3))
     alone = CriticalSet(CUBE, points, two_regions(points), THRESHOLD)
     known = CriticalSet(CUBE, points, two_regions(points), THRESHOLD, audits=(audits, two_regions(audits)))
-    np.testing.assert_array_equal(known.found(EVERYWHERE), alone.found(EVERYWHERE))
-    missed = (TRUE & ~known.found(EVERYWHERE)).sum() / TRUE.sum()
-    assert known.missed.high - known.missed.low < alone.missed.high - alone.missed.low
-    assert known.missed.low - 0.02 <= missed <= known.missed.high + 0.02
-    assert known.audited_missed.low <= missed <= known.audited_missed.high < known.audited_missed_at_most
+    np.testing.assert_array_equal(known.predict(EVERYWHERE), alone.predict(EVERYWHERE))
+    missed = (TRUE & ~known.predict(EVERYWHERE)).sum() / TRUE.sum()
+    assert known.missed_fraction.high - known.missed_fraction.low < alone.missed_fraction.high - alone.missed_fraction.low
+    assert known.missed_fraction.low - 0.02 <= missed <= known.missed_fraction.high + 0.02
+    assert known.audited_missed_fraction.low <= missed <= known.audited_missed_fraction.high < known.audited_missed_upper_bound
     hits = (two_regions(audits) <= THRESHOLD).sum()
-    assert known.audited_share.value == hits / 200
+    assert known.audited_critical_fraction.value == hits / 200
 
 
 def test_where_too_little_was_chosen_blindly_no_interval_is_given_and_it_says_why():
     points = qmc.Sobol(3, seed=3).random(64)
     scores, first = two_regions(points), np.arange(64)
-    known = CriticalSet(CUBE, points, scores, THRESHOLD, filling=first < 15)
-    assert known.doubt is not None
-    assert "only 15" in known.doubt
-    assert known.missed_doubt == known.doubt
-    assert Criterion.parse("interval<0.5").value(known) == Criterion.parse("missed<0.9").value(known) == 1.0
-    few = CriticalSet(CUBE, points, scores, THRESHOLD, filling=(scores > THRESHOLD) | (first < 1))
-    assert few.doubt is None
-    assert few.missed_doubt is not None
-    assert "are critical" in few.missed_doubt
+    known = CriticalSet(CUBE, points, scores, THRESHOLD, initial_design=first < 15)
+    assert known.interval_unavailable is not None
+    assert "only 15" in known.interval_unavailable
+    assert known.missed_interval_unavailable == known.interval_unavailable
+    assert StopCriterion.parse("interval<0.5").evaluate(known) == StopCriterion.parse("missed<0.9").evaluate(known) == 1.0
+    few = CriticalSet(CUBE, points, scores, THRESHOLD, initial_design=(scores > THRESHOLD) | (first < 1))
+    assert few.interval_unavailable is None
+    assert few.missed_interval_unavailable is not None
+    assert "are critical" in few.missed_interval_unavailable
     audits = np.random.default_rng(5).random((60, 3))
     both = (audits, two_regions(audits))
-    assert CriticalSet(CUBE, points, scores, THRESHOLD, filling=first < 0, audits=both).missed_doubt is None
+    assert CriticalSet(CUBE, points, scores, THRESHOLD, initial_design=first < 0, audits=both).missed_interval_unavailable is None
 
 
 def test_where_nothing_was_missed_yet_the_interval_reaches_to_0():
@@ -307,10 +307,10 @@ def test_where_nothing_was_missed_yet_the_interval_reaches_to_0():
         return np.cos(7.0 * at[:, 0]) + 0.2
 
     known = CriticalSet(line, points, wave(points), 0.0)
-    missed = (~known.found(everywhere[wave(everywhere) <= 0.0])).mean()
+    missed = (~known.predict(everywhere[wave(everywhere) <= 0.0])).mean()
     assert missed < 1e-3
-    assert known.missed.low == 0.0
-    assert missed <= known.missed.high < 0.01
+    assert known.missed_fraction.low == 0.0
+    assert missed <= known.missed_fraction.high < 0.01
 
 
 def test_a_region_that_nothing_points_to_keeps_the_search_going():
@@ -318,12 +318,12 @@ def test_a_region_that_nothing_points_to_keeps_the_search_going():
     known = CriticalSet(CUBE, points, two_regions(points), THRESHOLD)
     # A ball of the size that escapes one time in twenty, beside the share that is known.
     centres = np.random.default_rng(0).random((400, 3))
-    ball = known.hidden * known.share.value / (1.0 - known.hidden)
-    assert known.unvisited(ball) == pytest.approx(0.05, abs=0.01)
+    ball = known.max_hidden_fraction * known.critical_fraction.value / (1.0 - known.max_hidden_fraction)
+    assert known.unexplored_fraction(ball) == pytest.approx(0.05, abs=0.01)
     apart = np.sort(np.linalg.norm(centres[:, None] - EVERYWHERE[:4096], axis=2), axis=1)[:, round(ball * 4096)]
     escapes = ~(np.linalg.norm(centres[:, None] - points, axis=2) < apart[:, None]).any(axis=1)
     assert escapes.mean() < 0.1
-    assert Criterion.parse("missed<0.1").value(known) == pytest.approx(known.missed.high + known.hidden)
+    assert StopCriterion.parse("missed<0.1").evaluate(known) == pytest.approx(known.missed_fraction.high + known.max_hidden_fraction)
 
 
 def jumping(points):
@@ -341,12 +341,12 @@ def test_features_of_the_recordings_find_what_one_process_of_the_scores_cannot()
     scores, features = jumping(points)
     scores[7], features[7] = np.nan, np.nan
     true = jumping(everywhere)[0] <= 1.0
-    plain = CriticalSet(CUBE, points, scores, 1.0, 3).found(everywhere)
-    known = CriticalSet(CUBE, points, scores, 1.0, 3, happened=(columns, features))
-    found = known.found(everywhere)
-    assert known.by_committee
+    plain = CriticalSet(CUBE, points, scores, 1.0, 3).predict(everywhere)
+    known = CriticalSet(CUBE, points, scores, 1.0, 3, features=(columns, features))
+    found = known.predict(everywhere)
+    assert known.uses_committee
     assert (found == true).mean() > (plain == true).mean() + 0.03
     missed = (true & ~found).sum() / true.sum()
     assert missed < 0.15
-    assert known.missed.low <= missed <= known.missed.high
-    assert known.share.low <= true.mean() <= known.share.high
+    assert known.missed_fraction.low <= missed <= known.missed_fraction.high
+    assert known.critical_fraction.low <= true.mean() <= known.critical_fraction.high

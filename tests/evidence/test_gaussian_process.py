@@ -10,14 +10,14 @@ from scipy.special import ndtr
 from scipy.stats import qmc
 
 from conftest import examples
-from cornercase.evidence import CriticalSet, GaussianProcess, boundary_process, near_threshold, nearness
+from cornercase.evidence import CriticalSet, GaussianProcess, fit_boundary_process, squash_around_threshold, squash_scale
 from cornercase.evidence import posterior as posterior_module
-from cornercase.evidence.kernel import Kernel, chosen
+from cornercase.evidence.kernel import MaternKernel, indices_with_rare_values
 from cornercase.evidence.posterior import ExactPosterior, SparsePosterior
 from searches import CUBE, EVERYWHERE, THRESHOLD, two_regions
 
 kernels = st.builds(
-    lambda width, signal, noise: Kernel(np.array([width, 1.5 * width]), signal, noise),
+    lambda width, signal, noise: MaternKernel(np.array([width, 1.5 * width]), signal, noise),
     st.floats(0.1, 2.0),
     st.floats(0.3, 3.0),
     st.floats(0.01, 0.5),
@@ -30,7 +30,7 @@ def drawn(count: int, seed: int):
     return points, np.sin(7 * points[:, 0]) + points[:, 1]
 
 
-def told(kernel: Kernel, known, places):
+def told(kernel: MaternKernel, known, places):
     """Mean and variance at points."""
     cross = kernel.covariance(places, known.points)
     return cross @ known.weights, kernel.signal**2 - ((cross @ known.inverse.T) ** 2).sum(axis=1)
@@ -50,7 +50,7 @@ def test_taking_values_in_step_by_step_is_taking_them_all_at_once(kernel, first,
     parts = np.split(np.arange(len(points)), [first, first + second])
     steps = ExactPosterior(kernel, points[parts[0]], values[parts[0]])
     for part in parts[1:]:
-        steps = steps.extended(points[part], values[part])
+        steps = steps.with_more_values(points[part], values[part])
     same(kernel, steps, ExactPosterior(kernel, points, values), EVERYWHERE[:50, :2])
 
 
@@ -62,9 +62,9 @@ def test_so_it_is_where_some_points_stand_for_all(kernel, first, second, third, 
         patch.setattr(posterior_module, "MOST_EXACT", 64)
         start = SparsePosterior(kernel, points[:first], values[:first])
     middle = first + second
-    steps = start.extended(points[first:middle], values[first:middle]).extended(points[middle:], values[middle:])
+    steps = start.with_more_values(points[first:middle], values[first:middle]).with_more_values(points[middle:], values[middle:])
     assert steps.points.shape == (64, 2)
-    same(kernel, steps, start.extended(points[first:], values[first:]), EVERYWHERE[:50, :2])
+    same(kernel, steps, start.with_more_values(points[first:], values[first:]), EVERYWHERE[:50, :2])
 
 
 @settings(max_examples=examples(10), deadline=None)
@@ -97,17 +97,17 @@ def test_points_that_stand_for_all_tell_nearly_as_much(monkeypatch):
     monkeypatch.setattr(posterior_module, "MOST_EXACT", 2000)
     every = CriticalSet(CUBE, points, two_regions(points), THRESHOLD)
     true = two_regions(EVERYWHERE) <= THRESHOLD
-    wrong = [(known.found(EVERYWHERE) != true).mean() for known in (few, every)]
+    wrong = [(known.predict(EVERYWHERE) != true).mean() for known in (few, every)]
     assert wrong[0] < 1.3 * wrong[1] < 0.01
-    assert few.share.value == pytest.approx(every.share.value, rel=0.01)
-    assert abs(few.share.value - true.mean()) < few.share.high - few.share.low
+    assert few.critical_fraction.value == pytest.approx(every.critical_fraction.value, rel=0.01)
+    assert abs(few.critical_fraction.value - true.mean()) < few.critical_fraction.high - few.critical_fraction.low
 
 
 @pytest.mark.parametrize("noise", [1e-6, 1.0])
 @pytest.mark.parametrize("width", [0.01, 10.0])
 def test_extreme_kernels_are_borne(noise, width):
     points = np.random.default_rng(0).random((700, 1))
-    known = SparsePosterior(Kernel(np.array([width]), 30.0, noise), points, np.sign(points[:, 0] - 0.5))
+    known = SparsePosterior(MaternKernel(np.array([width]), 30.0, noise), points, np.sign(points[:, 0] - 0.5))
     for number in (*told(known._kernel, known, points), *known.leave_one_out()):
         assert np.isfinite(number).all()
 
@@ -117,10 +117,10 @@ def test_more_values_change_neither_the_kernel_nor_the_process_before():
     values = two_regions(points)
     process = GaussianProcess().fit(points[:96], values[:96])
     before = process.predict(EVERYWHERE[:100])
-    more = process.extended(points[96:], values[96:])
+    more = process.with_more_values(points[96:], values[96:])
     assert more.kernel is process.kernel
     np.testing.assert_array_equal(process.predict(EVERYWHERE[:100]), before)
-    anew = process.know(points, values).predict(EVERYWHERE[:100])
+    anew = process.condition_on(points, values).predict(EVERYWHERE[:100])
     np.testing.assert_allclose(more.predict(EVERYWHERE[:100]), anew, atol=2e-3)
 
 
@@ -128,29 +128,29 @@ def test_the_level_of_groups_is_that_of_all_places():
     points = qmc.Sobol(3, seed=3).random(64)
     known = CriticalSet(CUBE, points, two_regions(points), THRESHOLD)
     among = known._is_found
-    every = known._parts._limit(np.arange(len(known._t)))
-    (at, weights), drawn = known._some, known._parts.drawn
-    expected = (known._places.weights * among) @ ndtr(every)
+    every = known._parts_samples._critical_limit(np.arange(len(known._z)))
+    (at, weights), drawn = known._joint_points, known._parts_samples.joint_draws
+    expected = (known._sample.weights * among) @ ndtr(every)
     expected += (weights * among[at]) @ (drawn - ndtr(every[at]))
-    np.testing.assert_allclose(known._parts.shares(among), expected, atol=1e-4)
+    np.testing.assert_allclose(known._parts_samples.critical_fraction_within(among), expected, atol=1e-4)
 
 
 def test_widths_are_learned_from_rare_values_too():
     rare = np.zeros(3000, dtype=np.bool_)
     rare[[5, 1201, 1202, 2999]] = True
-    picked = chosen(3000, 160, rare)
+    picked = indices_with_rare_values(3000, 160, rare)
     assert len(picked) == 160 == len(np.unique(picked))
     assert rare[picked].sum() == 4
     # Many values of one class do not displace the others.
-    assert rare[chosen(3000, 160, ~rare)].sum() == 4
-    np.testing.assert_array_equal(chosen(100, 160, rare[:100]), np.arange(100))
+    assert rare[indices_with_rare_values(3000, 160, ~rare)].sum() == 4
+    np.testing.assert_array_equal(indices_with_rare_values(100, 160, rare[:100]), np.arange(100))
 
 
 def test_a_rare_region_that_was_met_is_not_lost_among_more_scenarios():
     """Seven of 1,000 scenarios lie in a ball of 0.65 % of the cube, on a score that is the same everywhere else."""
     points = qmc.Sobol(3, seed=2).random(1024)
     depth = np.linalg.norm(points - (0.7, 0.3, 0.6), axis=1) - 0.116
-    known = boundary_process(points, np.minimum(depth, 0.05), 0.0)
+    known = fit_boundary_process(points, np.minimum(depth, 0.05), 0.0)
     critical = np.linalg.norm(EVERYWHERE - (0.7, 0.3, 0.6), axis=1) <= 0.116
     found = known.predict(EVERYWHERE)[0] <= 0.0
     assert (found & critical).sum() > 0.5 * critical.sum()
@@ -163,7 +163,7 @@ def test_what_lies_far_from_the_threshold_counts_where_the_function_is_smooth(di
     phases = np.linspace(0.0, 5.0, dimension)
     scores, true = (np.sin(4.0 * one + phases).sum(axis=1) for one in (points, places))
     threshold = float(np.quantile(true, 0.05))
-    process = boundary_process(points, scores, threshold)
-    near = GaussianProcess().fit(points, near_threshold(scores, threshold, nearness(scores)))
+    process = fit_boundary_process(points, scores, threshold)
+    near = GaussianProcess().fit(points, squash_around_threshold(scores, threshold, squash_scale(scores)))
     wrong = [((one.predict(places)[0] <= 0.0) != (true <= threshold)).mean() for one in (process, near)]
     assert wrong[0] < 0.8 * wrong[1]

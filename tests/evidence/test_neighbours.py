@@ -7,12 +7,12 @@ from sklearn.gaussian_process import GaussianProcessRegressor
 from sklearn.gaussian_process.kernels import ConstantKernel, Matern
 
 from cornercase.evidence import CriticalSet
-from cornercase.evidence.gaussian_process import GaussianProcess, boundary_process
-from cornercase.evidence.kernel import Kernel
+from cornercase.evidence.gaussian_process import GaussianProcess, fit_boundary_process
+from cornercase.evidence.kernel import MaternKernel
 from cornercase.evidence.neighbours import NearestPosterior
 from cornercase.scenario import ParameterSpace
 
-KERNEL = Kernel(np.array([0.3, 0.5, 2.0]), 1.5, 0.1)
+KERNEL = MaternKernel(np.array([0.3, 0.5, 2.0]), 1.5, 0.1)
 CUBE = ParameterSpace.from_ranges(["a=0:1", "b=0:1", "c=0:1"])
 
 
@@ -23,8 +23,8 @@ def waved(points):
 
 def told_by(points, values, place):
     """Prediction by scikit-learn from the 36 nearest values."""
-    near = np.argsort(np.linalg.norm((points - place) / KERNEL.widths, axis=1))[:36]
-    kernel = ConstantKernel(KERNEL.signal**2) * Matern(KERNEL.widths, nu=2.5)
+    near = np.argsort(np.linalg.norm((points - place) / KERNEL.length_scales, axis=1))[:36]
+    kernel = ConstantKernel(KERNEL.signal**2) * Matern(KERNEL.length_scales, nu=2.5)
     process = GaussianProcessRegressor(kernel, alpha=KERNEL.noise**2, optimizer=None).fit(points[near], values[near])
     mean, deviation = process.predict(place[None], return_std=True)
     return mean[0], deviation[0]
@@ -63,7 +63,7 @@ def test_of_many_scenarios_the_nearest_follow_a_boundary_that_few_points_smooth_
 
     def wrong(most_together):
         monkeypatch.setattr(GaussianProcess, "max_induced_values", most_together)
-        mean, deviation = boundary_process(points, scores, 0.0).predict(places)
+        mean, deviation = fit_boundary_process(points, scores, 0.0).predict(places)
         # Errors are where the process is uncertain.
         assert (np.abs(mean / deviation)[(mean <= 0.0) != true] < 4.0).mean() > 0.9
         return ((mean <= 0.0) != true).mean()
@@ -79,8 +79,8 @@ def test_what_is_said_of_the_critical_set_of_many_scenarios_holds(many):
     known = CriticalSet(CUBE, points, scores, 0.0)
     dense = qmc.Sobol(3, seed=np.random.default_rng(4)).random(1 << 17)
     true = waved(dense) <= 0.0
-    assert known.share.low < true.mean() < known.share.high
-    assert known.share.high - known.share.low < 0.01
-    missed = (true & ~known.found(dense)).sum() / true.sum()
-    assert known.missed.low - 0.001 < missed < known.missed.high
-    assert known.missed.high < 0.03
+    assert known.critical_fraction.low < true.mean() < known.critical_fraction.high
+    assert known.critical_fraction.high - known.critical_fraction.low < 0.01
+    missed = (true & ~known.predict(dense)).sum() / true.sum()
+    assert known.missed_fraction.low - 0.001 < missed < known.missed_fraction.high
+    assert known.missed_fraction.high < 0.03

@@ -7,14 +7,14 @@ from scipy.stats import binom, norm
 
 from cornercase.evidence import (
     ImportanceSampling,
-    Mixture,
-    guessed_proposal,
-    of_all,
-    of_counts,
-    of_weights,
-    quotient,
+    TMixture,
+    initial_proposal,
+    probability_from_enumeration,
+    probability_from_counts,
+    probability_from_weights,
+    conditional_probability,
 )
-from cornercase.scenario import Constraint, Declaration, Parameter, ParameterSpace
+from cornercase.scenario import Constraint, ParameterDeclaration, Parameter, ParameterSpace
 
 
 def space_of(dimension):
@@ -24,13 +24,13 @@ def space_of(dimension):
 def estimated(space, score, runs, seed, guess=None):
     """Probability that the score is at most 0, from this many runs."""
     sampling, spent = ImportanceSampling(space, 1, int(0.4 * runs), seed, guess), 0
-    while sampling.stage != "estimate":
-        points = sampling.ask(runs)
+    while sampling.next_stage != "estimate":
+        points = sampling.draw_round(runs)
         scores = score(points)
-        sampling.tell(points, scores, (scores <= 0.0)[:, None])
+        sampling.record_round(points, scores, (scores <= 0.0)[:, None])
         spent += len(points)
-    points = sampling.ask(runs - spent)
-    return of_weights(sampling.weights(points), score(points) <= 0.0, sampling.weights_error), sampling
+    points = sampling.draw_round(runs - spent)
+    return probability_from_weights(sampling.importance_weights(points), score(points) <= 0.0, sampling.common_weight_error), sampling
 
 
 def two_tails(points):
@@ -48,7 +48,7 @@ def test_two_far_regions_of_one_in_a_hundred_thousand_are_told_within_a_fifth():
     assert all(one.error < 0.1 for one in found)
     assert sum(one.low <= TWO_TAILS <= one.high for one in found) >= 4
     # Plain Monte Carlo needs millions for what 4,000 scenarios say.
-    assert all(one.plain_scenarios > 1e6 for one in found)
+    assert all(one.equivalent_monte_carlo_scenarios > 1e6 for one in found)
 
 
 def test_what_is_frequent_is_told_too():
@@ -108,10 +108,10 @@ def law(kind, low, high, *numbers):
 def test_the_probability_is_that_within_the_constraints():
     """Of x + y <= 1.2 at most 0.68 is left, in which the corner x > 0.99 is rarer than in the square."""
     declarations = [
-        Declaration("x", "double", "0.5", ()),
-        Declaration("y", "double", "0.5", ((Constraint("lessOrEqual", "${1.2 - $x}"),),)),
+        ParameterDeclaration("x", "double", "0.5", ()),
+        ParameterDeclaration("y", "double", "0.5", ((Constraint("lessOrEqual", "${1.2 - $x}"),),)),
     ]
-    space = ParameterSpace.from_ranges(["x=0:1", "y=0:1"]).constrained(declarations)
+    space = ParameterSpace.from_ranges(["x=0:1", "y=0:1"]).with_constraints(declarations)
     found, _ = estimated(space, lambda points: 0.99 - points[:, 0], 2000, 0)
     # The strip is cut at y = 1.2 - x.
     truth = (0.01 * (1.2 - 0.995)) / (1.0 - 0.5 * 0.8**2)
@@ -123,24 +123,24 @@ def test_told_again_it_goes_on_as_if_nothing_had_happened():
     first = ImportanceSampling(space_of(3), 1, 600, 5)
     rounds = []
     for _ in range(20):
-        points = first.ask(100)
+        points = first.draw_round(100)
         rounds.append(points)
-        first.tell(points, two_tails(points), (two_tails(points) <= 0.0)[:, None])
-    assert first.stage == "estimate"
+        first.record_round(points, two_tails(points), (two_tails(points) <= 0.0)[:, None])
+    assert first.next_stage == "estimate"
     second = ImportanceSampling(space_of(3), 1, 600, 5)
     for points in rounds:
-        second.tell(points, two_tails(points), (two_tails(points) <= 0.0)[:, None])
-    np.testing.assert_array_equal(first.ask(50), second.ask(50))
-    np.testing.assert_array_equal(first.weights(rounds[-1]), second.weights(rounds[-1]))
+        second.record_round(points, two_tails(points), (two_tails(points) <= 0.0)[:, None])
+    np.testing.assert_array_equal(first.draw_round(50), second.draw_round(50))
+    np.testing.assert_array_equal(first.importance_weights(rounds[-1]), second.importance_weights(rounds[-1]))
 
 
 def test_failed_scenarios_and_equal_scores_stop_nothing():
     sampling = ImportanceSampling(space_of(2), 1, 300, 0)
-    while sampling.stage != "estimate":
-        points = sampling.ask(100)
+    while sampling.next_stage != "estimate":
+        points = sampling.draw_round(100)
         scores = np.where(points[:, 0] > 0.5, np.nan, 1.0)
-        sampling.tell(points, scores, np.zeros((len(points), 1), dtype=np.bool_))
-    assert len(sampling.ask(100)) == 100
+        sampling.record_round(points, scores, np.zeros((len(points), 1), dtype=np.bool_))
+    assert len(sampling.draw_round(100)) == 100
 
 
 def test_a_guess_from_a_study_leads_to_the_region():
@@ -149,23 +149,23 @@ def test_a_guess_from_a_study_leads_to_the_region():
 
     space, rng = space_of(2), np.random.default_rng(0)
     known = rng.random((150, 2))
-    guess = guessed_proposal(space, known, score(known), 0.0, 0)
+    guess = initial_proposal(space, known, score(known), 0.0, 0)
     assert guess is not None
-    near = np.abs(norm.cdf(guess.draw(500, rng)) - 0.9).max(1)
+    near = np.abs(norm.cdf(guess.draw_points(500, rng)) - 0.9).max(1)
     assert np.median(near) < 0.1
     found, _ = estimated(space, score, 600, 0, guess)
     assert found.low <= 0.06**2 <= found.high
-    assert guessed_proposal(space, known, np.ones(150), 0.0, 0) is None
+    assert initial_proposal(space, known, np.ones(150), 0.0, 0) is None
 
 
 def test_a_mixture_finds_groups_and_has_the_density_it_draws_from():
     rng = np.random.default_rng(1)
     points = np.concatenate([rng.normal(-3.0, 0.5, (300, 2)), rng.normal(4.0, 0.3, (300, 2))])
     weights = np.repeat([1.0, 3.0], 300)
-    mixture = Mixture.fitted(points, weights, rng)
+    mixture = TMixture.fit(points, weights, rng)
     heavy = mixture.means[:, 0] > 0.0
-    assert mixture.shares[heavy].sum() == pytest.approx(0.75, abs=0.05)
-    drawn = mixture.draw(20_000, rng)
+    assert mixture.weights[heavy].sum() == pytest.approx(0.75, abs=0.05)
+    drawn = mixture.draw_points(20_000, rng)
     # Importance sampling distinguishes the area of a square from its density.
     inside = np.abs(drawn - 4.0).max(1) < 0.5
     area = (inside / np.exp(mixture.log_density(drawn))).mean()
@@ -173,41 +173,41 @@ def test_a_mixture_finds_groups_and_has_the_density_it_draws_from():
 
 
 def test_intervals_of_counts_are_those_of_clopper_and_pearson():
-    found = of_counts(3, 50)
+    found = probability_from_counts(3, 50)
     assert binom.sf(2, 50, found.low) == pytest.approx(0.025)
     assert binom.cdf(3, 50, found.high) == pytest.approx(0.025)
     assert binom.cdf(3, 50, found.high_90) == pytest.approx(0.05)
-    assert (of_counts(0, 50).low, of_counts(0, 50).error) == (0.0, None)
-    assert of_counts(0, 50).high == pytest.approx(1.0 - 0.025 ** (1 / 50))
+    assert (probability_from_counts(0, 50).low, probability_from_counts(0, 50).error) == (0.0, None)
+    assert probability_from_counts(0, 50).high == pytest.approx(1.0 - 0.025 ** (1 / 50))
 
 
 def test_equal_weights_are_plain_monte_carlo():
     met = np.arange(400) < 100
-    found = of_weights(np.ones(400), met)
+    found = probability_from_weights(np.ones(400), met)
     assert found.value == 0.25
     assert found.effective == pytest.approx(100.0)
-    assert found.plain_scenarios == pytest.approx(400, rel=0.01)
-    assert found.low == pytest.approx(of_counts(100, 400).low, abs=0.01)
+    assert found.equivalent_monte_carlo_scenarios == pytest.approx(400, rel=0.01)
+    assert found.low == pytest.approx(probability_from_counts(100, 400).low, abs=0.01)
 
 
 def test_all_scenarios_of_a_space_leave_no_error():
-    found = of_all(np.array([0.5, 0.25, 0.25]), np.array([False, True, False]))
+    found = probability_from_enumeration(np.array([0.5, 0.25, 0.25]), np.array([False, True, False]))
     assert (found.value, found.low, found.high, found.error) == (0.25, 0.25, 0.25, 0.0)
 
 
 def test_some_scenarios_of_a_space_bound_what_all_of_them_would_say():
-    found = of_all(np.array([1.0, 0.5]), np.array([False, True]), total=2.0)
+    found = probability_from_enumeration(np.array([1.0, 0.5]), np.array([False, True]), total=2.0)
     assert (found.low, found.high, found.error) == (0.25, 0.5, None)
 
 
 def test_an_interval_begins_below_one_where_weights_make_more_than_certainty():
-    found = of_weights(np.full(100, 1.3), np.ones(100, dtype=np.bool_))
+    found = probability_from_weights(np.full(100, 1.3), np.ones(100, dtype=np.bool_))
     assert found.low <= found.value == found.high == 1.0
 
 
 def test_a_quotient_is_as_unsure_as_both():
-    found = quotient(of_counts(10, 1000), of_counts(100, 1000))
+    found = conditional_probability(probability_from_counts(10, 1000), probability_from_counts(100, 1000))
     assert found is not None
     assert found.value == pytest.approx(0.1)
     assert found.error == pytest.approx(np.hypot(np.sqrt(0.99 / 10), np.sqrt(0.9 / 100)))
-    assert quotient(of_counts(10, 1000), of_counts(0, 1000)) is None
+    assert conditional_probability(probability_from_counts(10, 1000), probability_from_counts(0, 1000)) is None

@@ -23,15 +23,15 @@ def test_the_indices_are_those_of_ishigamis_function():
     np.testing.assert_allclose(found.first, first / variance, atol=0.04)
     np.testing.assert_allclose(found.total, (first + np.array([both, 0.0, both])) / variance, atol=0.04)
     assert found.predicted > 0.95
-    assert found.little == ()
+    assert found.uninfluential_parameters == ()
 
 
 def test_a_parameter_that_does_nothing_is_named_and_choices_count():
     space = ParameterSpace([*CUBE.parameters, Parameter("kind", 0, 2, choices=("x", "y", "z"))])
     points = space.snap(qmc.Sobol(4, seed=1).random(256))
-    kind = space.parameters[3].numbers(points[:, 3])
+    kind = space.parameters[3].level_indices(points[:, 3])
     found = estimate_sensitivity(space, points, points[:, 0] + np.array([0.0, 1.0, 0.5])[kind])
-    assert found.little == ("b", "c")
+    assert found.uninfluential_parameters == ("b", "c")
     # Variances of 1/12 and 1/6.
     np.testing.assert_allclose(np.array(found.total)[[0, 3]], [1 / 3, 2 / 3], atol=0.04)
 
@@ -47,8 +47,8 @@ def test_nothing_is_said_of_too_few_or_of_one_score():
 def test_nothing_is_said_to_matter_or_not_of_pure_noise(seed):
     points = qmc.Sobol(3, seed=seed).random(64)
     found = estimate_sensitivity(CUBE, points, np.random.default_rng(seed).normal(size=64))
-    assert not found.foretold
-    assert found.little == ()
+    assert not found.is_meaningful
+    assert found.uninfluential_parameters == ()
     widths = [high - low for low, high in (*found.first_interval, *found.total_interval)]
     assert max(widths) > 0.3
 

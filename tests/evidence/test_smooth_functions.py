@@ -9,7 +9,7 @@ from sklearn.gaussian_process import GaussianProcessRegressor
 from sklearn.gaussian_process.kernels import ConstantKernel, Matern, WhiteKernel
 
 from conftest import at_night
-from cornercase.evidence import CriticalSet, GaussianProcess, boundary_process, near_threshold, nearness
+from cornercase.evidence import CriticalSet, GaussianProcess, fit_boundary_process, squash_around_threshold, squash_scale
 from cornercase.scenario import ParameterSpace
 
 
@@ -38,7 +38,7 @@ def values_of(function, points, share=0.15):
     """Values for a process, with the threshold at 0, and the threshold."""
     threshold = float(np.quantile(function(sobol(points.shape[1], 4096, 9)), share))
     scores = function(points)
-    return near_threshold(scores, threshold, nearness(scores)), threshold
+    return squash_around_threshold(scores, threshold, squash_scale(scores)), threshold
 
 
 @FUNCTIONS
@@ -50,7 +50,7 @@ def test_predictions_are_those_of_scikit_learn(dimension, count, function):
     process = GaussianProcess().fit(points, values)
     kernel = process.kernel
     peer = GaussianProcessRegressor(
-        ConstantKernel(kernel.signal**2) * Matern(kernel.widths, nu=2.5),
+        ConstantKernel(kernel.signal**2) * Matern(kernel.length_scales, nu=2.5),
         alpha=kernel.noise**2 + 1e-10 * kernel.signal**2, optimizer=None,
     ).fit(points, values - values.mean())  # fmt: skip
     mean, deviation = process.predict(places)
@@ -75,7 +75,7 @@ def test_as_much_is_found_as_by_a_process_that_scikit_learn_learns(dimension, fu
 
     kernel = ConstantKernel() * Matern(np.full(dimension, 0.5), nu=2.5) + WhiteKernel(1e-3, (1e-8, 1.0))
     peer = GaussianProcessRegressor(kernel, normalize_y=True).fit(points, values)
-    ours = boundary_process(points, function(points), threshold).predict(places)[0]
+    ours = fit_boundary_process(points, function(points), threshold).predict(places)[0]
     assert wrong(ours) <= wrong(peer.predict(places)) + 0.02
 
 
@@ -86,8 +86,8 @@ def test_more_scenarios_of_one_parameter_never_tell_less(count, spread):
     places = np.random.default_rng(1).random((4000, 1))
     for function, threshold in ((vee, 0.1), (bowl, 0.01), (wave, 0.0)):
         known = CriticalSet(LINE, points, function(points), threshold)
-        critical, found = function(places) <= threshold, known.found(places)
+        critical, found = function(places) <= threshold, known.predict(places)
         assert (found != critical).sum() <= 0.01 * critical.sum()
         share = (function(np.linspace(0, 1, 100_001)[:, None]) <= threshold).mean()
         # A place in 1,500 more or less.
-        assert known.share.low - 1e-3 <= share <= known.share.high + 1e-3
+        assert known.critical_fraction.low - 1e-3 <= share <= known.critical_fraction.high + 1e-3

@@ -20,13 +20,13 @@ from cornercase._common.errors import InputError, SimulationError
 from cornercase.cli import app
 from cornercase.exploration import (
     AsynchronousExplorer,
-    Configuration,
+    ExplorationConfig,
     Objective,
-    demonstration,
+    paper_experiment_config,
     explore,
-    explore_configuration,
+    explore_config,
 )
-from cornercase.exploration.replaying import replay_proposals
+from cornercase.exploration.replaying import verify_proposals
 from cornercase.metrics import METRICS
 from cornercase.optimizers import OPTIMIZERS, Optimizer, SobolOptimizer, create_optimizer
 from cornercase.study import Study
@@ -46,10 +46,10 @@ class Slow(Synthetic):
         if not gather:
             self.gathered.set()
 
-    def give_up(self):
+    def cancel(self):
         self.given_up.set()
 
-    def beside(self):
+    def parallel_instances(self):
         return [self] * self.places
 
     def run(self, concretes):
@@ -81,8 +81,8 @@ class Listening(Optimizer):
     def ask(self, n):
         raise AssertionError("nothing else runs")
 
-    def ask_beside(self, n, pending, *lies):
-        found = self.inner.ask_beside(n, pending, *lies)
+    def ask_async(self, n, pending, *lies):
+        found = self.inner.ask_async(n, pending, *lies)
         self.calls.append(("asked", found, pending))
         return found
 
@@ -93,7 +93,7 @@ class Listening(Optimizer):
 
 def about(optimizer="sobol", **options):
     given: dict[str, Any] = {"budget": 47, "asynchronous": True, "seed": 7} | options
-    return Configuration(LOGICAL, "Ego", "B", ("distance",), optimizer=optimizer, critical=1.0, **given)
+    return ExplorationConfig(LOGICAL, "Ego", "B", ("distance",), optimizer=optimizer, critical=1.0, **given)
 
 
 def fresh(one):
@@ -104,14 +104,14 @@ def explored(path, one, simulator=None, optimizer=None):
     """Start or resume an exploration without rounds."""
     objective = Objective([METRICS.create("distance")])
     with Study.open(path, readonly=False) if path.exists() else Study.create(path, one.meta(objective, {})) as study:
-        study.writer.continue_with(one.meta(objective, {}))
+        study.writer.resume(one.meta(objective, {}))
         searching = fresh(one) if optimizer is None else optimizer
         return AsynchronousExplorer(one, simulator or Synthetic(), searching, study, objective).run()
 
 
 def proposed_again(path, one):
     objective = Objective([METRICS.create("distance")])
-    return replay_proposals(path, one.meta(objective, {}), objective, fresh(one))
+    return verify_proposals(path, one.meta(objective, {}), objective, fresh(one))
 
 
 def contents(path):
@@ -124,7 +124,7 @@ def test_one_is_asked_for_as_soon_as_one_has_ended_and_all_that_runs_is_known(tm
     one, simulator = about(), Slow(4, gather=True)
     optimizer = Listening(SobolOptimizer(SPACE, 7))
     result = explored(tmp_path / "s.db", one, simulator, optimizer)
-    assert (result.ended, result.reason) == (47, "the budget of 47 scenarios is used up")
+    assert (result.n_finished, result.reason) == (47, "the budget of 47 scenarios is used up")
     assert simulator.most == 4
     asked: list[bytes] = []
     told: list[bytes] = []
@@ -140,13 +140,13 @@ def test_one_is_asked_for_as_soon_as_one_has_ended_and_all_that_runs_is_known(tm
         assert len(asked) - len(told) == min(6, 47 - len(told))
     assert len(told) == len(set(asked)) == 47
     with Study.open(tmp_path / "s.db", readonly=True) as study:
-        assert len(study.failed()) > 0
+        assert len(study.failed_rows()) > 0
         points = {row.id: row.point.tobytes() for row in study.rows()}
-        order = [scenario for scenario, _ in study.results()]
+        order = [scenario for scenario, _ in study.result_order()]
         assert [points[scenario] for scenario in order] == told
         # Fast scenarios overtake slow ones.
         assert order != sorted(order)
-        away = [10 * abs(float(row.values["a"]) - float(row.values["b"])) for row in study.done()]
+        away = [10 * abs(float(row.values["a"]) - float(row.values["b"])) for row in study.finished_rows()]
         np.testing.assert_allclose(study.scores("distance"), away, atol=1e-12)
 
 
@@ -160,10 +160,10 @@ def test_the_stored_order_gives_the_same_proposals_again_also_of_a_search_that_w
     with Study.open(path, readonly=True) as study:
         # The grid has 42 points; audits come on top.
         count = 46 if optimizer == "grid" else 47
-        assert len(study.rows()) == len(study.results()) == count
-        assert len(study.done()) > 30
+        assert len(study.rows()) == len(study.result_order()) == count
+        assert len(study.finished_rows()) > 30
     again = proposed_again(path, one)
-    assert (again.same, again.reason) == (True, f"the same {count} scenarios were proposed again")
+    assert (again.reproducible, again.reason) == (True, f"the same {count} scenarios were proposed again")
     if optimizer in ("sobol", "grid"):
         return
     # A different early result leads to other proposals.
@@ -171,7 +171,7 @@ def test_the_stored_order_gives_the_same_proposals_again_also_of_a_search_that_w
         connection.execute("UPDATE courses SET score = 90 - score WHERE scenario < 40")
     reseal(path)
     again = proposed_again(path, one)
-    assert again.same is False
+    assert again.reproducible is False
     assert "is proposed differently" in again.reason
 
 
@@ -203,8 +203,8 @@ def test_patience_and_what_is_known_are_counted_in_results(tmp_path):
     result = explored(tmp_path / "s.db", about(budget=400, patience=2, batch=5), Slow(3))
     assert result.reason == "10 scenarios brought no improvement"
     with Study.open(tmp_path / "s.db", readonly=True) as study:
-        scores = dict(zip((row.id for row in study.done()), study.scores("distance"), strict=True))
-        order = [scores.get(scenario, np.inf) for scenario, _ in study.results()]
+        scores = dict(zip((row.id for row in study.finished_rows()), study.scores("distance"), strict=True))
+        order = [scores.get(scenario, np.inf) for scenario, _ in study.result_order()]
         assert not [row for row in study.rows() if row.state == "pending"]
     best = np.minimum.accumulate(order)
     last_new = 1 + max(np.flatnonzero(np.diff(best) < 0), default=-1)
@@ -212,9 +212,9 @@ def test_patience_and_what_is_known_are_counted_in_results(tmp_path):
     assert 10 <= len(order) - 1 - last_new <= 10 + 5
     stopped = explored(tmp_path / "t.db", about(budget=400, stop_when=("interval<0.4",)), Slow(3))
     assert "the critical share is known within" in stopped.reason
-    assert stopped.ended < 200
+    assert stopped.n_finished < 200
     # A second call says so at once.
-    assert explored(tmp_path / "t.db", about(budget=400, stop_when=("interval<0.4",))).ended == stopped.ended
+    assert explored(tmp_path / "t.db", about(budget=400, stop_when=("interval<0.4",))).n_finished == stopped.n_finished
 
 
 class Plain(Optimizer):
@@ -242,15 +242,15 @@ def test_an_optimizer_that_only_asks_and_tells_is_told_the_mean_of_what_runs(tmp
     Plain.lies.clear()
     points = np.array([[0.1, 0.2], [0.3, 0.4], [0.5, 0.6]])
     optimizer.tell(points[:2], np.array([1.0, 3.0]))
-    found = optimizer.ask_beside(1, points[2:], np.array([2.0]))
+    found = optimizer.ask_async(1, points[2:], np.array([2.0]))
     np.testing.assert_allclose(found, [[0.003, 0.003]])
     assert len(optimizer.told) == 1
     one = about(budget=12)
     explored(tmp_path / "s.db", one, Slow(3), Plain(SPACE, 0))
     with Study.open(tmp_path / "s.db", readonly=True) as study:
-        order = [scenario for scenario, _ in study.results()]
-        scores = dict(zip((row.id for row in study.done()), study.scores("distance"), strict=True))
-        known = [scores[scenario] for scenario, turn in study.results() if turn == 2]
+        order = [scenario for scenario, _ in study.result_order()]
+        scores = dict(zip((row.id for row in study.finished_rows()), study.scores("distance"), strict=True))
+        known = [scores[scenario] for scenario, turn in study.result_order() if turn == 2]
     assert len(order) == 12
     # At the second ask, some have ended, and the pending ones have the mean score as a pseudo-result.
     lies = Plain.lies[2]
@@ -272,36 +272,36 @@ class Noisy(Synthetic):
 def test_each_scenario_is_run_several_times_and_the_median_counts(tmp_path):
     explored(tmp_path / "s.db", about(repeats=3, budget=12), Noisy())
     with Study.open(tmp_path / "s.db", readonly=True) as study:
-        away = [10 * abs(float(row.values["a"]) - float(row.values["b"])) for row in study.done()]
+        away = [10 * abs(float(row.values["a"]) - float(row.values["b"])) for row in study.finished_rows()]
         np.testing.assert_allclose(study.scores("distance"), np.array(away) + 1.0, atol=1e-12)
-        spread = study.spread("distance")
+        spread = study.score_range("distance")
         assert spread is not None
         np.testing.assert_allclose(spread, np.stack([away, np.array(away) + 2.0], axis=1), atol=1e-12)
 
 
 def test_a_study_of_rounds_stays_one_and_is_proposed_again_too(tmp_path):
-    path, one = tmp_path / "s.db", demonstration("x-intersection", budget=24, seed=1)
-    explore_configuration(one, path)
+    path, one = tmp_path / "s.db", paper_experiment_config("x-intersection", budget=24, seed=1)
+    explore_config(one, path)
     with sqlite3.connect(path) as connection:
         assert not connection.execute("SELECT * FROM meta WHERE key = 'asynchronous'").fetchall()
         assert not connection.execute("SELECT * FROM sqlite_master WHERE name = 'results'").fetchall()
     with pytest.raises(InputError, match="another kind of search, in rounds or asynchronous"):
-        explore_configuration(replace(one, asynchronous=True), path)
+        explore_config(replace(one, asynchronous=True), path)
     options: dict[str, Any] = {"ego": one.ego, "other": one.other, "metrics": one.metrics, "budget": 24, "seed": 1}
     options["critical"] = one.critical
     before = path.read_bytes()
-    again = explore(one.logical, path, **options, replay=True)
-    assert again.same
+    again = explore(one.logical, path, **options, check_proposals=True)
+    assert again.reproducible
     assert path.read_bytes() == before
     with pytest.raises(InputError, match="no such study"):
-        explore(one.logical, tmp_path / "none.db", **options, replay=True)
+        explore(one.logical, tmp_path / "none.db", **options, check_proposals=True)
     with pytest.raises(InputError, match="another seed"):
-        explore(one.logical, path, **options | {"seed": 2}, replay=True)
+        explore(one.logical, path, **options | {"seed": 2}, check_proposals=True)
 
 
 def test_the_command_proposes_again_and_says_whether_it_is_the_same(tmp_path):
-    words = ["explore", str(demonstration("x-intersection").logical.path), "--ego", "Ego", "--other", "Pedestrian"]
-    words += ["--space", str(demonstration("x-intersection").logical.path.with_suffix(".space.xosc"))]
+    words = ["explore", str(paper_experiment_config("x-intersection").logical.path), "--ego", "Ego", "--other", "Pedestrian"]
+    words += ["--space", str(paper_experiment_config("x-intersection").logical.path.with_suffix(".space.xosc"))]
     words += ["--metric", "wttc", "--budget", "24", "--duration", "15", "--asynchronous", "-o", str(tmp_path / "s.db")]
     assert CliRunner().invoke(app, words).exit_code == 0
     ended = CliRunner().invoke(app, [*words, "--check-proposals"])
@@ -350,8 +350,8 @@ def test_what_runs_is_never_proposed_and_nothing_twice(name):
     rng = np.random.default_rng(0)
     waiting, seen, count = np.zeros((0, 2)), 0, 30 if name == "committee" else 50
     for _ in range(count):
-        new = SPACE.snap(optimizer.ask_beside(8 - len(waiting), waiting))
-        np.testing.assert_array_equal(new, SPACE.snap(twin.ask_beside(8 - len(waiting), waiting)))
+        new = SPACE.snap(optimizer.ask_async(8 - len(waiting), waiting))
+        np.testing.assert_array_equal(new, SPACE.snap(twin.ask_async(8 - len(waiting), waiting)))
         seen += len(new)
         waiting = np.concatenate([waiting, new])
         assert len(np.unique(waiting, axis=0)) == len(waiting)
@@ -369,7 +369,7 @@ def test_level_set_asks_elsewhere_than_where_it_is_run():
         optimizer = create_optimizer("level-set:filling=0", SPACE, 3, threshold=1.0, budget=100)
         optimizer.tell(points, 10.0 * np.abs(points[:, 0] - points[:, 1]))
         pending = optimizer.ask(6)
-        found = optimizer.ask_beside(6, pending) if knows else optimizer.ask(6)
+        found = optimizer.ask_async(6, pending) if knows else optimizer.ask(6)
         nearest.append(np.linalg.norm(found[:, None] - pending, axis=2).min(axis=1).min())
     assert nearest[1] == 0.0
     assert nearest[0] > 0.02

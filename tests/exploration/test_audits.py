@@ -10,12 +10,12 @@ import numpy as np
 import pytest
 
 from cornercase._common.errors import InputError
-from cornercase.exploration import ScenarioExplorer, audits_of, chosen_blindly, demonstration, explore_configuration
-from cornercase.exploration.configuration import Configuration
+from cornercase.exploration import ScenarioExplorer, audit_sampler, is_score_independent, paper_experiment_config, explore_config
+from cornercase.exploration.configuration import ExplorationConfig
 from cornercase.exploration.objective import Objective
 from cornercase.metrics import METRICS
 from cornercase.optimizers import OPTIMIZERS, Optimizer
-from cornercase.report import put_in_words, summarize, write_report
+from cornercase.report import summary_to_dict, summarize, write_report
 from cornercase.scenario import LogicalScenario, ParameterSpace
 from cornercase.study import Study
 from synthetic import LOGICAL, SPACE, Synthetic
@@ -40,10 +40,10 @@ class Listening(Optimizer):
 
 def explored(path, simulator=None, **options):
     """Start or resume the exploration of a synthetic scenario with audits."""
-    about = Configuration(LOGICAL, "Ego", "B", seed=7, **AUDITED | options)
+    about = ExplorationConfig(LOGICAL, "Ego", "B", seed=7, **AUDITED | options)
     objective = Objective([METRICS.create("distance")])
     optimizer = Listening(OPTIMIZERS.create(about.optimizer, space=SPACE, seed=7))
-    with Study.open(path, readonly=False) if path.exists() else Study.create(path, about.meta(objective, {})) as study:
+    with Study.open(path, readonly=False) if path.exists() else Study.create(path, about.make_study_meta(objective, {})) as study:
         ScenarioExplorer(about, simulator or Synthetic(), optimizer, study, objective).run()
     return optimizer
 
@@ -61,7 +61,7 @@ def test_the_search_is_never_told_of_audits_which_are_drawn_at_random(tmp_path):
         audits = [row.point for row in rows if study.meta.is_audit(row.id)]
         table = study.table()
     assert (len(rows), len(audits), len(told)) == (60, 12, 48)
-    np.testing.assert_array_equal(audits, audits_of(SPACE, 7).ask(12))
+    np.testing.assert_array_equal(audits, audit_sampler(SPACE, 7).ask(12))
     np.testing.assert_array_equal(told, [row.point for row in rows if not study.meta.is_audit(row.id)])
     assert table["audit"].sum() == 12
     # Each round contains its fraction of audits.
@@ -77,26 +77,26 @@ def test_an_interrupted_study_with_audits_goes_on_the_same(tmp_path):
     with Study.open(tmp_path / "parts.db", readonly=False) as study:
         other = replace(study.meta, audit=0.1)
         with pytest.raises(InputError, match="another share of audits"):
-            study.writer.continue_with(other)
+            study.writer.resume(other)
 
 
 def test_what_audits_say_is_told(tmp_path):
     explored(tmp_path / "s.db")
     with Study.open(tmp_path / "s.db", readonly=True) as study:
-        words = put_in_words(summarize(study))["critical"]["audit"]
-        scores, audits = study.scores("distance"), study.audits()
+        words = summary_to_dict(summarize(study))["critical"]["audit"]
+        scores, audits = study.scores("distance"), study.audit_mask()
     assert (words["scenarios"], words["critical"]) == (audits.sum(), (scores[audits] <= 1.0).sum())
     assert words["share"]["low"] <= words["critical"] / words["scenarios"] <= words["share"]["high"]
     assert "audits alone" in write_report(tmp_path / "s.db", tmp_path / "r.html").read_text(encoding="utf-8")
 
 
 def test_a_search_stops_by_its_audits_and_only_with_audits(tmp_path):
-    one = replace(demonstration("x-intersection", budget=120), audit=0.5, critical=5.0, optimizer="sobol")
-    result = explore_configuration(replace(one, stop_when=("audited-missed<0.4",)), tmp_path / "s.db")
-    assert 80 <= result.ended < 120
+    one = replace(paper_experiment_config("x-intersection", budget=120), audit=0.5, critical=5.0, optimizer="sobol")
+    result = explore_config(replace(one, stop_when=("audited-missed<0.4",)), tmp_path / "s.db")
+    assert 80 <= result.n_finished < 120
     assert "according to the audits" in result.reason
     with pytest.raises(InputError, match="needs audits"):
-        explore_configuration(replace(one, audit=0.0, stop_when=("audited-missed<0.4",)), tmp_path / "n.db")
+        explore_config(replace(one, audit=0.0, stop_when=("audited-missed<0.4",)), tmp_path / "n.db")
     with pytest.raises(InputError, match="`audit`"):
         replace(one, audit=0.7)
 
@@ -108,7 +108,7 @@ def test_what_was_chosen_blindly_is_found_again(name):
         points = optimizer.ask(10)
         optimizer.tell(points, synthetic_scores(points))
         told = np.concatenate([told, points])
-    blindly = chosen_blindly(name, SPACE, 3, told)
+    blindly = is_score_independent(name, SPACE, 3, told)
     expected = {"bayes": 20 + 15, "bayes:filling=0": 20, "evolutionary": 40}.get(name, 70)
     assert expected <= blindly.sum() <= expected + 1
     # They are independent of scores: the sequence determines them.
@@ -122,10 +122,10 @@ def synthetic_scores(points):
 
 def test_a_space_that_is_used_up_ends_the_search_though_audits_are_wanted(tmp_path):
     small = LogicalScenario(Path("synthetic.xosc"), ParameterSpace.from_ranges(["a=0:0.8:0.2", "b=0:1:0.5"]), "0")
-    about = Configuration(small, "Ego", "B", seed=7, **AUDITED | {"optimizer": "sobol", "audit": 0.3})
+    about = ExplorationConfig(small, "Ego", "B", seed=7, **AUDITED | {"optimizer": "sobol", "audit": 0.3})
     objective = Objective([METRICS.create("distance")])
     optimizer = OPTIMIZERS.create("sobol", space=small.space, seed=7)
-    with Study.create(tmp_path / "s.db", about.meta(objective, {})) as study:
+    with Study.create(tmp_path / "s.db", about.make_study_meta(objective, {})) as study:
         result = ScenarioExplorer(about, Synthetic(), optimizer, study, objective).run()
         searched = [row.point for row in study.rows() if not study.meta.is_audit(row.id)]
     assert "all" in result.reason

@@ -46,9 +46,9 @@ def test_an_unusable_choice_fails_its_scenarios_and_no_others(tmp_path):
     assert (result.done, result.failed) != (12, 0)
     assert result.done > 0
     with Study.open(tmp_path / "study.db", readonly=True) as study:
-        assert {row.values["road"] for row in study.done()} == {"1"}
-        assert {(row.values["road"], row.error) for row in study.failed()} == {("2", study.failed()[0].error)}
-        assert "has no road '2'" in str(study.failed()[0].error)
+        assert {row.values["road"] for row in study.finished_rows()} == {"1"}
+        assert {(row.values["road"], row.error) for row in study.failed_rows()} == {("2", study.failed_rows()[0].error)}
+        assert "has no road '2'" in str(study.failed_rows()[0].error)
 
 
 def test_a_study_in_which_nothing_has_ended_takes_the_corrected_command(tmp_path, monkeypatch):
@@ -96,5 +96,5 @@ def test_a_study_with_a_result_stays_what_it_is(tmp_path):
         explorer(study, Synthetic(), budget=3, batch=3).run()
         before = study.rows()
         with pytest.raises(InputError, match="another ego"):
-            study.writer.continue_with(about(space, "distance", ego="C"))
+            study.writer.resume(about(space, "distance", ego="C"))
         assert [row.id for row in study.rows()] == [row.id for row in before]

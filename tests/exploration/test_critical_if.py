@@ -14,12 +14,12 @@ from typer.testing import CliRunner
 import cornercase as cc
 from cornercase._common.errors import InputError
 from cornercase.cli import app
-from cornercase.drivers import judge_reference
-from cornercase.exploration import Configuration, ScenarioExplorer
+from cornercase.drivers import assess_preventability
+from cornercase.exploration import ExplorationConfig, ScenarioExplorer
 from cornercase.metrics import METRICS
 from cornercase.optimizers import OPTIMIZERS
 from cornercase.recordings import Recording
-from cornercase.report import put_in_words
+from cornercase.report import summary_to_dict
 from cornercase.scenario import LogicalScenario
 from cornercase.simulators import BuiltinSimulator
 from cornercase.study import Study
@@ -62,25 +62,25 @@ def test_critical_is_what_collides_and_the_reference_prevents(study):
     logical = LogicalScenario.read(CUT_IN, ranges=RANGES)
     reference = BuiltinSimulator(time_step=0.1, duration=15.0, drivers={"Ego": "cc-human"})
     with Study.open(study, readonly=True) as opened:
-        critical, rows = set(), opened.done()
-        second = reference.run([logical.concrete(row.values) for row in rows])
+        critical, rows = set(), opened.finished_rows()
+        second = reference.run([logical.concrete_scenario(row.values) for row in rows])
         for row, again in zip(rows, list(second), strict=True):
             recording = opened.recording(row.id)
             assert isinstance(again, Recording)
-            outcome = judge_reference("cc-human", again, recording, "Ego", "Other")
+            outcome = assess_preventability("cc-human", again, recording, "Ego", "Other")
             collides = bool(recording.collisions)
-            assert opened.reference_of(row.id, "cc-human") == (outcome if collides else None)
-            score = opened.scores_of(row.id)[NAME]
+            assert opened.reference_outcome(row.id, "cc-human") == (outcome if collides else None)
+            score = opened.scenario_scores(row.id)[NAME]
             if collides and not outcome.collides:
                 critical.add(row.id)
                 assert score == 0.0
             else:
                 assert score == 100.0 if collides else score > 0.0
         assert opened.meta.critical == 0.0
-        collided = sum(bool(opened.recording(row.id).collisions) for row in opened.done())
+        collided = sum(bool(opened.recording(row.id).collisions) for row in opened.finished_rows())
         assert 0 < len(critical) < collided < 16
-        assert set(opened.references("cc-human")) > critical
-    told = put_in_words(cc.summarize(study))
+        assert set(opened.reference_outcomes("cc-human")) > critical
+    told = summary_to_dict(cc.summarize(study))
     assert told["critical"]["is"] == CONDITION
     assert told["critical"]["scenarios"] == len(critical)
     shown = told["references"]["cc-human"]
@@ -94,12 +94,12 @@ def test_what_follows_counts_critical_by_the_condition(study, tmp_path):
     cc.analyze(path, [NAME])
     cc.write_report(path, tmp_path / "report.html")
     page = (tmp_path / "report.html").read_text(encoding="utf-8")
-    count = put_in_words(cc.summarize(path))["critical"]["scenarios"]
+    count = summary_to_dict(cc.summarize(path))["critical"]["scenarios"]
     assert f"{count} of the 16 scenarios that were run" in page
     assert "with cc-human at the wheel" in page
     assert f"--critical-if &#x27;{CONDITION}&#x27;" in page or f"--critical-if '{CONDITION}'" in page
     cc.reduce(path, tmp_path / "reduced", size=6, scenario=CUT_IN)
-    result = cc.test(tmp_path / "reduced", tmp_path / "run.db", drivers={"Ego": "cautious"}, require=["no collision"])
+    result = cc.run_suite(tmp_path / "reduced", tmp_path / "run.db", drivers={"Ego": "cautious"}, require=["no collision"])
     assert set(result.scenarios[0].scores) == {"ttc"}
     with pytest.raises(InputError, match="critical_if"):
         cc.estimate(path, tmp_path / "estimate.db", scenario=CUT_IN, drivers={"Ego": "cautious"})
@@ -182,23 +182,23 @@ class Failing(Synthetic):
 
 
 def test_where_the_second_run_fails_the_scenario_does(tmp_path):
-    about = Configuration(LOGICAL, "Ego", "B", ("distance",), critical_if="reference:cautious", budget=4, batch=4)
-    objective = about.objective()
+    about = ExplorationConfig(LOGICAL, "Ego", "B", ("distance",), critical_if="reference:cautious", budget=4, batch=4)
+    objective = about.make_objective()
     path = tmp_path / "s.db"
-    with Study.create(path, about.meta(objective, {})) as opened:
+    with Study.create(path, about.make_study_meta(objective, {})) as opened:
         optimizer = OPTIMIZERS.create("sobol", space=LOGICAL.space, seed=0)
         with pytest.raises(InputError, match="no simulator with cautious"):
             ScenarioExplorer(about, Synthetic(), optimizer, opened, objective)
         references = {"cautious": Failing()}
         ScenarioExplorer(about, Synthetic(), optimizer, opened, objective, references).run()
-        assert not opened.done()
-        assert "run again with reference:cautious: out of order" in {row.error for row in opened.failed()}
+        assert not opened.finished_rows()
+        assert "run again with reference:cautious: out of order" in {row.error for row in opened.failed_rows()}
 
 
 def test_metrics_of_a_condition_are_not_searched_by_their_own_thresholds(study):
     with Study.open(study, readonly=True) as opened:
         assert opened.meta.metrics == (NAME, "ttc")
         ttc = METRICS.create("ttc")
-        own = (ttc.oriented(opened.scores("ttc")) <= ttc.oriented(1.5)).sum()
+        own = (ttc.to_minimize(opened.scores("ttc")) <= ttc.to_minimize(1.5)).sum()
         assert own != (opened.scores(NAME) <= 0.0).sum()
         assert np.isfinite(opened.course(1, NAME)).all()

@@ -12,10 +12,10 @@ from cornercase import NoticeWarning, estimate, explore
 from cornercase._common.errors import InputError
 from cornercase.cli import app
 from cornercase.evidence import ImportanceSampling
-from cornercase.exploration import Configuration, ProbabilityEstimator, ScenarioExplorer
+from cornercase.exploration import ExplorationConfig, ProbabilityEstimator, ScenarioExplorer
 from cornercase.optimizers import OPTIMIZERS
 from cornercase.recordings import Collision, Recording
-from cornercase.scenario import Constraint, Declaration, LogicalScenario, ParameterSpace
+from cornercase.scenario import Constraint, ParameterDeclaration, LogicalScenario, ParameterSpace
 from cornercase.study import Study
 from fake_simulators import NoisySimulator
 from synthetic import LOGICAL, Synthetic, about
@@ -37,7 +37,7 @@ def opened(path, space=LOGICAL.space):
 
 
 def estimator(study, simulator=None, budget=800, logical=LOGICAL, learn=320):
-    configuration = Configuration(
+    configuration = ExplorationConfig(
         logical, "Ego", "B", ("distance",), optimizer="random", critical=CRITICAL, budget=budget, seed=3
     )
     sampling = ImportanceSampling(logical.space, 2, learn, 3)
@@ -46,7 +46,7 @@ def estimator(study, simulator=None, budget=800, logical=LOGICAL, learn=320):
 
 def contents(path):
     with Study.open(path, readonly=True) as study:
-        arrays, info = study.analysis("estimate")
+        arrays, info = study.read_analysis("estimate")
         return (
             [(row.round, row.point.tobytes(), row.state) for row in study.rows()],
             arrays["weights"].tobytes(),
@@ -61,7 +61,7 @@ def test_the_probability_is_the_true_one_and_failures_are_told(tmp_path):
     assert found.critical.low <= truth <= found.critical.high
     assert found.critical.error < 0.4
     assert found.scenarios == 800
-    assert found.critical.scenarios == 800 - found.learned
+    assert found.critical.scenarios == 800 - found.n_learning
     assert any("failed" in warning for warning in found.warnings)
     # Boxes of hardly any length have a gap of at most 1 m where the centres are at most 1 m apart.
     assert found.encounter.low <= share_within(0.1) <= found.encounter.high
@@ -82,7 +82,7 @@ class Touching(Synthetic):
 
 def test_a_collision_is_critical_also_by_a_metric_that_is_not_defined_in_one(tmp_path):
     metrics = ("pet",)
-    configuration = Configuration(LOGICAL, "Ego", ["B"], metrics, optimizer="random", critical=1.0, budget=300, seed=3)
+    configuration = ExplorationConfig(LOGICAL, "Ego", ["B"], metrics, optimizer="random", critical=1.0, budget=300, seed=3)
     meta = about(LOGICAL.space, *metrics, budget=300)
     with Study.create(tmp_path / "e.db", meta) as study:
         sampling = ImportanceSampling(LOGICAL.space, 2, 120, 3)
@@ -110,7 +110,7 @@ def test_a_larger_budget_adds_to_what_is_there(tmp_path):
         first = estimator(study, budget=400, learn=160).run()
         second = estimator(study, budget=1000, learn=160).run()
     assert (first.scenarios, second.scenarios) == (400, 1000)
-    assert second.learned == first.learned
+    assert second.n_learning == first.n_learning
     assert second.critical.error < first.critical.error
 
 
@@ -139,7 +139,7 @@ def test_what_was_drawn_before_all_of_a_small_space_is_run_counts_once(tmp_path)
         drawn = estimator(study, budget=150, learn=60, logical=SMALL).run()
         assert drawn.critical.error > 0.0
         found = estimator(study, budget=600, learn=60, logical=SMALL).run()
-        arrays, _ = study.analysis("estimate")
+        arrays, _ = study.read_analysis("estimate")
         assert found.scenarios == len(study.rows()) > 231
         smaller = estimator(study, budget=150, learn=60, logical=SMALL).run()
     assert found.critical.value == pytest.approx(TRUTH)
@@ -167,10 +167,10 @@ def test_while_not_all_of_a_small_space_was_run_there_are_bounds(tmp_path, after
 
 def test_a_small_space_is_that_which_its_constraints_leave(tmp_path):
     declarations = [
-        Declaration("a", "double", "0", ((Constraint("lessThan", "0.07"),),)),
-        Declaration("b", "double", "0", ()),
+        ParameterDeclaration("a", "double", "0", ((Constraint("lessThan", "0.07"),),)),
+        ParameterDeclaration("b", "double", "0", ()),
     ]
-    space = ParameterSpace.from_ranges(["a=0:1:0.02", "b=0:1:0.02"]).constrained(declarations)
+    space = ParameterSpace.from_ranges(["a=0:1:0.02", "b=0:1:0.02"]).with_constraints(declarations)
     with opened(tmp_path / "e.db", space) as study:
         found = estimator(study, budget=300, logical=replace(LOGICAL, space=space)).run()
     assert (found.scenarios, found.critical.error) == (4 * 51, 0.0)
@@ -205,14 +205,14 @@ def test_a_study_is_estimated_with_its_own_simulator(explored, tmp_path):
     assert found.to_json() == again.to_json()
     assert found.scenarios == 120
     with Study.open(tmp_path / "e.db", readonly=True) as study:
-        assert len(study.done()) == 120
+        assert len(study.finished_rows()) == 120
         assert study.meta.optimizer.startswith("importance-sampling:learn=48,known=20-")
         # The result can be computed from the content of the file.
-        arrays, _ = study.analysis("estimate")
-        scores = dict(zip((row.id for row in study.done()), study.scores("wttc"), strict=True))
+        arrays, _ = study.read_analysis("estimate")
+        scores = dict(zip((row.id for row in study.finished_rows()), study.scores("wttc"), strict=True))
         met = np.array([scores[number] <= 0.2 for number in arrays["ids"].tolist()])
         assert (arrays["weights"] * met).mean() == pytest.approx(found.critical.value)
-        assert study.analyses() == []
+        assert study.analyzed_aspects() == []
     result = CliRunner().invoke(
         app,
         ["estimate", str(file), "-o", str(tmp_path / "e.db"), "--budget", "120", "--scenario", str(scenario), "--json"],
@@ -255,12 +255,12 @@ def test_a_study_that_cannot_be_estimated_is_named_without_the_option_of_the_out
 def test_of_repeated_runs_is_told_how_many_are_critical_and_how_open_that_is(tmp_path):
     meta = about(LOGICAL.space, "distance", critical=30.0, repeats=6)
     with Study.create(tmp_path / "s.db", meta) as study:
-        configuration = Configuration(
+        configuration = ExplorationConfig(
             LOGICAL, "Ego", "C", ("distance",), optimizer="sobol", critical=30.0, budget=6, repeats=6
         )
         simulator = NoisySimulator()
         ScenarioExplorer(configuration, simulator, OPTIMIZERS.create("sobol", space=LOGICAL.space, seed=0), study).run()
-        runs = study.critical_runs()
+        runs = study.critical_run_rates()
         table = study.table()
     assert runs is not None
     for k in range(6):

@@ -8,8 +8,8 @@ from lxml import etree
 from scipy.stats import qmc
 
 from conftest import EXAMPLES, ran
-from cornercase.drivers import named_driver
-from cornercase.exploration import demonstration, explore_configuration
+from cornercase.drivers import driver_by_name
+from cornercase.exploration import paper_experiment_config, explore_config
 from cornercase.metrics import METRICS
 from cornercase.scenario import read_xml
 from cornercase.simulators import BuiltinSimulator
@@ -68,7 +68,7 @@ def test_speed_of_the_car_has_next_to_no_influence_on_the_x_intersection(x_inter
 @pytest.fixture(scope="module")
 def x_study(tmp_path_factory):
     path = tmp_path_factory.mktemp("x") / "study.db"
-    explore_configuration(demonstration("x-intersection", budget=200, seed=0), path)
+    explore_config(paper_experiment_config("x-intersection", budget=200, seed=0), path)
     return path
 
 
@@ -103,10 +103,10 @@ def test_accidents_form_clusters_of_their_own_by_ego_trajectory(tmp_path):
     from cornercase.clustering import analyze
 
     path = tmp_path / "study.db"
-    explore_configuration(demonstration("t-intersection", budget=100, seed=0), path)
+    explore_config(paper_experiment_config("t-intersection", budget=100, seed=0), path)
     with Study.open(path, readonly=False) as study:
         labels = analyze(study, ["ego-trajectory"])["ego-trajectory"].clustering.labels
-        crashed = np.array([bool(study.recording(row.id).collisions) for row in study.done()])
+        crashed = np.array([bool(study.recording(row.id).collisions) for row in study.finished_rows()])
     assert 0 < crashed.sum() < len(crashed)
     # One or more: being hit from behind and being hit while standing are two types of accident.
     clustered = labels >= 0
@@ -118,7 +118,7 @@ def test_accidents_form_clusters_of_their_own_by_ego_trajectory(tmp_path):
 def test_the_more_aggressive_the_ego_the_more_collisions(t_intersection):
     collisions = []
     for preset in ("cautious", "normal", "aggressive"):
-        simulator = BuiltinSimulator(on_collision="stop", drivers={"Ego": named_driver(preset)})
+        simulator = BuiltinSimulator(on_collision="stop", drivers={"Ego": driver_by_name(preset)})
         _, recordings = sample(t_intersection, simulator, 256)
         collisions.append(sum(bool(recording.collisions) for recording in recordings))
     assert collisions[0] < collisions[1] < collisions[2]

@@ -17,15 +17,15 @@ import synthetic
 from command_line import X, waiting_after
 from conftest import EXAMPLES
 from cornercase._common.errors import InputError
-from cornercase._common.interrupts import noted_interrupts
+from cornercase._common.interrupts import collect_interrupts
 from cornercase.exploration import (
-    demonstration,
+    paper_experiment_config,
     explore,
-    explore_configuration,
+    explore_config,
 )
 from cornercase.metrics import Metric
 from cornercase.optimizers import OPTIMIZERS, Optimizer, SobolOptimizer
-from cornercase.scenario import Constraint, Declaration, LogicalScenario, ParameterSpace
+from cornercase.scenario import Constraint, ParameterDeclaration, LogicalScenario, ParameterSpace
 from cornercase.study import Study
 from synthetic import LOGICAL, Synthetic, explorer, opened
 
@@ -39,7 +39,7 @@ def results(path):
 @pytest.fixture(scope="module")
 def undisturbed(tmp_path_factory):
     path = tmp_path_factory.mktemp("studies") / "study.db"
-    explore_configuration(demonstration("x-intersection", budget=40, seed=1), path)
+    explore_config(paper_experiment_config("x-intersection", budget=40, seed=1), path)
     return path
 
 
@@ -52,22 +52,22 @@ def test_a_killed_exploration_goes_on_as_if_undisturbed(undisturbed, tmp_path):
         process.wait()
     interrupted, _ = results(path)
     assert 13 <= sum(state == "done" for *_, state in interrupted) < 40
-    result = explore_configuration(demonstration("x-intersection", budget=40, seed=1), path)
-    assert result.ended == 40
+    result = explore_config(paper_experiment_config("x-intersection", budget=40, seed=1), path)
+    assert result.n_finished == 40
     assert results(path) == results(undisturbed)
 
 
 def test_workers_change_nothing(undisturbed, tmp_path):
     from dataclasses import replace
 
-    explore_configuration(replace(demonstration("x-intersection", budget=40, seed=1), workers=2), tmp_path / "s.db")
+    explore_config(replace(paper_experiment_config("x-intersection", budget=40, seed=1), workers=2), tmp_path / "s.db")
     assert results(tmp_path / "s.db") == results(undisturbed)
 
 
 def test_a_larger_budget_goes_on(tmp_path):
     path = tmp_path / "s.db"
-    explore_configuration(demonstration("x-intersection", budget=10), path)
-    assert explore_configuration(demonstration("x-intersection", budget=20), path).ended == 20
+    explore_config(paper_experiment_config("x-intersection", budget=10), path)
+    assert explore_config(paper_experiment_config("x-intersection", budget=20), path).n_finished == 20
 
 
 def test_a_study_goes_on_where_the_same_files_lie_elsewhere(tmp_path):
@@ -78,24 +78,24 @@ def test_a_study_goes_on_where_the_same_files_lie_elsewhere(tmp_path):
         return explore(logical, tmp_path / "s.db", **options, budget=budget)
 
     explored("here", 10)
-    assert explored("there", 20).ended == 20
+    assert explored("there", 20).n_finished == 20
 
 
 def test_patience_ends_it(tmp_path):
     from dataclasses import replace
 
-    exploration = replace(demonstration("x-intersection", budget=400), optimizer="sobol", patience=2, batch=3)
-    result = explore_configuration(exploration, tmp_path / "s.db")
-    assert result.ended < 400
+    exploration = replace(paper_experiment_config("x-intersection", budget=400), optimizer="sobol", patience=2, batch=3)
+    result = explore_config(exploration, tmp_path / "s.db")
+    assert result.n_finished < 400
     assert "no improvement" in result.reason
 
 
 def test_a_study_of_something_else_is_refused_and_kept(undisturbed):
     before = results(undisturbed)
     with pytest.raises(InputError, match="another seed"):
-        explore_configuration(demonstration("x-intersection", budget=40, seed=2), undisturbed)
+        explore_config(paper_experiment_config("x-intersection", budget=40, seed=2), undisturbed)
     with pytest.raises(InputError, match="another scenario"):
-        explore_configuration(demonstration("t-intersection", budget=40, seed=1), undisturbed)
+        explore_config(paper_experiment_config("t-intersection", budget=40, seed=1), undisturbed)
     assert results(undisturbed) == before
 
 
@@ -110,7 +110,7 @@ def test_a_recording_comes_back_bit_for_bit(undisturbed):
     from cornercase.simulators import BuiltinSimulator
 
     with Study.open(undisturbed, readonly=True) as study:
-        row = study.done()[17]
+        row = study.finished_rows()[17]
         (again,) = ran(BuiltinSimulator(), [ConcreteScenario(X, row.values)])
         assert same_recording(study.recording(row.id), again)
 
@@ -144,13 +144,13 @@ def contents(path):
 def test_killed_again_and_again_it_ends_with_the_same_bytes(optimizer, deaths, tmp_path):
     with opened(tmp_path / "whole.db") as study:
         result = explorer(study, optimizer=optimizer, metrics=("distance", "wttc")).run()
-    assert (result.ended, result.reason, result.interrupted) == (47, "the budget of 47 scenarios is used up", False)
+    assert (result.n_finished, result.reason, result.interrupted) == (47, "the budget of 47 scenarios is used up", False)
     with Study.open(tmp_path / "whole.db", readonly=True) as study:
         # Seven are left for the last round.
         assert [row.round for row in study.rows()] == [1 + k // 10 for k in range(47)]
-        assert [row.error for row in study.failed()] == [f"a is {row.values['a']}" for row in study.failed()]
-        assert len(study.failed()) > 0
-        away = [10 * abs(float(row.values["a"]) - float(row.values["b"])) for row in study.done()]
+        assert [row.error for row in study.failed_rows()] == [f"a is {row.values['a']}" for row in study.failed_rows()]
+        assert len(study.failed_rows()) > 0
+        away = [10 * abs(float(row.values["a"]) - float(row.values["b"])) for row in study.finished_rows()]
         np.testing.assert_allclose(study.scores("distance"), away, atol=1e-12)
     for survives in deaths:
         synthetic.go_on_until_killed(tmp_path / "killed.db", optimizer, survives)
@@ -163,7 +163,7 @@ def test_killed_again_and_again_it_ends_with_the_same_bytes(optimizer, deaths, t
 class Listening(Optimizer):
     """A Sobol' sequence that records what it is told."""
 
-    name, needs = "listening", frozenset({"features"})
+    name, requires = "listening", frozenset({"features"})
 
     def __init__(self, space, seed, features):
         self._sequence, self.features, self.told = SobolOptimizer(space, seed), features, []
@@ -200,9 +200,9 @@ def test_an_optimizer_is_told_what_happened_also_when_it_goes_on(monkeypatch, tm
 def test_interrupted_it_keeps_what_ended_and_says_so(tmp_path):
     with opened(tmp_path / "s.db") as study:
         result = explorer(study, Synthetic(interrupts=14), "sobol").run()
-        assert (result.ended, result.interrupted) == (14, True)
+        assert (result.n_finished, result.interrupted) == (14, True)
         assert [row.state for row in study.rows()].count("pending") == 6
-        assert explorer(study, optimizer="sobol").run().ended == 47
+        assert explorer(study, optimizer="sobol").run().n_finished == 47
 
 
 def test_a_simulator_that_ends_early_fails_only_the_scenario_where_it_ends(tmp_path):
@@ -212,10 +212,10 @@ def test_a_simulator_that_ends_early_fails_only_the_scenario_where_it_ends(tmp_p
             yield from (run for _, run in takewhile(lambda one: one[0].values["a"] > 0.2, runs))
 
     with opened(tmp_path / "s.db") as study:
-        assert explorer(study, Short(), "sobol", budget=20).run().ended == 20
+        assert explorer(study, Short(), "sobol", budget=20).run().n_finished == 20
         early = {row.id for row in study.rows() if row.values["a"] <= 0.2}
         assert early
-        assert {row.id for row in study.failed() if "without a result" in row.error} == early
+        assert {row.id for row in study.failed_rows() if "without a result" in row.error} == early
 
 
 class Largest(Metric):
@@ -274,7 +274,7 @@ def test_patience_counts_rounds_without_news(tmp_path, rounds, told):
         one = explorer(study, budget=1000, batch=1, patience=2)
         one._optimizer = scripted(rounds)
         result = one.run()
-    assert result.ended == told
+    assert result.n_finished == told
     assert ("no improvement" in result.reason) == (told < len(rounds))
 
 
@@ -286,7 +286,7 @@ def test_all_of_a_space_was_run_only_where_it_was(asynchronous, tmp_path):
             return explorer(study, optimizer=optimizer, budget=40, logical=logical, **given).run().reason
 
     finite = ParameterSpace.from_ranges(["a=0:1:0.25", "b=0:1:0.5"])
-    falling = [Declaration("a", "double", "0"), Declaration("b", "double", "0", ((Constraint("lessThan", "$a"),),))]
+    falling = [ParameterDeclaration("a", "double", "0"), ParameterDeclaration("b", "double", "0", ((Constraint("lessThan", "$a"),),))]
     assert ended("sobol", finite) == "all 15 scenarios of the space were run"
     # Some of the 15 are audits, and run twice.
     assert ended("sobol", finite, audit=0.2) == "all 15 scenarios of the space were run"
@@ -302,15 +302,15 @@ def test_scores_at_the_cap_are_no_news(tmp_path):
             return np.zeros(len(recording.time))
 
     with opened(tmp_path / "s.db") as study:
-        assert explorer(study, metrics=(Nothing(),), optimizer="sobol", budget=400, patience=3).run().ended == 40
+        assert explorer(study, metrics=(Nothing(),), optimizer="sobol", budget=400, patience=3).run().n_finished == 40
 
 
 def test_time_is_a_criterion_and_is_noted(tmp_path):
     with opened(tmp_path / "s.db") as study:
         result = explorer(study, max_seconds=0.0).run()
-        assert (result.ended, result.reason) == (0, "0 s have passed")
+        assert (result.n_finished, result.reason) == (0, "0 s have passed")
         explorer(study, optimizer="sobol", budget=20).run()
-        assert list(study.elapsed()) == ["optimize", "simulate", "measure", "store", "judge"]
+        assert list(study.elapsed_by_stage()) == ["optimize", "simulate", "measure", "store", "judge"]
 
 
 def test_progress_in_a_file_is_a_line_with_the_best_score(tmp_path, capfd):
@@ -324,20 +324,20 @@ def test_progress_in_a_file_is_a_line_with_the_best_score(tmp_path, capfd):
 
 
 def test_an_interrupt_before_the_explorer_listens_is_none_that_is_lost(tmp_path, monkeypatch):
-    one = replace(demonstration("t-intersection", budget=2, seed=1), optimizer="sobol")
+    one = replace(paper_experiment_config("t-intersection", budget=2, seed=1), optimizer="sobol")
 
     def interrupted(*_, **__):
         raise KeyboardInterrupt
 
     monkeypatch.setattr("cornercase.exploration.exploring.ScenarioExplorer", interrupted)
-    result = explore_configuration(one, tmp_path / "s.db")
-    assert (result.ended, result.interrupted) == (0, True)
+    result = explore_config(one, tmp_path / "s.db")
+    assert (result.n_finished, result.interrupted) == (0, True)
     monkeypatch.undo()
-    assert explore_configuration(one, tmp_path / "s.db").ended == 2
+    assert explore_config(one, tmp_path / "s.db").n_finished == 2
     # Without a study there is nothing to resume.
     monkeypatch.setattr("cornercase.exploration.exploring.Study.create", interrupted)
     with pytest.raises(KeyboardInterrupt):
-        explore_configuration(one, tmp_path / "other.db")
+        explore_config(one, tmp_path / "other.db")
 
 
 def test_an_interrupt_that_compiled_code_turns_into_an_error_is_still_one():
@@ -348,9 +348,9 @@ def test_an_interrupt_that_compiled_code_turns_into_an_error_is_still_one():
         except KeyboardInterrupt:
             raise TypeError("cannot compare") from None
 
-    with pytest.raises(KeyboardInterrupt), noted_interrupts():
+    with pytest.raises(KeyboardInterrupt), collect_interrupts():
         compare()
-    with pytest.raises(TypeError, match="of its own"), noted_interrupts():
+    with pytest.raises(TypeError, match="of its own"), collect_interrupts():
         raise TypeError("of its own")
 
 
@@ -365,7 +365,7 @@ def test_42_s5_a_simulator_that_raises_in_the_same_process_fails_its_scenario(tm
     with opened(tmp_path / "s.db") as study:
         result = explorer(study, Broken(), "sobol", budget=10).run()
         raised = [row for row in study.rows() if row.values["b"] > 0.8]
-        assert result.ended == 10
+        assert result.n_finished == 10
         assert 0 < len(raised) < 5
         for row in raised:
             assert row.error.startswith("the simulator failed: SystemExit: 0 (test_explorer.py line ")

@@ -11,31 +11,31 @@ import numpy as np
 import pytest
 
 from cornercase._common.errors import InputError
-from cornercase.drivers import named_driver
+from cornercase.drivers import driver_by_name
 from cornercase.exploration import (
-    Configuration,
-    demonstration,
-    examples,
+    ExplorationConfig,
+    paper_experiment_config,
+    examples_folder,
     explore,
 )
 from cornercase.scenario import LogicalScenario
 from cornercase.study import Study
 
-T = examples() / "t_intersection"
+T = examples_folder() / "t_intersection"
 
 
 def test_from_python_a_scenario_is_explored_by_its_path_or_as_it_was_read(tmp_path):
     search = partial(explore, ego="Ego", other="C", metrics=["distance"], optimizer="sobol", seed=1)
     file, space = T / "t_intersection.xosc", T / "t_intersection.space.xosc"
     found = search(file, tmp_path / "a.db", space=space, budget=3)
-    assert (found.study, found.done, found.failed, found.ended) == (tmp_path / "a.db", 3, 0, 3)
+    assert (found.study, found.done, found.failed, found.n_finished) == (tmp_path / "a.db", 3, 0, 3)
     assert "3 scenarios done" in repr(found)
     assert "budget of 3" in repr(found)
     logical = LogicalScenario.read(file, space)
-    normal = named_driver("normal")
+    normal = driver_by_name("normal")
     search(logical, str(tmp_path / "b.db"), budget=2)
     # A larger budget continues it.
-    assert search(logical, tmp_path / "b.db", budget=3).ended == 3
+    assert search(logical, tmp_path / "b.db", budget=3).n_finished == 3
     driven = search(logical, tmp_path / "c.db", budget=2, drivers={"Ego": normal})
     with Study.open(driven.study, readonly=True) as study:
         assert study.meta.settings["drivers"] == {"Ego": normal.settings}
@@ -49,7 +49,7 @@ def test_from_python_a_scenario_is_explored_by_its_path_or_as_it_was_read(tmp_pa
 def test_numbers_out_of_range_are_refused(given):
     (name,) = given
     with pytest.raises(InputError, match=f"`{name}`"):
-        Configuration(demonstration("t-intersection").logical, "Ego", "C", ("distance",), **given)
+        ExplorationConfig(paper_experiment_config("t-intersection").logical, "Ego", "C", ("distance",), **given)
 
 
 NAN = float("nan")
@@ -93,7 +93,7 @@ WRONG = {
     "time_step": ("4", None, NAN),
     "duration": ("4", None, NAN),
     "on_collision": (None, 3, "stopp"),
-    "drivers": ("normal", ["normal"], {"Ego": 3}, {"Ego": type(named_driver("normal"))}, {"Ego": None}, {3: "normal"}),
+    "drivers": ("normal", ["normal"], {"Ego": 3}, {"Ego": type(driver_by_name("normal"))}, {"Ego": None}, {3: "normal"}),
     "progress": ("yes",),
 }
 
@@ -132,7 +132,7 @@ def test_a_driven_entity_that_is_not_there_is_refused_before_there_is_a_study(tm
     with pytest.raises(InputError, match="has no entity 'Nobody' to be the driven entity"):
         explore(scenario, tmp_path / "typo.db", drivers={"Nobody": "normal"}, **given)
     assert not list(tmp_path.iterdir())
-    assert explore(scenario, tmp_path / "typo.db", drivers={"Ego": "normal"}, **given).ended == 2
+    assert explore(scenario, tmp_path / "typo.db", drivers={"Ego": "normal"}, **given).n_finished == 2
 
 
 def test_a_study_whose_budget_grew_is_that_of_the_larger_budget_byte_for_byte(tmp_path):

@@ -11,8 +11,8 @@ import pytest
 
 from command_line import SPACE, X, cornercase
 from cornercase._common.errors import InputError
-from cornercase.exploration import critical_set_of, explore
-from cornercase.exploration.beginning import read_beginning
+from cornercase.exploration import estimate_critical_set, explore
+from cornercase.exploration.beginning import read_warm_start
 from cornercase.exploration.objective import Objective
 from cornercase.metrics import METRICS
 from cornercase.report import summarize
@@ -43,15 +43,15 @@ def content(path):
 
 
 def beginning(path, space, *names):
-    return read_beginning(path, space, Objective([METRICS.create(name) for name in names]), "Ego", ("Pedestrian",))
+    return read_warm_start(path, space, Objective([METRICS.create(name) for name in names]), "Ego", ("Pedestrian",))
 
 
 def test_it_goes_on_as_it_was_without_the_other_study(tmp_path, other):
     copied = tmp_path / "gone" / "other.db"
     copied.parent.mkdir()
     copied.write_bytes(other.read_bytes())
-    searched(tmp_path / "once.db", from_study=other, budget=30)
-    searched(tmp_path / "twice.db", from_study=copied, budget=20)
+    searched(tmp_path / "once.db", warm_start=other, budget=30)
+    searched(tmp_path / "twice.db", warm_start=copied, budget=20)
     copied.unlink()
     searched(tmp_path / "twice.db", budget=30)
     assert content(tmp_path / "once.db") == content(tmp_path / "twice.db")
@@ -60,13 +60,13 @@ def test_it_goes_on_as_it_was_without_the_other_study(tmp_path, other):
         Study.open(tmp_path / "once.db", readonly=True) as begun,
         Study.open(tmp_path / "cold.db", readonly=False) as cold,
     ):
-        assert cold.elsewhere() is None
+        assert cold.warm_start_data() is None
         assert "elsewhere" not in {key for key, *_ in content(cold.path)["meta"]}
         assert not np.array_equal(begun.points(), cold.points())
         assert StudyMeta.from_json(begun.meta.to_json()) == begun.meta
         # The estimate of the critical set uses the other study and the scenarios of this one.
         scores = begun.scores("wttc")
-        assert 0.0 < critical_set_of(begun, scores, 0.5).share.value < 1.0
+        assert 0.0 < estimate_critical_set(begun, scores, 0.5).critical_fraction.value < 1.0
         assert len(scores) == 30
     summarize(tmp_path / "once.db")
 
@@ -76,8 +76,8 @@ def test_scores_and_points_are_those_of_the_other_study(other):
     with Study.open(other, readonly=True) as study:
         np.testing.assert_array_equal(known.scores, study.scores("wttc"))
         np.testing.assert_allclose(known.points, study.points(), atol=1e-12)
-    assert known.about["scenarios"] == 40
-    assert known.about["simulator"] == "builtin"
+    assert known.study_info["scenarios"] == 40
+    assert known.study_info["simulator"] == "builtin"
 
 
 def test_a_study_that_is_being_written_is_read_as_it_is_at_one_moment(tmp_path, other, monkeypatch):
@@ -97,15 +97,15 @@ def test_a_study_that_is_being_written_is_read_as_it_is_at_one_moment(tmp_path, 
 
 def test_a_study_that_is_being_written_is_replayed_as_it_is_at_one_moment(tmp_path, monkeypatch):
     def go_on(*given):
-        monkeypatch.setattr(Objective, "oriented_of", oriented_of)
+        monkeypatch.setattr(Objective, "minimized_scores", oriented_of)
         searched(tmp_path / "growing.db", budget=30)
         return oriented_of(*given)
 
     searched(tmp_path / "growing.db")
-    oriented_of = Objective.oriented_of
-    monkeypatch.setattr(Objective, "oriented_of", go_on)
+    oriented_of = Objective.minimized_scores
+    monkeypatch.setattr(Objective, "minimized_scores", go_on)
     found = searched(tmp_path / "growing.db", replay=True)
-    assert (found.same, found.done) == (True, 20)
+    assert (found.reproducible, found.done) == (True, 20)
 
 
 def test_a_metric_that_it_lacks_is_measured_from_its_recordings(tmp_path, other):
@@ -151,7 +151,7 @@ def test_what_cannot_be_begun_from_is_refused_and_leaves_nothing(tmp_path, other
             searched(new, **{"critical": None if "critical_if" in more else 0.5, "from_study": other} | more)
         assert not new.exists()
     with pytest.raises(InputError, match="has no parameter"):
-        searched(new, from_study=_of(fewer, tmp_path))
+        searched(new, warm_start=_of(fewer, tmp_path))
 
 
 def _of(logical, folder):
@@ -160,18 +160,18 @@ def _of(logical, folder):
 
 
 def test_another_study_to_begin_from_is_another_search(tmp_path, other):
-    searched(tmp_path / "new.db", from_study=other)
+    searched(tmp_path / "new.db", warm_start=other)
     searched(tmp_path / "third.db", driver="normal", optimizer="sobol", seed=5)
     with pytest.raises(InputError, match="another warm start"):
-        searched(tmp_path / "new.db", from_study=tmp_path / "third.db", budget=30)
+        searched(tmp_path / "new.db", warm_start=tmp_path / "third.db", budget=30)
     with pytest.raises(InputError, match="another warm start"):
-        searched(tmp_path / "new.db", from_study=tmp_path / "third.db", replay=True)
+        searched(tmp_path / "new.db", warm_start=tmp_path / "third.db", replay=True)
     with Study.open(tmp_path / "new.db", readonly=False) as study:
-        assert len(study.done()) == 20
+        assert len(study.finished_rows()) == 20
 
 
 def test_a_damaged_beginning_is_told(tmp_path, other):
-    searched(tmp_path / "new.db", from_study=other)
+    searched(tmp_path / "new.db", warm_start=other)
     with closing(sqlite3.connect(tmp_path / "new.db")) as connection, connection:
         connection.execute("DELETE FROM elsewhere WHERE rowid = 1")
     for command in (("show",), ("report", "-o", tmp_path / "page.html")):
@@ -196,13 +196,13 @@ def test_on_the_command_line(tmp_path, other):
     assert "--warm-start: sobol learns nothing from a study; use level-set or committee." in refused.stderr
     assert cornercase(*arguments, "--optimizer", "level-set").returncode == 0
     with Study.open(tmp_path / "new.db", readonly=True) as study:
-        known = study.elsewhere()
+        known = study.warm_start_data()
         assert known is not None
         assert len(known[1]) == 40
 
 
 def test_it_is_replayed_and_goes_without_rounds(tmp_path, other):
-    searched(tmp_path / "new.db", from_study=other, budget=16, batch=8, asynchronous=True)
+    searched(tmp_path / "new.db", warm_start=other, budget=16, batch=8, asynchronous=True)
     found = searched(tmp_path / "new.db", budget=16, batch=8, asynchronous=True, replay=True)
-    assert found.same
-    assert searched(tmp_path / "new.db", from_study=other, budget=16, batch=8, asynchronous=True, replay=True).same
+    assert found.reproducible
+    assert searched(tmp_path / "new.db", warm_start=other, budget=16, batch=8, asynchronous=True, replay=True).reproducible

@@ -18,14 +18,14 @@ from typer.testing import CliRunner
 
 from cornercase._common.errors import InputError, SimulationError
 from cornercase.cli import app
-from cornercase.exploration import AsynchronousExplorer, Configuration, ScenarioExplorer, demonstration, explore
-from cornercase.exploration.configuration import configuration_of
+from cornercase.exploration import AsynchronousExplorer, ExplorationConfig, ScenarioExplorer, paper_experiment_config, explore
+from cornercase.exploration.configuration import config_from_study
 from cornercase.optimizers import create_optimizer
 from cornercase.recordings import Recording
-from cornercase.report import summarize, tell_study_file, write_report
+from cornercase.report import summarize, format_study_file, write_report
 from cornercase.scenario import LogicalScenario, ParameterSpace
 from cornercase.simulators import Simulator
-from cornercase.study import FEWEST_CLEAR_RUNS, Study, are_open
+from cornercase.study import MIN_DECISIVE_RUNS, Study, is_criticality_undecided
 
 SPACE = ParameterSpace.from_ranges(["often=0:1"])
 LOGICAL = LogicalScenario(Path("synthetic.xosc"), SPACE, "0")
@@ -65,7 +65,7 @@ class Wavering(Simulator):
                 else Recording(
                     time=np.arange(3) * 0.1,
                     names=("Ego", "B"),
-                    kinds=("car",) * 2,
+                    object_types=("car",) * 2,
                     x=np.array([[0.0] * 3, [found] * 3]),
                     y=still,
                     heading=still,
@@ -81,7 +81,7 @@ class Wavering(Simulator):
 
 def about(**more):
     given = {"critical": THRESHOLD, "budget": 24, "batch": 8, "repeats": REPEATS, "most_repeats": MOST} | more
-    return Configuration(LOGICAL, "Ego", "B", ("distance",), optimizer="sobol", simulator="wavering", seed=3, **given)
+    return ExplorationConfig(LOGICAL, "Ego", "B", ("distance",), optimizer="sobol", simulator="wavering", seed=3, **given)
 
 
 def explored(path, one, simulator):
@@ -89,7 +89,7 @@ def explored(path, one, simulator):
     optimizer = create_optimizer("sobol", SPACE, 3, threshold=THRESHOLD, budget=one.budget)
     kind = AsynchronousExplorer if one.asynchronous else ScenarioExplorer
     with Study.open(path, readonly=False) if path.exists() else Study.create(path, meta) as study:
-        study.writer.continue_with(meta)
+        study.writer.resume(meta)
         return kind(one, simulator, optimizer, study).run()
 
 
@@ -124,8 +124,8 @@ def study(tmp_path_factory):
 def test_scenarios_are_run_until_it_is_clear_on_which_side_they_are(study):
     path, simulator = study
     with Study.open(path) as opened:
-        assert opened.failed()[0].error == "it cannot be"
-        rows, table = opened.done(), opened.table().query("state == 'done'")
+        assert opened.failed_rows()[0].error == "it cannot be"
+        rows, table = opened.finished_rows(), opened.table().query("state == 'done'")
         expected = [runs_by(is_clear, row.values["often"]) for row in rows]
         assert {len(one) for one in expected} >= {REPEATS, 2 * REPEATS, MOST}
         assert table["runs"].tolist() == [len(one) for one in expected]
@@ -133,13 +133,13 @@ def test_scenarios_are_run_until_it_is_clear_on_which_side_they_are(study):
         np.testing.assert_allclose(opened.scores("distance"), middle, atol=1e-5)
         for row, score in zip(rows, middle, strict=True):
             assert opened.recording(row.id).x[1, 0] == pytest.approx(score)
-        shares = opened.critical_runs()
+        shares = opened.critical_run_rates()
         assert shares is not None
         met = [sum(run <= THRESHOLD for run in one) for one in expected]
         np.testing.assert_allclose(shares[:, 0], [a / len(b) for a, b in zip(met, expected, strict=True)])
         still_open = (shares[:, 1] <= 0.5) & (shares[:, 2] >= 0.5)
         assert all(simulator.ran[row.values["often"]] == MOST for row, one in zip(rows, still_open, strict=True) if one)
-        lost = [row.values["often"] for row in opened.failed()]
+        lost = [row.values["often"] for row in opened.failed_rows()]
     # A scenario that always fails gets no extra runs.
     assert lost
     assert all(simulator.ran[one] == REPEATS for one in lost)
@@ -168,7 +168,7 @@ def test_how_often_repeated_looks_mislead_is_as_the_documentation_says():
             for before, chance in met.items():
                 for k in range(6):
                     more[before + k] += chance * binom.pmf(k, 5, probability)
-            is_still_open = {k: are_open([0.0] * k + [1.0] * (ran - k), 0.5) for k in more if k <= ran}
+            is_still_open = {k: is_criticality_undecided([0.0] * k + [1.0] * (ran - k), 0.5) for k in more if k <= ran}
             for k, chance in more.items():
                 if k <= ran and not is_still_open[k]:
                     sides[2 * k > ran] += chance
@@ -178,7 +178,7 @@ def test_how_often_repeated_looks_mislead_is_as_the_documentation_says():
     assert sum(ends(0.5)[:2]) == pytest.approx(0.22, abs=0.005)
     assert [ends(one)[1] for one in (0.4, 0.3)] == pytest.approx([0.016, 0.003], abs=0.0005)
     assert [ends(one)[2] for one in (0.5, 0.3, 0.1)] == pytest.approx([43.8, 24.0, 8.4], abs=0.05)
-    assert [all(are_open([0.0] * k + [1.0] * (n - k), 0.5) for k in range(n + 1)) for n in (4, FEWEST_CLEAR_RUNS)] == [
+    assert [all(is_criticality_undecided([0.0] * k + [1.0] * (n - k), 0.5) for k in range(n + 1)) for n in (4, MIN_DECISIVE_RUNS)] == [
         True,
         False,
     ]
@@ -188,7 +188,7 @@ def test_how_often_repeated_looks_mislead_is_as_the_documentation_says():
 def test_a_search_that_was_ended_in_between_goes_on_with_the_same_bytes(study, tmp_path, survives, ended):
     found = explored(tmp_path / "s.db", about(), Wavering(interrupts=survives))
     # Eight scenarios have 40 first runs; the open ones then wait for their last run.
-    assert (found.interrupted, found.ended) == (True, ended)
+    assert (found.interrupted, found.n_finished) == (True, ended)
     explored(tmp_path / "s.db", about(), Wavering())
     assert contents(tmp_path / "s.db") == contents(study[0])
 
@@ -217,10 +217,10 @@ def test_it_is_said_wherever_the_repeats_are(study, tmp_path):
     with Study.open(path) as opened:
         assert opened.meta.most_repeats == MOST
         write_report(opened, tmp_path / "r.html")
-        assert summarize(opened).meta.runs_of_each == "5 to 17"
+        assert summarize(opened).meta.repeats_text == "5 to 17"
         opened.export(tmp_path / "csv")
     assert "Each was run 5 to 17 times" in (tmp_path / "r.html").read_text(encoding="utf-8")
-    assert "max-repeats = 17\n" in tell_study_file(path)
+    assert "max-repeats = 17\n" in format_study_file(path)
     shown = CliRunner().invoke(app, ["show", str(path), "--json"])
     assert json.loads(shown.stdout)["metrics"]["distance"]["runs_of_each_at_most"] == MOST
     head = (tmp_path / "csv" / "scenarios.csv").read_text().splitlines()[0]
@@ -228,7 +228,7 @@ def test_it_is_said_wherever_the_repeats_are(study, tmp_path):
 
 
 def test_a_study_is_run_again_as_it_was(tmp_path):
-    one = replace(demonstration("t-intersection", budget=2, seed=1), optimizer="sobol", repeats=2, most_repeats=5)
+    one = replace(paper_experiment_config("t-intersection", budget=2, seed=1), optimizer="sobol", repeats=2, most_repeats=5)
     path = tmp_path / "s.db"
     given: dict[str, Any] = {
         "ego": one.ego,
@@ -237,12 +237,12 @@ def test_a_study_is_run_again_as_it_was(tmp_path):
         "optimizer": "sobol",
         "seed": 1,
     }
-    explore(one.logical, path, budget=2, repeats=2, most_repeats=5, critical=1.0, **given)
+    explore(one.logical, path, budget=2, repeats=2, max_repeats=5, critical=1.0, **given)
     with Study.open(path) as opened:
-        again = configuration_of(opened, path, one.logical.path, None, {})
+        again = config_from_study(opened, path, one.logical.path, None, {})
         # With equal results, they are open after two and after four runs.
         assert opened.table()["runs"].tolist() == [5, 5]
-    assert (again.repeats, again.most_repeats) == (2, 5)
+    assert (again.repeats, again.max_repeats) == (2, 5)
 
 
 @pytest.mark.parametrize(
@@ -258,7 +258,7 @@ def test_a_study_is_run_again_as_it_was(tmp_path):
     ],
 )
 def test_what_makes_no_sense_is_refused_before_there_is_a_study(tmp_path, given, words):
-    one = demonstration("t-intersection")
+    one = paper_experiment_config("t-intersection")
     options: dict[str, Any] = {
         "ego": "Ego",
         "other": "C",
@@ -273,7 +273,7 @@ def test_what_makes_no_sense_is_refused_before_there_is_a_study(tmp_path, given,
 
 
 def test_the_command_names_its_options():
-    scenario = demonstration("t-intersection").logical.path
+    scenario = paper_experiment_config("t-intersection").logical.path
     words = ["explore", scenario, "--space", scenario.with_suffix(".space.xosc"), "--ego", "Ego", "--other", "C"]
     words += ["--metric", "wttc", "--max-repeats", "9", "-o", "never.db"]
     ended = CliRunner().invoke(app, [str(one) for one in words])

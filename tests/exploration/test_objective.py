@@ -13,11 +13,11 @@ from hypothesis.extra.numpy import arrays
 from command_line import SPACE, X, cornercase
 from conftest import examples
 from cornercase._common.errors import InputError
-from cornercase.exploration import Objective, on_front
-from cornercase.exploration.objective import Best
+from cornercase.exploration import Objective, is_on_pareto_front
+from cornercase.exploration.objective import Incumbent
 from cornercase.metrics import METRICS
 from cornercase.optimizers import OPTIMIZERS, EvolutionaryOptimizer, OptunaOptimizer
-from cornercase.scenario import Constraint, Declaration, Parameter, ParameterSpace
+from cornercase.scenario import Constraint, ParameterDeclaration, Parameter, ParameterSpace
 from cornercase.study import Study
 from searches import CUBE, explored
 from synthetic import explorer, opened
@@ -28,7 +28,7 @@ NAMED = ParameterSpace([*CUBE.parameters, Parameter("kind", 0, 2, choices=("car"
 
 def bowl(points):
     """Minimum at 0.3 in each direction, for trucks."""
-    truck = NAMED.parameters[3].numbers(points[:, 3]) == 1
+    truck = NAMED.parameters[3].level_indices(points[:, 3]) == 1
     return np.linalg.norm(points[:, :3] - 0.3, axis=1) + np.where(truck, 0.0, 1.0)
 
 
@@ -39,15 +39,15 @@ def between(points):
 
 def test_lower_is_always_more_critical():
     scores = np.array([[1.5, 4.0], [0.5, 8.0]])
-    np.testing.assert_array_equal(Objective([TTC, DRAC]).oriented(scores), [1.5, 0.5])
-    np.testing.assert_array_equal(Objective([DRAC, TTC]).oriented(scores[:, ::-1]), [-4.0, -8.0])
+    np.testing.assert_array_equal(Objective([TTC, DRAC]).minimized(scores), [1.5, 0.5])
+    np.testing.assert_array_equal(Objective([DRAC, TTC]).minimized(scores[:, ::-1]), [-4.0, -8.0])
     both = Objective([TTC, DRAC], {"ttc": 2.0, "drac": 0.5})
-    np.testing.assert_array_equal(both.oriented(scores), [1.0, -3.0])
-    assert both.text == "2 ttc + 0.5 (-drac)"
-    np.testing.assert_array_equal(Objective([TTC, DRAC], pareto=True).oriented(scores), [[1.5, -4.0], [0.5, -8.0]])
-    assert Objective([DRAC]).threshold(3.0) == -3.0
+    np.testing.assert_array_equal(both.minimized(scores), [1.0, -3.0])
+    assert both.label == "2 ttc + 0.5 (-drac)"
+    np.testing.assert_array_equal(Objective([TTC, DRAC], pareto=True).minimized(scores), [[1.5, -4.0], [0.5, -8.0]])
+    assert Objective([DRAC]).minimized_threshold(3.0) == -3.0
     # Unused scores may be undefined.
-    np.testing.assert_array_equal(Objective([TTC, DRAC]).oriented(np.array([[1.5, np.nan]])), [1.5])
+    np.testing.assert_array_equal(Objective([TTC, DRAC]).minimized(np.array([[1.5, np.nan]])), [1.5])
 
 
 @pytest.mark.parametrize(
@@ -65,27 +65,27 @@ def test_what_cannot_be_searched_is_refused(weights, pareto, words):
 
 def test_what_is_critical_needs_one_score():
     with pytest.raises(InputError, match="has no threshold"):
-        Objective([TTC, DRAC], pareto=True).threshold(1.0)
+        Objective([TTC, DRAC], pareto=True).minimized_threshold(1.0)
     with pytest.raises(InputError, match="the weighted sum up to which"):
-        Objective([TTC, DRAC], {"ttc": 1.0}).threshold(None)
+        Objective([TTC, DRAC], {"ttc": 1.0}).minimized_threshold(None)
 
 
 @given(arrays(np.float64, st.tuples(st.integers(1, 25), st.integers(1, 3)), elements=st.integers(0, 4).map(float)))
 @settings(max_examples=examples(100), deadline=None)
 def test_the_front_is_what_nothing_dominates(values):
     expected = [not any((b <= a).all() and (b < a).any() for b in values) for a in values]
-    np.testing.assert_array_equal(on_front(values), expected)
+    np.testing.assert_array_equal(is_on_pareto_front(values), expected)
 
 
 def test_news_is_what_nothing_before_was_better_than():
-    best = Best(Objective([TTC, DRAC], pareto=True))
-    assert best.add(np.array([[1.0, -1.0], [2.0, -2.0], [np.nan, np.nan]]))
-    assert not best.add(np.array([[2.0, -1.0]]))
-    assert best.add(np.array([[3.0, -3.0]]))
-    assert best.text == "front of 3"
-    one = Best(Objective([TTC]))
-    assert [one.add(np.array([value])) for value in (10.0, 10.0, 4.0, 5.0, 4.0)] == [True, False, True, False, True]
-    assert one.text == "best 4 s"
+    best = Incumbent(Objective([TTC, DRAC], pareto=True))
+    assert best.update(np.array([[1.0, -1.0], [2.0, -2.0], [np.nan, np.nan]]))
+    assert not best.update(np.array([[2.0, -1.0]]))
+    assert best.update(np.array([[3.0, -3.0]]))
+    assert best.label == "front of 3"
+    one = Incumbent(Objective([TTC]))
+    assert [one.update(np.array([value])) for value in (10.0, 10.0, 4.0, 5.0, 4.0)] == [True, False, True, False, True]
+    assert one.label == "best 4 s"
 
 
 @pytest.mark.parametrize("make", [EvolutionaryOptimizer, OptunaOptimizer])
@@ -123,14 +123,14 @@ def test_evolution_finds_the_front_of_two_scores():
     evolved = explored(EvolutionaryOptimizer(CUBE, 0, population=20), 300, function=between)
     spread = explored(OPTIMIZERS.create("sobol", space=CUBE, seed=0), 300)
     assert near_the_front(evolved).sum() > 3 * near_the_front(spread).sum()
-    front = evolved[on_front(between(evolved))]
+    front = evolved[is_on_pareto_front(between(evolved))]
     assert np.ptp(front.mean(axis=1)) > 0.3
 
 
 @pytest.mark.parametrize("make", [EvolutionaryOptimizer, OptunaOptimizer])
 def test_a_small_space_is_run_whole(make):
-    space = ParameterSpace.from_ranges(["a=0:5:1", "b=0:9:1"]).constrained(
-        [Declaration("a", "double", "0", ((Constraint("lessThan", "5"),),)), Declaration("b", "double", "0")]
+    space = ParameterSpace.from_ranges(["a=0:5:1", "b=0:9:1"]).with_constraints(
+        [ParameterDeclaration("a", "double", "0", ((Constraint("lessThan", "5"),),)), ParameterDeclaration("b", "double", "0")]
     )
     optimizer = make(space, 0)
     points = explored(optimizer, 50, function=lambda p: p[:, 0] + p[:, 1])
@@ -157,11 +157,11 @@ def test_an_explorer_stops_when_enough_is_known(tmp_path):
     limit = {"critical": 1.0}
     with opened(tmp_path / "s.db") as study:
         result = explorer(study, optimizer="sobol", budget=400, stop_when=("missed<0.1",), **limit).run()
-    assert 40 <= result.ended < 400
+    assert 40 <= result.n_finished < 400
     assert "of the critical set is missed" in result.reason
     with opened(tmp_path / "t.db") as study:
         never = ("missed<0.1", "unvisited(0.0001)<0.001")
-        assert explorer(study, optimizer="sobol", budget=60, stop_when=never, **limit).run().ended == 60
+        assert explorer(study, optimizer="sobol", budget=60, stop_when=never, **limit).run().n_finished == 60
     with opened(tmp_path / "u.db") as study, pytest.raises(InputError, match="has no default threshold"):
         explorer(study, stop_when=never)
 
@@ -175,7 +175,7 @@ def test_the_command_line_searches_sums_and_fronts_and_says_what_matters(tmp_pat
     assert shown["searched"] == "Pareto front of wttc, pet:signed=true"
     with Study.open(tmp_path / "p.db", readonly=True) as study:
         scores = np.stack([study.scores(name) for name in study.meta.metrics], axis=1)
-    assert len(shown["front"]) == on_front(scores).sum()
+    assert len(shown["front"]) == is_on_pareto_front(scores).sum()
     refused = cornercase(*common, "--pareto", "--optimizer", "bayes", "-o", tmp_path / "b.db")
     assert refused.returncode == 2
     assert "takes one score" in refused.stderr

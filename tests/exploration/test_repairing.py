@@ -94,7 +94,7 @@ def test_rows_that_still_stood_in_the_log_are_brought_back(whole, tmp_path):
 
 
 def test_what_does_not_fit_into_memory_is_said_before(damaged, monkeypatch):
-    monkeypatch.setattr("cornercase.exploration.repairing._COPIES", 1e6)
+    monkeypatch.setattr("cornercase.exploration.repairing._MEMORY_FACTOR", 1e6)
     result = cornercase("verify", damaged, "--repair", "--scenario", X, "--memory", "2GB")
     assert result.returncode == 2
     assert "which is more than --memory 2 GB; give more." in result.stderr
@@ -132,7 +132,7 @@ def test_42_s3_nobody_writes_to_a_study_while_it_is_repaired(whole, damaged, mea
         said.append(str(error.value))
         # The first step of every explorer, without the usual wait for the lock.
         with closing(sqlite3.connect(damaged, timeout=0.1)) as explorer, pytest.raises(sqlite3.Error, match="locked"):
-            Lease.take(damaged, explorer)
+            Lease.acquire(damaged, explorer)
         # Reading is allowed.
         with Study.open(damaged) as reader:
             assert len(reader.rows()) == 4
@@ -213,7 +213,7 @@ def test_42_s3_what_is_put_in_place_of_a_study_while_it_is_repaired_stays(whole,
         assert not damaged.exists()
     elif how == "explored":
         with Study.open(damaged) as study:
-            assert len(study.done()) == 34
+            assert len(study.finished_rows()) == 34
     else:
         with closing(sqlite3.connect(damaged)) as connection:
             assert connection.execute("PRAGMA integrity_check").fetchall() == [("ok",)]
@@ -236,7 +236,7 @@ def test_42_s3_an_interrupted_repair_leaves_the_study_as_it_was(damaged, meanwhi
 
 @pytest.mark.skipif(sys.platform == "win32", reason="files that are open stay there")
 def test_42_s3_who_waited_for_a_study_that_was_replaced_does_not_write_to_the_earlier_file(whole, damaged, monkeypatch):
-    plain = Lease.take
+    plain = Lease.acquire
 
     def replaced_before(path, connection):
         other = damaged.with_name("other.db")

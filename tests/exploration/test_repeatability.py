@@ -18,7 +18,7 @@ from cornercase.report import write_report
 from cornercase.scenario import LogicalScenario
 from cornercase.simulators import SIMULATORS, Simulator
 from cornercase.study import Study
-from cornercase.study.seals import remove
+from cornercase.study.seals import delete_rows
 
 
 class Dice(Driver):
@@ -60,7 +60,7 @@ class Drifting(Simulator):
 
     name = "drifting"
     in_process = True
-    repeats_itself = True
+    deterministic = True
     drift = 1.5e-5
 
     def __init__(self):
@@ -73,7 +73,7 @@ class Drifting(Simulator):
             way = float(concrete.values["ego_start"]) + np.arange(5.0) + self.drift * self.runs
             still, ones = np.zeros(5), np.ones(2)
             yield Recording(
-                time=np.arange(5.0), names=("Ego", "Pedestrian"), kinds=("car", "pedestrian"),
+                time=np.arange(5.0), names=("Ego", "Pedestrian"), object_types=("car", "pedestrian"),
                 x=np.stack([way, still]), y=np.stack([still, still]), heading=np.stack([still, still]),
                 speed=np.stack([still, still]), acceleration=np.stack([still, still]),
                 length=ones, width=ones, center_x=0.0 * ones,
@@ -89,7 +89,7 @@ class Steady(Drifting):
 class Modest(Drifting):
     """Does not claim to be deterministic."""
 
-    name, repeats_itself = "modest", False
+    name, deterministic = "modest", False
 
 
 @pytest.fixture(autouse=True)
@@ -152,13 +152,13 @@ def test_42_6_seeded_random_numbers_repeat_themselves(explore):
 def test_42_6_compare_is_certain_only_of_runs_that_were_seen_to_repeat_themselves(explore, tmp_path):
     dice = [explore(f"dice{k}.db", drivers={"Ego": Dice()}) for k in range(2)]
     found = cc.compare(*dice)
-    assert not found.certain
-    assert found.count("otherwise") == 12
+    assert not found.is_deterministic
+    assert found.count_pairs("otherwise") == 12
     assert "repeat themselves" not in found.reason
     assert sum(one.startswith(f"runs of dice{k}.db differ: scenario 1") for k, one in enumerate(found.differences)) == 2
     seeded = [explore(f"seeded{k}.db", drivers={"Ego": Seeded()}) for k in range(2)]
-    assert cc.compare(*seeded).certain
-    assert not cc.compare(seeded[0], dice[0]).certain
+    assert cc.compare(*seeded).is_deterministic
+    assert not cc.compare(seeded[0], dice[0]).is_deterministic
 
 
 @pytest.mark.filterwarnings("ignore:runs differ")
@@ -170,8 +170,8 @@ def test_42_6_a_simulator_is_not_believed_that_it_repeats_itself(explore):
     assert found["modest"] == {}
     assert cc.compare(
         explore("a.db", simulator="steady-simulator"), explore("b.db", simulator="steady-simulator")
-    ).certain
-    assert not cc.compare(explore("c.db", simulator="drifting"), explore("d.db", simulator="drifting")).certain
+    ).is_deterministic
+    assert not cc.compare(explore("c.db", simulator="drifting"), explore("d.db", simulator="drifting")).is_deterministic
 
 
 @pytest.mark.filterwarnings("ignore:runs differ")
@@ -205,7 +205,7 @@ def test_42_6_a_second_run_that_fails_is_told(explore, monkeypatch):
 
 def test_42_6_it_is_tried_once_and_also_when_a_search_goes_on(explore, monkeypatch):
     runs = []
-    monkeypatch.setattr(Steady, "close", lambda simulator: runs.append(simulator.runs))
+    monkeypatch.setattr(Steady, "max_spacing", lambda simulator: runs.append(simulator.runs))
     path = explore("s.db", simulator="steady-simulator", budget=4)
     explore("s.db", simulator="steady-simulator", budget=6)
     assert runs == [5, 2]
@@ -213,8 +213,8 @@ def test_42_6_it_is_tried_once_and_also_when_a_search_goes_on(explore, monkeypat
     other = explore("t.db", simulator="steady-simulator", budget=6)
     contents = [stored(one) for one in (path, other)]
     assert contents[0] == contents[1]
-    with Study.open(other, readonly=False) as study, study._database.writing() as connection:
-        remove(connection, "meta", "key = ?", "repeatability")
+    with Study.open(other, readonly=False) as study, study._database.transaction() as connection:
+        delete_rows(connection, "meta", "key = ?", "repeatability")
     assert tried(other) == {}
     explore("t.db", simulator="steady-simulator", budget=6)
     assert runs[-1] == 1
@@ -237,8 +237,8 @@ def test_42_6_runs_of_suites_are_tried_too(explore, tmp_path, x_intersection):
     path = explore("s.db", drivers={"Ego": "normal"})
     cc.analyze(path)
     cc.reduce(path, tmp_path / "set", scenario=x_intersection.scenario)
-    cc.test(tmp_path / "set", tmp_path / "a.db", drivers={"Ego": Seeded()})
-    cc.test(tmp_path / "set", tmp_path / "b.db", drivers={"Ego": Dice()})
+    cc.run_suite(tmp_path / "set", tmp_path / "a.db", drivers={"Ego": Seeded()})
+    cc.run_suite(tmp_path / "set", tmp_path / "b.db", drivers={"Ego": Dice()})
     assert tried(tmp_path / "a.db")["same"]
     assert not tried(tmp_path / "b.db")["same"]
-    assert not cc.compare(tmp_path / "a.db", tmp_path / "b.db").certain
+    assert not cc.compare(tmp_path / "a.db", tmp_path / "b.db").is_deterministic

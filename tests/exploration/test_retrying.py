@@ -10,7 +10,7 @@ import pytest
 import typer
 
 import cornercase as cc
-from cornercase.cli.options import tell_ending
+from cornercase.cli.options import print_ending
 from cornercase.exploration import ExplorationResult
 from cornercase.study import Study
 
@@ -38,12 +38,12 @@ def test_what_failed_is_run_once_more_when_that_is_asked(tmp_path, asynchronous)
     before = stored(path)
     with Study.open(path, readonly=False) as study:
         for one in (2, 5):
-            study.writer.fail(one, cc.SimulationError("a worker was ended from outside"))
+            study.writer.record_failure(one, cc.SimulationError("a worker was ended from outside"))
     again = explored(path, asynchronous=asynchronous)
     assert (again.done, again.failed) == (4, 2)
-    assert again.reasons == {"a worker was ended from outside": 2}
+    assert again.failure_counts == {"a worker was ended from outside": 2}
     again = explored(path, asynchronous=asynchronous, retry_failed=True)
-    assert (again.done, again.failed, again.reasons) == (6, 0, {})
+    assert (again.done, again.failed, again.failure_counts) == (6, 0, {})
     now = stored(path)
     if asynchronous:
         # Their results arrived later.
@@ -52,9 +52,9 @@ def test_what_failed_is_run_once_more_when_that_is_asked(tmp_path, asynchronous)
 
 
 def test_failures_are_counted_and_all_of_them_is_a_no(capsys):
-    some = ExplorationResult(Path("s.db"), 4, 2, "it ended", reasons={"too slow": 2})
-    tell_ending(some)
+    some = ExplorationResult(Path("s.db"), 4, 2, "it ended", failure_counts={"too slow": 2})
+    print_ending(some)
     assert "2 failed: too slow" in capsys.readouterr().out
     with pytest.raises(typer.Exit) as ended:
-        tell_ending(ExplorationResult(Path("s.db"), 0, 2, "it ended", reasons={"a": 1, "b": 1}))
+        print_ending(ExplorationResult(Path("s.db"), 0, 2, "it ended", failure_counts={"a": 1, "b": 1}))
     assert ended.value.exit_code == 1

@@ -11,13 +11,13 @@ import pytest
 from command_line import cornercase
 from conftest import car, moving, scenario_file
 from cornercase import InputError, compare
-from cornercase import test as run_suite
+from cornercase import run_suite as run_scenarios
 from cornercase.clustering import analyze
 from cornercase.exploration import explore
-from cornercase.metrics import METRICS, measured
+from cornercase.metrics import METRICS, evaluate_metrics
 from cornercase.reduction import reduce
-from cornercase.report import put_in_words, summarize
-from cornercase.report.contents import page_contents
+from cornercase.report import summary_to_dict, summarize
+from cornercase.report.contents import page_payload
 from cornercase.report.data import read_report_data
 from cornercase.study import Study
 
@@ -60,32 +60,32 @@ def test_a_study_holds_the_most_critical_and_whom_it_is_against(study):
     with Study.open(study, readonly=True) as opened:
         assert opened.meta.other == opened.meta.others == ("Slow", "Oncoming")
         table, made = opened.table(), [METRICS.create(name) for name in METRICS_OF]
-        for k, row in enumerate(opened.done()):
+        for k, row in enumerate(opened.finished_rows()):
             recording = opened.recording(row.id)
-            alone = [measured(made, recording, "Ego", name) for name in opened.meta.others]
+            alone = [evaluate_metrics(made, recording, "Ego", name) for name in opened.meta.others]
             for metric in made:
                 scores = [one[metric.name].score for one in alone]
                 worst = (min if metric.lower_is_critical else max)(scores)
                 assert opened.scores(metric.name)[k] == worst
-                whom = opened.against(metric.name)[row.id]
-                assert whom == table[f"other by {metric.name}"][k] == opened.against_of(row.id)[metric.name]
+                whom = opened.score_sources(metric.name)[row.id]
+                assert whom == table[f"other by {metric.name}"][k] == opened.scenario_score_sources(row.id)[metric.name]
                 if whom is not None:
                     assert scores[opened.meta.others.index(whom)] == worst
-        assert set(opened.against("clearance").values()) == {"Slow", "Oncoming"}
+        assert set(opened.score_sources("clearance").values()) == {"Slow", "Oncoming"}
         # The ego collides with none of them otherwise.
-        assert None in opened.against("traffic-quality").values()
+        assert None in opened.score_sources("traffic-quality").values()
 
 
 def test_collisions_with_one_that_is_not_measured_against_are_told(study):
     with Study.open(study, readonly=True) as opened:
         with_slow, with_parked = (sum(touched(opened, name)) for name in ("Slow", "Parked"))
-        rows = opened.done()
-        page = page_contents(read_report_data(opened))
-        whom = {row.id: opened.against_of(row.id) for row in rows}
+        rows = opened.finished_rows()
+        page = page_payload(read_report_data(opened))
+        whom = {row.id: opened.scenario_score_sources(row.id) for row in rows}
     assert 0 < with_parked < with_slow
     summary = summarize(study)
-    assert (summary.collisions, summary.beside) == (with_slow, {"Parked": with_parked})
-    words = put_in_words(summary)
+    assert (summary.n_collisions, summary.unmeasured_collisions) == (with_slow, {"Parked": with_parked})
+    words = summary_to_dict(summary)
     assert words["other"] == ["Slow", "Oncoming"]
     assert words["collisions_not_measured_against"] == {"Parked": with_parked}
     assert f"Ego touches Parked in {with_parked} of {len(rows)} scenarios" in words["note"]
@@ -102,8 +102,8 @@ def test_all_others_are_resolved_to_their_names(scenario, tmp_path):
     with Study.open(tmp_path / "all.db", readonly=True) as opened:
         assert opened.meta.others == NAMES[1:]
     # The same others, by star or by names, resume the study; different ones do not.
-    assert explored(scenario, tmp_path / "all.db", list(NAMES[1:]), budget=3).ended == 3
-    assert explored(scenario, tmp_path / "all.db", "*", budget=3).ended == 3
+    assert explored(scenario, tmp_path / "all.db", list(NAMES[1:]), budget=3).n_finished == 3
+    assert explored(scenario, tmp_path / "all.db", "*", budget=3).n_finished == 3
     with pytest.raises(InputError, match="metrics against another entity"):
         explored(scenario, tmp_path / "all.db", ["Slow", "Parked"], budget=3)
 
@@ -140,14 +140,14 @@ def test_kinds_the_kept_ones_and_their_verdicts_go_on_with_several(study, scenar
     with Study.open(study, readonly=False) as opened:
         analyze(opened)
         outcomes = opened.outcomes()
-        hits = [any("Ego" in one.entities for one in opened.recording(row.id).collisions) for row in opened.done()]
+        hits = [any("Ego" in one.entities for one in opened.recording(row.id).collisions) for row in opened.finished_rows()]
         reduce(opened, tmp_path / "kept", scenario=scenario, size=4)
     assert [text.endswith(" collide") for text in outcomes.values()] == hits
     requirements = ["clearance > 0.5", "ego.speed < 30", "other.speed < 9"]
-    found = run_suite(tmp_path / "kept", tmp_path / "run.db", require=requirements, against=study)
+    found = run_scenarios(tmp_path / "kept", tmp_path / "run.db", require=requirements, against=study)
     with Study.open(tmp_path / "run.db", readonly=True) as opened:
         assert opened.meta.others == ("Slow", "Oncoming")
-        for one, row in zip(found.scenarios, opened.done(), strict=True):
+        for one, row in zip(found.scenarios, opened.finished_rows(), strict=True):
             assert one.difference is not None
             assert one.difference.same
             near, own, fast = one.verdicts

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from cornercase._common.errors import InputError
-from cornercase.metrics import CriticalIf, Formula, condition_of, measure, measured
+from cornercase.metrics import CriticalIf, Formula, find_critical_if_condition, measure, evaluate_metrics
 from two_cars import met
 
 X = np.arange(6) * 1.0
@@ -31,11 +31,11 @@ def run(gap, collides=None):
     ],
 )
 def test_a_condition_has_one_way_of_writing_and_is_read_again_as_the_same(given, text):
-    read = CriticalIf.of(given)
+    read = CriticalIf.from_text(given)
     assert read.name == f"critical-if:{text}"
-    assert CriticalIf.of(text).condition == read.condition
-    assert condition_of(["ttc", read.name]) == text
-    assert condition_of(["ttc"]) == ""
+    assert CriticalIf.from_text(text).condition == read.condition
+    assert find_critical_if_condition(["ttc", read.name]) == text
+    assert find_critical_if_condition(["ttc"]) == ""
 
 
 @pytest.mark.parametrize(
@@ -60,7 +60,7 @@ def test_a_condition_has_one_way_of_writing_and_is_read_again_as_the_same(given,
 )
 def test_what_is_no_condition_is_refused_with_what_helps(given, words):
     with pytest.raises(InputError, match="The condition") as refused:
-        CriticalIf.of(given)
+        CriticalIf.from_text(given)
     assert words in str(refused.value)
 
 
@@ -73,54 +73,54 @@ def test_the_score_is_0_or_below_just_where_the_condition_holds():
     for form in forms:
         for names in itertools.permutations(parts, form.count("{}")):
             text = form.format(*names)
-            made = CriticalIf.of(text)
-            outcomes = {name: parts[f"reference:{name}"] for name in made.references}
+            made = CriticalIf.from_text(text)
+            outcomes = {name: parts[f"reference:{name}"] for name in made.reference_drivers}
             # Python reads it the same way, with brackets where names would not be any.
             expected = eval(form.format(*(str(parts[name]) for name in names)))
-            found = made.look(looked, "Ego", "Other")
-            assert found.holds(outcomes) is expected, text
+            found = made.evaluate(looked, "Ego", "Other")
+            assert found.is_fulfilled(outcomes) is expected, text
             assert (found.score(outcomes) <= 0.0) is expected, text
 
 
 def test_the_distance_from_a_collision_is_the_clearance_and_a_reference_decides_without_any():
-    made = CriticalIf.of("collision and not reference:cc-human")
-    assert (made.unit, made.cap, made.critical, made.lower_is_critical) == ("m", 100.0, 0.0, True)
-    far, touch = made.look(run(3.0), "Ego", "Other"), made.look(run(0.0, collides=0.5), "Ego", "Other")
+    made = CriticalIf.from_text("collision and not reference:cc-human")
+    assert (made.unit, made.cap, made.default_threshold, made.lower_is_critical) == ("m", 100.0, 0.0, True)
+    far, touch = made.evaluate(run(3.0), "Ego", "Other"), made.evaluate(run(0.0, collides=0.5), "Ego", "Other")
     assert far.score({}) == pytest.approx(3.0)
-    assert far.undecided({}) is None
-    assert touch.undecided({}) == "cc-human"
+    assert far.next_reference_to_run({}) is None
+    assert touch.next_reference_to_run({}) == "cc-human"
     assert touch.score({"cc-human": False}) == 0.0
     assert touch.score({"cc-human": True}) == touch.score({"cc-human": None}) == made.cap
     # Touching boxes without a recorded collision do not count.
-    assert made.look(run(0.0), "Ego", "Other").score({}) > 0.0
+    assert made.evaluate(run(0.0), "Ego", "Other").score({}) > 0.0
 
 
 def test_bounds_are_on_scores_and_their_margins_are_combined():
     close = run(3.0)
     scores = measure(close, "Ego", "Other", ["clearance", "ttc"]).scores
-    both, either = CriticalIf.of("clearance < 1 and ttc < 0.2"), CriticalIf.of("clearance < 1 or ttc < 0.2")
+    both, either = CriticalIf.from_text("clearance < 1 and ttc < 0.2"), CriticalIf.from_text("clearance < 1 or ttc < 0.2")
     gaps = scores["clearance"] - 1.0, scores["ttc"] - 0.2
     assert both.unit == "1"
-    assert both.look(close, "Ego", "Other").score({}) == pytest.approx(max(gaps))
-    assert either.look(close, "Ego", "Other").score({}) == pytest.approx(min(gaps))
-    at = CriticalIf.of(f"clearance < {scores['clearance']!r}").look(close, "Ego", "Other")
-    up_to = CriticalIf.of(f"clearance <= {scores['clearance']!r}").look(close, "Ego", "Other")
+    assert both.evaluate(close, "Ego", "Other").score({}) == pytest.approx(max(gaps))
+    assert either.evaluate(close, "Ego", "Other").score({}) == pytest.approx(min(gaps))
+    at = CriticalIf.from_text(f"clearance < {scores['clearance']!r}").evaluate(close, "Ego", "Other")
+    up_to = CriticalIf.from_text(f"clearance <= {scores['clearance']!r}").evaluate(close, "Ego", "Other")
     assert at.score({}) > 0.0 >= up_to.score({})
 
 
 def test_only_the_reference_that_decides_is_asked():
     touch = run(0.0, collides=0.5)
-    made = CriticalIf.of("(clearance > 50 and not reference:a) or (collision and not reference:b and not reference:c)")
-    looked = made.look(touch, "Ego", "Other")
-    assert looked.undecided({}) == "b"
-    assert looked.undecided({"b": True}) is None
-    assert looked.undecided({"b": False}) == "c"
-    assert looked.undecided({"b": None, "c": False}) == "a"
+    made = CriticalIf.from_text("(clearance > 50 and not reference:a) or (collision and not reference:b and not reference:c)")
+    looked = made.evaluate(touch, "Ego", "Other")
+    assert looked.next_reference_to_run({}) == "b"
+    assert looked.next_reference_to_run({"b": True}) is None
+    assert looked.next_reference_to_run({"b": False}) == "c"
+    assert looked.next_reference_to_run({"b": None, "c": False}) == "a"
 
 
 def test_the_course_goes_to_0_at_the_collision_and_is_not_defined_without_the_other():
     touch = run(0.0, collides=0.3)
-    made = CriticalIf.of("collision and not reference:cc-human")
+    made = CriticalIf.from_text("collision and not reference:cc-human")
     course = made.course(touch, "Ego", "Other")
     np.testing.assert_allclose(course, [5.0, 4.0, 3.0, 0.0, 1.0, 0.0])
     touch.x[1, :2] = np.nan
@@ -133,19 +133,19 @@ def test_a_recording_alone_cannot_be_measured_by_it():
             measure(run(1.0), "Ego", "Other", asked)
     with pytest.raises(InputError, match="which a formula cannot use"):
         Formula.parse("critical-if < 1")
-    made = CriticalIf.of("collision")
-    assert set(measured([made], run(1.0), "Ego", "Other")) == {made.name}
+    made = CriticalIf.from_text("collision")
+    assert set(evaluate_metrics([made], run(1.0), "Ego", "Other")) == {made.name}
 
 
 @pytest.mark.parametrize("bound", ["ttc < 10", "clearance < 100", "delta-v > 0", "drac > 0", "thw < 10", "ttc < 9.5"])
 def test_a_bound_at_the_cap_of_its_metric_is_critical_where_it_holds_alone(bound):
     apart = met((-X, 0.0, 0.0, -10.0), (np.full(6, 500.0), 0.0, 0.0, 0.0))
     for text in (bound, f"{bound} and not reference:cc-human"):
-        made = CriticalIf.of(text)
-        found = made.look(apart, "Ego", "Other")
-        assert found.holds({}) is False
+        made = CriticalIf.from_text(text)
+        found = made.evaluate(apart, "Ego", "Other")
+        assert found.is_fulfilled({}) is False
         assert 0.0 < found.score({}) <= made.cap
     # The score distinguishes runs far beyond the bound from runs near it.
-    near, nearer = (CriticalIf.of(bound).look(run(gap), "Ego", "Other") for gap in (3.0, 2.0))
+    near, nearer = (CriticalIf.from_text(bound).evaluate(run(gap), "Ego", "Other") for gap in (3.0, 2.0))
     if bound.startswith(("ttc", "clearance", "thw")):
         assert nearer.score({}) < near.score({}) < 0.0

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from conftest import at_night
-from cornercase.metrics import METRICS, measured
+from cornercase.metrics import METRICS, evaluate_metrics
 from cornercase.recordings import Collision, Recording
 
 TIME = np.arange(0.0, 8.0, 0.05)
@@ -19,7 +19,7 @@ def recording(ways, speeds, headings, stops=False):
     """Two cars on paths (2, T, 2) of their centres; optionally it ends with the first contact."""
     ways, speeds = np.asarray(ways, dtype=np.float64), np.asarray(speeds, dtype=np.float64)
     found = Recording(
-        time=TIME, names=("Ego", "Other"), kinds=("car", "car"), x=ways[..., 0], y=ways[..., 1],
+        time=TIME, names=("Ego", "Other"), object_types=("car", "car"), x=ways[..., 0], y=ways[..., 1],
         heading=np.repeat(np.asarray(headings, dtype=np.float64)[:, None], len(TIME), 1), speed=speeds,
         acceleration=np.gradient(speeds, TIME, axis=1), length=np.full(2, 4.5), width=np.full(2, 1.8),
         center_x=np.zeros(2),
@@ -30,7 +30,7 @@ def recording(ways, speeds, headings, stops=False):
     last = touching[0] + 1 if stops else len(TIME)
     parts = {name: getattr(found, name)[:, :last] for name in ("x", "y", "heading", "speed", "acceleration")}
     return Recording(
-        time=TIME[:last], names=found.names, kinds=found.kinds, length=found.length, width=found.width,
+        time=TIME[:last], names=found.names, object_types=found.object_types, length=found.length, width=found.width,
         center_x=found.center_x, collisions=(Collision(float(TIME[touching[0]]), ("Ego", "Other")),), **parts,
     ), True  # fmt: skip
 
@@ -74,7 +74,7 @@ def met(encounter: str, how: float, stops: bool) -> tuple[Recording, bool]:
 
 def oriented(name, found):
     metric = METRICS.create(name)
-    return metric.oriented(measured([metric], found, "Ego", "Other")[metric.name][1])
+    return metric.to_minimize(evaluate_metrics([metric], found, "Ego", "Other")[metric.name][1])
 
 
 @pytest.mark.parametrize("stops", at_night([True, False], {True}), ids=["stop", "continue"])
@@ -112,7 +112,7 @@ def test_a_recorded_contact_counts_between_two_instants_too():
     first = int(np.argmax(touching))
     early = {one: getattr(found, one)[:, :first] for one in ("x", "y", "heading", "speed", "acceleration")}
     without = Recording(
-        time=TIME[:first], names=found.names, kinds=found.kinds, length=found.length, width=found.width,
+        time=TIME[:first], names=found.names, object_types=found.object_types, length=found.length, width=found.width,
         center_x=found.center_x, **early,
     )  # fmt: skip
     told = Recording(**{**vars(without), "collisions": (Collision(float(TIME[first]), ("Ego", "Other")),)})

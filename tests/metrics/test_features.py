@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from cornercase._common.errors import InputError
-from cornercase.metrics import FEATURES, Clearance, Feature, FeatureGroup, features_of, known_features
+from cornercase.metrics import FEATURES, Clearance, Feature, FeatureGroup, compute_features, registered_features
 from cornercase.recordings import Collision, Recording
 
 TIME = np.arange(0.0, 10.05, 0.1)
@@ -23,7 +23,7 @@ def meeting(late=2.0, ego_speed=8.0, slow=None, collisions=()):
     return Recording(
         time=TIME,
         names=("Ego", "B"),
-        kinds=("car", "car"),
+        object_types=("car", "car"),
         x=np.stack([x, still]),
         y=np.stack([still, 5.0 * (TIME - 5.0 + late)]),
         heading=np.stack([still, still + 0.5 * np.pi]),
@@ -37,7 +37,7 @@ def meeting(late=2.0, ego_speed=8.0, slow=None, collisions=()):
 
 
 def told(recording, ego="Ego", other="B"):
-    return dict(zip([one.name for one in known_features()], features_of([recording], ego, other)[0], strict=True))
+    return dict(zip([one.name for one in registered_features()], compute_features([recording], ego, other)[0], strict=True))
 
 
 def test_the_features_say_what_happens():
@@ -174,11 +174,11 @@ def test_an_entity_that_is_not_there_leaves_nothing_unknown(gone, who):
 
 
 def test_failed_scenarios_have_no_features():
-    rows = features_of([None, meeting()], "Ego", "B")
-    assert rows.shape == (2, len(known_features()))
+    rows = compute_features([None, meeting()], "Ego", "B")
+    assert rows.shape == (2, len(registered_features()))
     assert np.isnan(rows[0]).all()
     assert np.isfinite(rows[1]).all()
-    assert features_of([], "Ego", "B").shape == (0, len(known_features()))
+    assert compute_features([], "Ego", "B").shape == (0, len(registered_features()))
 
 
 class Broken(FeatureGroup):
@@ -186,18 +186,18 @@ class Broken(FeatureGroup):
 
     name, features = "broken", (Feature("one", "1"), Feature("two", "1"))
 
-    def values(self, meeting):
+    def values(self, encounter):
         return np.array([1.0])
 
 
 def test_a_group_that_gives_something_else_is_refused(monkeypatch):
-    monkeypatch.setattr(FEATURES, "_factories", {**FEATURES._factories, "broken": (Broken, {})})
+    monkeypatch.setattr(FEATURES, "_factories", {**FEATURES._factories, "find_violations": (Broken, {})})
     with pytest.raises(InputError, match=r"'broken' returned \[1\.0\]"):
-        features_of([meeting()], "Ego", "B")
+        compute_features([meeting()], "Ego", "B")
     with pytest.raises(InputError, match="no entity 'C'"):
-        features_of([meeting()], "Ego", "C")
+        compute_features([meeting()], "Ego", "C")
 
 
 def test_names_of_features_are_different():
-    names = [one.name for one in known_features()]
+    names = [one.name for one in registered_features()]
     assert len(set(names)) == len(names)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from cornercase._common.errors import InputError
-from cornercase.metrics import METRICS, Formula, Signals, measure, signals_of
+from cornercase.metrics import METRICS, Formula, Signals, measure, signals_from_recording
 from oracle import actor, recorded
 
 TIME = np.array([0.0, 0.1, 0.2, 0.3])
@@ -43,7 +43,7 @@ def signals(**values):
 )  # fmt: skip
 def test_formulas_are_read_and_written_in_one_way(text, canonical, metrics, unit, temporal):
     formula = Formula.parse(text)
-    assert (formula.text, formula.metrics, formula.unit, formula.temporal) == (canonical, metrics, unit, temporal)
+    assert (formula.text, formula.metrics, formula.unit, formula.is_temporal) == (canonical, metrics, unit, temporal)
     again = Formula.parse(formula.text)
     assert again == formula or text.count("s^2") + text.count("ms") + text.count("5s") > 0
     assert again.text == canonical
@@ -139,9 +139,9 @@ def test_where_a_signal_is_not_defined_nothing_is_violated():
     np.testing.assert_array_equal(Formula.parse("not ttc < 1.5").robustness(given), [0.5, 0.5, np.inf, np.inf])
     implied = Formula.parse("ttc < 3 -> ego.acceleration < 0")
     np.testing.assert_array_equal(implied.robustness(given), [0, 0, np.inf, np.inf])
-    assert Formula.parse("ttc > 1").observed(given)
+    assert Formula.parse("ttc > 1").is_defined(given)
     never = Formula.parse("pet > 1")
-    assert not never.observed(given)
+    assert not never.is_defined(given)
     assert never.holds(given).all()
     # An undefined comparison does not affect the others.
     assert Formula.parse("pet > 1 and ttc > 3").robustness(given)[0] == -1.0
@@ -152,17 +152,17 @@ def test_where_a_signal_is_not_defined_nothing_is_violated():
 
 def test_signals_are_those_of_the_recording():
     recording = recorded([actor(v=20, a=-1), actor(x=34, v=10, y=1)], [0.0, 0.1, 0.2])
-    given = signals_of(recording, "0", "1")
+    given = signals_from_recording(recording, "0", "1")
     assert Formula.parse("ego.speed > 0").robustness(given)[0] == recording.speed[0].min()
     assert Formula.parse("other.x > 0").robustness(given)[0] == recording.x[1].min()
     assert Formula.parse("time >= 0").robustness(given).tolist() == [0.0, 0.1, 0.2]
     course = METRICS.create("ttc:accelerating=true").course(recording, "0", "1")
     assert Formula.parse("ttc:accelerating=true > 1").robustness(given)[0] == course.min() - 1
     # Given courses are not computed again.
-    known = signals_of(recording, "0", "1", {"ttc": np.array([5.0, 4.0, 3.0])})
+    known = signals_from_recording(recording, "0", "1", {"ttc": np.array([5.0, 4.0, 3.0])})
     assert Formula.parse("ttc > 1").robustness(known)[0] == 2.0
     with pytest.raises(InputError, match="no entity 'nobody'"):
-        signals_of(recording, "0", "nobody")
+        signals_from_recording(recording, "0", "nobody")
 
 
 @pytest.mark.parametrize("name", ["clearance", "distance", "ttc", "wttc", "pet", "tet", "msd", "ttc:severity=true"])

@@ -2,10 +2,10 @@
 
 import numpy as np
 
-from cornercase._common.box_tree import box_tree
-from cornercase._common.geometry import box_axes, box_corners, separation
-from cornercase._common.meetings import Meetings
-from cornercase.metrics._parts.hulls import fill_axes, fill_bounds, find_meetings, least_gap
+from cornercase._common.box_tree import build_aabb_tree
+from cornercase._common.geometry import box_axes, box_corners, separating_gap
+from cornercase._common.meetings import OverlapRuns
+from cornercase.metrics._parts.hulls import compute_separating_axes, compute_hull_bounds, find_overlapping_hulls, gap_to_nearest_hull
 
 
 def moved(rng, count):
@@ -25,18 +25,18 @@ def test_hulls_meet_where_no_axis_separates_them():
     rng = np.random.default_rng(0)
     a, b = moved(rng, 30), moved(rng, 40)
     axes_a, axes_b = np.empty_like(a), np.empty_like(b)
-    fill_axes(a, axes_a)
-    fill_axes(b, axes_b)
+    compute_separating_axes(a, axes_a)
+    compute_separating_axes(b, axes_b)
     np.testing.assert_allclose(axes_a, axes_of(a), rtol=0.0, atol=1e-14)
-    gap = separation(a[:, None], axes_a[:, None], b, axes_b)
+    gap = separating_gap(a[:, None], axes_a[:, None], b, axes_b)
     bounds = np.empty((40, 4))
-    fill_bounds(b, bounds)
-    tree = box_tree(bounds)
+    compute_hull_bounds(b, bounds)
+    tree = build_aabb_tree(bounds)
     far = np.full(30, 100.0), np.full(40, 100.0)
 
     def meeting(reach):
-        found = Meetings(find_meetings(a, axes_a, a.mean(1), reach[0], b, axes_b, b.mean(1), reach[1], tree), (30, 40))
-        return np.array([found.met_by(i) for i in range(30)])
+        found = OverlapRuns(find_overlapping_hulls(a, axes_a, a.mean(1), reach[0], b, axes_b, b.mean(1), reach[1], tree), (30, 40))
+        return np.array([found.overlaps_of_step(i) for i in range(30)])
 
     meets = meeting(far)
     assert 0 < meets.sum() < meets.size
@@ -51,13 +51,13 @@ def test_gap_to_the_nearest_hull_on_the_way():
     axes = axes_of(b)
     for share in (0.3, 1.0):
         reached = np.concatenate([a[:4], a[:4] + share * (a[4:] - a[:4])])
-        expected = separation(reached, axes_of(reached[None])[0], b, axes).min()
-        assert least_gap(a[:4], a[4:] - a[:4], share, b, axes) == expected
+        expected = separating_gap(reached, axes_of(reached[None])[0], b, axes).min()
+        assert gap_to_nearest_hull(a[:4], a[4:] - a[:4], share, b, axes) == expected
 
 
 def test_a_box_that_stands_has_axes_too():
     box = box_corners(1.0, 2.0, 0.3, 4.0, 2.0)
     axes = np.empty((1, 8, 2))
-    fill_axes(np.concatenate([box, box])[None], axes)
+    compute_separating_axes(np.concatenate([box, box])[None], axes)
     np.testing.assert_array_equal(axes[0, :2], box_axes(box))
     np.testing.assert_array_equal(axes[0, 4:], np.tile([1.0, 0.0], (4, 1)))

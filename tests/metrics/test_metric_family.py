@@ -41,7 +41,7 @@ from cornercase.metrics import (
     Ttc,
     Ttce,
 )
-from cornercase.metrics.rss import lateral_minimum, longitudinal_minimum, opposite_minimum
+from cornercase.metrics.rss import min_lateral_gap, min_longitudinal_gap, min_oncoming_gap
 from oracle import actor, agrees, cases, follows, recorded
 from scenes import TIME, quick, same, scenes
 
@@ -371,7 +371,7 @@ def test_encroachment_time_of_one_who_stays_and_one_who_is_cut_off():
     crossing = actor(y=-50, yaw=math.pi / 2, v=10)
     stays = recorded([actor(x=-30, v=10, a=-100 / 60), crossing], np.arange(0, 10, 0.05))
     assert EncroachmentTime().course(stays, "0", "1")[0] == math.inf
-    assert EncroachmentTime().score(EncroachmentTime().course(stays, "0", "1")) == EncroachmentTime.most_critical
+    assert EncroachmentTime().score(EncroachmentTime().course(stays, "0", "1")) == EncroachmentTime.bound
     close(EncroachmentTime().course(stays, "1", "0")[0], 0.6)
     cut = recorded([actor(x=-30, v=5), crossing], np.arange(0, 6.01, 0.05))
     assert np.isnan(EncroachmentTime().course(cut, "0", "1")).all()
@@ -504,12 +504,12 @@ def test_rss_closed_forms():
 def test_rss_minima_grow_with_speed_and_response():
     speeds = np.linspace(0, 40, 41)
     fixed = (1.0, 3.5, 4.0, 8.0)
-    assert (np.diff(longitudinal_minimum(speeds, np.full(41, 10.0), *fixed)) >= 0).all()
-    assert (np.diff(longitudinal_minimum(np.full(41, 20.0), speeds, *fixed)) <= 0).all()
-    assert (np.diff(opposite_minimum(speeds, speeds, 1.0, 3.5, 3.0, 4.0)) > 0).all()
+    assert (np.diff(min_longitudinal_gap(speeds, np.full(41, 10.0), *fixed)) >= 0).all()
+    assert (np.diff(min_longitudinal_gap(np.full(41, 20.0), speeds, *fixed)) <= 0).all()
+    assert (np.diff(min_oncoming_gap(speeds, speeds, 1.0, 3.5, 3.0, 4.0)) > 0).all()
     towards = np.linspace(-3, 3, 41)
-    assert (np.diff(lateral_minimum(towards, towards, 1.0, 0.2, 0.8, 0.1)) >= 0).all()
-    assert lateral_minimum(towards, towards, 1.0, 0.2, 0.8, 0.1).min() == 0.1
+    assert (np.diff(min_lateral_gap(towards, towards, 1.0, 0.2, 0.8, 0.1)) >= 0).all()
+    assert min_lateral_gap(towards, towards, 1.0, 0.2, 0.8, 0.1).min() == 0.1
 
 
 @pytest.mark.parametrize(
@@ -541,7 +541,7 @@ def test_turning_and_moving_the_scene_changes_no_metric(scene, angle, east, nort
     )
     for name in FAMILY:
         metric = METRICS.create(name)
-        here, there = (metric.capped(metric.course(one, "0", "1")) for one in (scene, moved))
+        here, there = (metric.clip_course(metric.course(one, "0", "1")) for one in (scene, moved))
         # Where a contact just grazes, or a gap just closes, rounding decides; that is a matter of 1e-9 m.
         differs = ~np.isclose(here, there, rtol=1e-6, atol=1e-6)
         assert differs.mean() <= 0.1, name

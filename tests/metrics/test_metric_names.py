@@ -90,23 +90,23 @@ def test_of_a_metric_only_its_course_has_to_be_written():
         name, unit, lower_is_critical, cap = "speed-difference", "m/s", False, 0.0
 
         def course(self, recording, ego, other):
-            return np.abs(recording.speed[recording.index(ego)] - recording.speed[recording.index(other)])
+            return np.abs(recording.speed[recording.entity_index(ego)] - recording.speed[recording.entity_index(other)])
 
     metric = SpeedDifference()
     course = metric.course(recorded([actor(v=20), actor(x=34, v=10)], [0.0, 0.1]), "0", "1")
     assert metric.score(course) == 10.0
-    np.testing.assert_array_equal(metric.capped(np.array([np.nan, -1.0, np.inf])), [0.0, 0.0, np.inf])
-    assert (metric.most_critical, metric.critical, metric.source) == (None, None, "")
+    np.testing.assert_array_equal(metric.clip_course(np.array([np.nan, -1.0, np.inf])), [0.0, 0.0, np.inf])
+    assert (metric.bound, metric.default_threshold, metric.source) == (None, None, "")
     with pytest.raises(InputError, match="no default threshold"):
-        metric.find_threshold()
-    assert metric.find_threshold(3) == 3.0
+        metric.resolve_threshold()
+    assert metric.resolve_threshold(3) == 3.0
 
 
 def test_oriented_scores_are_lower_where_more_critical():
     scores = np.array([1.0, 2.0])
     for metric in map(METRICS.create, METRICS.names()):
-        assert metric.oriented(scores).argmin() == (0 if metric.lower_is_critical else 1)
-        np.testing.assert_array_equal(metric.oriented(metric.oriented(scores)), scores)
+        assert metric.to_minimize(scores).argmin() == (0 if metric.lower_is_critical else 1)
+        np.testing.assert_array_equal(metric.to_minimize(metric.to_minimize(scores)), scores)
 
 
 def test_a_recording_is_measured_from_python_as_on_the_command_line(tmp_path):
@@ -120,7 +120,7 @@ def test_a_recording_is_measured_from_python_as_on_the_command_line(tmp_path):
     )
     printed = [line.split() for line in given.output.splitlines()]
     assert [line.split() for line in repr(found).splitlines()] == printed[: len(found.scores) + 1]
-    table = found.table()
+    table = found.to_dataframe()
     assert list(table.columns) == ["ttc", "drac", "pet"]
     assert table.index.name == "time"
     np.testing.assert_array_equal(table["ttc"], METRICS.create("ttc").course(recording, "0", "1"))

@@ -84,7 +84,7 @@ def test_values_are_finite_after_the_cap_and_never_negative(scene):
         assert course.shape == TIME.shape
         known = course[~np.isnan(course)]
         assert name == "rss" or (known <= 0 if name == "a-long-req" else known >= 0).all()
-        held = metric.capped(course)
+        held = metric.clip_course(course)
         assert np.isfinite(held).all()
         assert metric.score(course) == (held.min() if metric.lower_is_critical else held.max())
 
@@ -172,7 +172,7 @@ def test_pet_of_straight_tracks_is_that_of_the_swept_parallelogram(angle, d1, d2
     scene = Recording(
         time=time,
         names=("0", "1"),
-        kinds=("car", "car"),
+        object_types=("car", "car"),
         x=x,
         y=y,
         heading=headings,

@@ -21,7 +21,7 @@ from cornercase.metrics import (
     Ttc,
     Wttc,
 )
-from cornercase.metrics.wttc import worst_contact
+from cornercase.metrics.wttc import earliest_circle_contact
 from cornercase.recordings import Recording
 from oracle import CASES, WITHOUT_TRACKS, actor, agrees, cases, follows, recorded
 
@@ -155,7 +155,7 @@ def test_each_metric_says_what_it_is_and_takes_odd_recordings(name):
         course = metric.course(odd, "0", "1")
         assert course.shape == odd.time.shape
         assert course.dtype == np.float64
-        assert np.isfinite(metric.capped(course)).all()
+        assert np.isfinite(metric.clip_course(course)).all()
         assert math.isfinite(metric.score(course))
     if name not in AS_A_WHOLE | SUMS | AHEAD:
         assert np.isnan(metric.course(gone, "0", "1")[:10]).all()
@@ -204,7 +204,7 @@ def together(time, *tracks) -> Recording:
     return Recording(
         time=np.asarray(time, dtype=float),
         names=tuple(str(i) for i in range(n)),
-        kinds=("car",) * n,
+        object_types=("car",) * n,
         x=np.array([p[:, 0] for p in points]),
         y=np.array([p[:, 1] for p in points]),
         heading=np.array(heading),
@@ -341,10 +341,10 @@ def test_wttc_limits_by_kind():
 def test_wttc_that_just_grazes():
     """Without growth, a pass at exactly the distance R touches when level, one a little wider never does."""
     moving = np.array([-10.0, 0.0])
-    assert worst_contact(np.array([20.0, 3.0]), moving, 3.0, 0.0) == pytest.approx(2, abs=1e-6)
-    assert worst_contact(np.array([20.0, 3.0 + 1e-9]), moving, 3.0, 0.0) == np.inf
-    assert worst_contact(np.array([20.0, 3.0 - 1e-9]), moving, 3.0, 0.0) == pytest.approx(2, abs=1e-4)
-    assert worst_contact(np.array([3.0, 0.0]), moving, 3.0, 1.0) == 0
+    assert earliest_circle_contact(np.array([20.0, 3.0]), moving, 3.0, 0.0) == pytest.approx(2, abs=1e-6)
+    assert earliest_circle_contact(np.array([20.0, 3.0 + 1e-9]), moving, 3.0, 0.0) == np.inf
+    assert earliest_circle_contact(np.array([20.0, 3.0 - 1e-9]), moving, 3.0, 0.0) == pytest.approx(2, abs=1e-4)
+    assert earliest_circle_contact(np.array([3.0, 0.0]), moving, 3.0, 1.0) == 0
 
 
 def test_wttc_near_double_roots_finds_the_first_of_them():
@@ -360,11 +360,11 @@ def test_wttc_near_double_roots_finds_the_first_of_them():
     critical = brentq(nearest, 2.5, 3.5, xtol=1e-13)
     for below in (1e-1, 1e-3, 1e-5, 1e-7, 1e-8):
         offset = critical - below
-        found = worst_contact(np.array([40.0, offset]), np.array([-20.0, 0.0]), 2.0, 0.5)
+        found = earliest_circle_contact(np.array([40.0, offset]), np.array([-20.0, 0.0]), 2.0, 0.5)
         assert found < 2.1
         assert gap(float(found), offset) == pytest.approx(0, abs=1e-9)
         assert gap(float(found) - 1e-6, offset) > 0
-    missed = worst_contact(np.array([40.0, critical + 1e-3]), np.array([-20.0, 0.0]), 2.0, 0.5)
+    missed = earliest_circle_contact(np.array([40.0, critical + 1e-3]), np.array([-20.0, 0.0]), 2.0, 0.5)
     assert missed > 10
 
 
@@ -374,7 +374,7 @@ def test_wttc_is_the_smallest_root_of_the_quartic():
     velocity = rng.normal(size=(2000, 2)) * 10 ** rng.uniform(-1, 1.5, (2000, 1))
     velocity[::2] = -position[::2] / rng.uniform(0.5, 5, (1000, 1)) + rng.normal(size=(1000, 2))
     radius, growth = rng.uniform(0.5, 8, 2000), 10 ** rng.uniform(-2, 1.3, 2000)
-    found = worst_contact(position, velocity, radius, growth)
+    found = earliest_circle_contact(position, velocity, radius, growth)
     several = 0
     for p, v, r, a, t in zip(position, velocity, radius, growth, found, strict=True):
         if np.hypot(*p) <= r:

@@ -9,8 +9,8 @@ import pytest
 from hypothesis import given
 
 from cornercase import InputError
-from cornercase.metrics import METRICS, features_of, known_features, measure, measured, name_others, nearest_other
-from cornercase.recordings import MOTION, Collision
+from cornercase.metrics import METRICS, compute_features, registered_features, measure, evaluate_metrics, resolve_others, nearest_other
+from cornercase.recordings import MOTION_ARRAYS, Collision
 from scenes import drive, quick, scenes
 from two_cars import met
 
@@ -23,8 +23,8 @@ NAMES = ("distance", "clearance", "wttc", "ttc", "drac", "pet", "tet", "delta-v"
 def test_of_several_the_most_critical_counts_and_is_named(scene):
     metrics = [METRICS.create(name) for name in NAMES]
     others = scene.names[1:]
-    together = measured(metrics, scene, "0", others)
-    alone = {name: measured(metrics, scene, "0", name) for name in others}
+    together = evaluate_metrics(metrics, scene, "0", others)
+    alone = {name: evaluate_metrics(metrics, scene, "0", name) for name in others}
     for metric in metrics:
         found = together[metric.name]
         worst = min if metric.lower_is_critical else max
@@ -45,7 +45,7 @@ def crowd():
     drives = {"y": 0, "heading": 0.0, "turn": 0.0, "acceleration": 0.0, "length": 4.0, "width": 2.0, "center_x": 0.0}
     rows = [(0, 0, 4.0), (40, 0, 0.0), (5, 6, 4.0), (0, 20, 0.0)]
     found = drive([drives | {"x": x, "y": y, "speed": speed, "kind": "car"} for x, y, speed in rows])
-    motion = {name: getattr(found, name).copy() for name in MOTION}
+    motion = {name: getattr(found, name).copy() for name in MOTION_ARRAYS}
     for rows_of in motion.values():
         rows_of[3] = np.nan
     return replace(found, names=("Ego", "Ahead", "Beside", "Ghost"), **motion)
@@ -54,8 +54,8 @@ def crowd():
 def test_one_that_is_never_there_counts_as_nothing():
     scene = crowd()
     metrics = [METRICS.create(name) for name in ("clearance", "ttc", "tet")]
-    without = measured(metrics, scene, "Ego", ["Ahead", "Beside"])
-    with_it = measured(metrics, scene, "Ego", ["Ghost", "Ahead", "Beside"])
+    without = evaluate_metrics(metrics, scene, "Ego", ["Ahead", "Beside"])
+    with_it = evaluate_metrics(metrics, scene, "Ego", ["Ghost", "Ahead", "Beside"])
     for name, one in without.items():
         np.testing.assert_array_equal(one.course, with_it[name].course)
         assert (one.score, one.against) == (with_it[name].score, with_it[name].against)
@@ -63,14 +63,14 @@ def test_one_that_is_never_there_counts_as_nothing():
     assert without["ttc"].against == "Ahead"
     # The time to collision is never short here, with any entity.
     assert without["tet"].against is None
-    nobody = measured(metrics, scene, "Ego", ["Ghost", "Phantom"])
+    nobody = evaluate_metrics(metrics, scene, "Ego", ["Ghost", "Phantom"])
     assert nobody["ttc"].score == METRICS.create("ttc").cap
     assert nobody["ttc"].against is None
 
 
 def test_whom_the_ego_touches_decides_the_scores_of_a_contact():
     scene = replace(crowd(), collisions=(Collision(1.0, ("Ego", "Beside")),))
-    found = measured([METRICS.create("pet"), METRICS.create("ttc")], scene, "Ego", ["Ahead", "Beside"])
+    found = evaluate_metrics([METRICS.create("pet"), METRICS.create("ttc")], scene, "Ego", ["Ahead", "Beside"])
     assert (found["pet"].score, found["pet"].against) == (0.0, "Beside")
     assert (found["ttc"].score, found["ttc"].against) == (0.0, "Beside")
 
@@ -81,7 +81,7 @@ def test_a_measurement_names_whom_it_is_against_only_where_there_are_several():
     assert "against" not in repr(measure(scene, "Ego", "Ahead", ["ttc"]))
     everybody = measure(scene, "Ego", "*", ["ttc", "traffic-quality"])
     assert everybody.against == {"ttc": "Ahead", "traffic-quality": None}
-    assert everybody.head()[-1] == "against"
+    assert everybody.column_names()[-1] == "against"
     assert [row[-1] for row in everybody.rows()] == ["Ahead", "–"]
 
 
@@ -103,36 +103,36 @@ def test_whom_nobody_can_measure_against_is_refused(other, words):
 
 
 def test_names_are_taken_once_and_a_star_is_everybody_else():
-    assert name_others(["B", "A", "B"], "Ego", ()) == ("B", "A")
-    assert name_others("*", "Ego", ("A", "Ego", "B")) == ("A", "B")
-    assert name_others(["B", "*"], "Ego", ("A", "Ego", "B")) == ("B", "A")
-    assert name_others("A,B", "Ego", ("A,B", "A", "B", "Ego")) == ("A,B",)
+    assert resolve_others(["B", "A", "B"], "Ego", ()) == ("B", "A")
+    assert resolve_others("*", "Ego", ("A", "Ego", "B")) == ("A", "B")
+    assert resolve_others(["B", "*"], "Ego", ("A", "Ego", "B")) == ("B", "A")
+    assert resolve_others("A,B", "Ego", ("A,B", "A", "B", "Ego")) == ("A,B",)
     with pytest.raises(InputError, match="`other` A, B: is not an entity; give several one by one"):
-        name_others("A, B", "Ego", ("A", "Ego", "B"))
+        resolve_others("A, B", "Ego", ("A", "Ego", "B"))
     with pytest.raises(InputError, match="there is no entity but Ego"):
-        name_others("*", "Ego", ("Ego",))
+        resolve_others("*", "Ego", ("Ego",))
 
 
 def test_features_are_of_the_one_that_is_touched_or_comes_nearest():
     scene = crowd()
     assert nearest_other(scene, "Ego", ["Ghost", "Ahead", "Beside"]) == "Beside"
     np.testing.assert_array_equal(
-        features_of([scene], "Ego", ["Ghost", "Ahead", "Beside"]), features_of([scene], "Ego", "Beside")
+        compute_features([scene], "Ego", ["Ghost", "Ahead", "Beside"]), compute_features([scene], "Ego", "Beside")
     )
     hit = replace(scene, collisions=(Collision(2.0, ("Ego", "Ahead")),))
-    found = features_of([hit], "Ego", ["Beside", "Ahead"])[0]
-    contact = [one.name for one in known_features()].index("contact")
+    found = compute_features([hit], "Ego", ["Beside", "Ahead"])[0]
+    contact = [one.name for one in registered_features()].index("contact")
     assert found[contact] == 1.0
-    np.testing.assert_array_equal(found, features_of([hit], "Ego", "Ahead")[0])
+    np.testing.assert_array_equal(found, compute_features([hit], "Ego", "Ahead")[0])
 
 
 def test_an_entity_that_a_recording_lacks_is_added_as_one_that_is_never_there():
     known = met((np.arange(3.0), 0.0, 0.0, 10.0), (np.full(3, 20.0), 0.0, 0.0, 0.0))
-    assert known.with_absent(["Other"]) is known
-    more = known.with_absent(["Third", "Other"])
+    assert known.with_absent_entities(["Other"]) is known
+    more = known.with_absent_entities(["Third", "Other"])
     assert more.names == ("Ego", "Other", "Third")
     assert np.isnan(more.x[2]).all()
     assert more.x[:2].tolist() == known.x.tolist()
-    alone = measured([METRICS.create("ttc")], known, "Ego", "Other")["ttc"]
-    both = measured([METRICS.create("ttc")], known, "Ego", ["Third", "Other"])["ttc"]
+    alone = evaluate_metrics([METRICS.create("ttc")], known, "Ego", "Other")["ttc"]
+    both = evaluate_metrics([METRICS.create("ttc")], known, "Ego", ["Third", "Other"])["ttc"]
     assert (both.score, both.against) == (alone.score, "Other")

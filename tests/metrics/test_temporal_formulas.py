@@ -13,7 +13,7 @@ import cornercase as cc
 from conftest import examples
 from cornercase._common.errors import InputError
 from cornercase.metrics import METRICS, Formula, Signals
-from cornercase.metrics.formulas.terms import Predicate
+from cornercase.metrics.formulas.terms import Comparison
 from oracle import actor, recorded
 
 rtamt = pytest.importorskip("rtamt", reason="it is there for Python up to 3.12")
@@ -34,7 +34,7 @@ def robustness(text, given):
 
 def defined(node, margins, time):
     """Robustness from the definition: of each instant by itself, over the times in the interval, not by steps."""
-    if isinstance(node, Predicate):
+    if isinstance(node, Comparison):
         return margins[node]
     found = [defined(one, margins, time) for one in node.operands]
     if node.operator == "not":
@@ -75,7 +75,7 @@ comparisons = st.builds(
     lambda name, relation, bound: f"({name} {relation} {bound})",
     st.sampled_from(sorted(SIGNALS)), st.sampled_from(["<", "<=", ">", ">="]), numbers,
 )  # fmt: skip
-intervals = st.one_of(
+intervals = st.require_one_of(
     st.just(""), st.tuples(st.integers(0, 14), st.integers(0, 14)).map(lambda p: f"[{100 * min(p)}ms:{100 * max(p)}ms]")
 )
 
@@ -84,7 +84,7 @@ def nested(inner):
     one = st.tuples(st.sampled_from(["always", "eventually"]), intervals, inner).map(lambda p: f"({p[0]}{p[1]} {p[2]})")
     two = st.tuples(inner, st.sampled_from(["and", "or", "->"]), inner).map(lambda p: f"({p[0]} {p[1]} {p[2]})")
     lasting = st.tuples(inner, intervals, inner).map(lambda p: f"({p[0]} until{p[1]} {p[2]})")
-    return st.one_of(one, two, lasting, inner.map(lambda text: f"(not {text})"))
+    return st.require_one_of(one, two, lasting, inner.map(lambda text: f"(not {text})"))
 
 
 formulas = st.recursive(comparisons, nested, max_leaves=6).map(lambda text: f"always[0:0]({text})")
@@ -189,7 +189,7 @@ def test_instants_at_which_a_signal_is_not_defined_are_left_out():
         ("eventually(pet < 1 and ego.speed < 2)", [1, 1, 1, -7, -7]),
     ):
         np.testing.assert_array_equal(robustness(text, gaps), found, err_msg=text)
-    assert not Formula.parse("always(ttc > 1) and eventually(pet < 1)").observed(gaps)
+    assert not Formula.parse("always(ttc > 1) and eventually(pet < 1)").is_defined(gaps)
     # RTAMT by itself goes wrong there.
     assert not np.array_equal(told_to_rtamt("always (ttc > 1)", gaps), [1, 1, 1, 1, np.inf])
 
@@ -220,9 +220,9 @@ def test_without_rtamt_no_study_is_begun(monkeypatch, tmp_path):
 
 def test_the_metric_of_a_formula():
     metric = METRICS.create("stl:always[0:5] (clearance > 0.5)")
-    assert (metric.name, metric.unit, metric.critical) == ("stl:always[0:5] (clearance > 0.5)", "m", 0.0)
-    assert (metric.cap, metric.most_critical) == (99.5, -100.0)
-    assert METRICS.create("stl:rss > 1").most_critical == -501.0
+    assert (metric.name, metric.unit, metric.default_threshold) == ("stl:always[0:5] (clearance > 0.5)", "m", 0.0)
+    assert (metric.cap, metric.bound) == (99.5, -100.0)
+    assert METRICS.create("stl:rss > 1").bound == -501.0
     assert METRICS.create("stl:ego.speed < 3 and ttc > 1").cap == 100.0
     assert METRICS.create("stl:always(drac < 4)").cap == 4.0
     passing = recorded([actor(v=20), actor(x=34, y=8, v=1)], np.arange(0, 3, 0.1))
@@ -252,7 +252,7 @@ def test_searching_a_robustness_finds_what_searching_its_metric_finds(tmp_path):
             critical=threshold,
         )
         with cc.Study.open(path, readonly=True) as study:
-            found[name] = (np.array([row.point for row in study.done()]), np.array(study.scores(name)))
+            found[name] = (np.array([row.point for row in study.finished_rows()]), np.array(study.scores(name)))
     (points, scores), (same_points, robust) = found.values()
     np.testing.assert_array_equal(points, same_points)
     np.testing.assert_allclose(robust, scores - 0.5, atol=1e-12)

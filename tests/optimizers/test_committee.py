@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from conftest import at_night
-from cornercase.evidence import Committee, boundary_process
+from cornercase.evidence import Committee, fit_boundary_process
 from cornercase.metrics import Feature
 from cornercase.optimizers import CommitteeOptimizer, LevelSetOptimizer, SobolOptimizer
 from cornercase.scenario import Parameter, ParameterSpace
@@ -54,7 +54,7 @@ def test_it_follows_a_score_that_jumps_where_one_process_cannot(by):
     sure = np.abs(outcome(EVERYWHERE)[1][:, 1]) > 0.1
     assert (branch[sure] > 0.8).mean() > 0.95
     others = chosen(LevelSetOptimizer(CUBE, 2, THRESHOLD), lambda at: outcome(at)[:1])
-    alone = boundary_process(others, outcome(others)[0], THRESHOLD).predict(EVERYWHERE)[0] < 0.0
+    alone = fit_boundary_process(others, outcome(others)[0], THRESHOLD).predict(EVERYWHERE)[0] < 0.0
     assert recall > agreement(alone, true)[0] + 0.09
 
 
@@ -73,7 +73,7 @@ def test_of_many_scenarios_its_processes_know_those_that_tell_most():
         assert recall > 0.75
         assert precision > 0.75
     # Out-of-fold predictions exist for all scenarios, used by the processes or not.
-    wrong = (some.out_of_fold() > 0.5) != (scores <= THRESHOLD)
+    wrong = (some.out_of_fold_probability() > 0.5) != (scores <= THRESHOLD)
     assert wrong.shape == (300,)
     assert wrong.mean() < 0.1
 
@@ -89,12 +89,12 @@ def test_of_many_scenarios_its_trees_know_those_that_tell_most():
     recall, precision = agreement(some.predict(EVERYWHERE)[0] > 0.5, outcome(EVERYWHERE)[0] <= THRESHOLD)
     assert recall > 0.75
     assert precision > 0.75
-    wrong = (some.out_of_fold() > 0.5) != (scores <= THRESHOLD)
+    wrong = (some.out_of_fold_probability() > 0.5) != (scores <= THRESHOLD)
     assert wrong.shape == (400,)
     assert wrong.mean() < 0.1
     # Further scenarios use the same kernels.
-    some.know(points[:300], scores[:300], features[:300])
-    assert some.out_of_fold().shape == (300,)
+    some.condition_on(points[:300], scores[:300], features[:300])
+    assert some.out_of_fold_probability().shape == (300,)
 
 
 @pytest.mark.slow
@@ -160,7 +160,7 @@ def test_choices_and_finite_spaces_are_run_whole():
     )
 
     def scores(points):
-        return np.where(space.parameters[1].numbers(points[:, 1]) == 1, points[:, 0] + points[:, 2], 3.0)
+        return np.where(space.parameters[1].level_indices(points[:, 1]) == 1, points[:, 0] + points[:, 2], 3.0)
 
     optimizer, every = CommitteeOptimizer(space, 0, 0.6), []
     while len(points := optimizer.ask(10)):
@@ -173,7 +173,7 @@ def test_what_is_told_out_of_fold_is_as_good_as_it_says():
     points = SobolOptimizer(CUBE, 3).ask(300)
     scores, told = outcome(points)
     committee = Committee(2.0, FEATURES).fit(points, scores, told)
-    outside, inside = committee.out_of_fold(), committee.predict(points)[0]
+    outside, inside = committee.out_of_fold_probability(), committee.predict(points)[0]
     critical = scores <= 2.0
     assert ((outside > 0.5) == critical).mean() > 0.9
     # Scenarios it was trained on are reproduced, left-out ones are not.

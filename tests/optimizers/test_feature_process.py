@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from cornercase.optimizers.feature_process import FeatureProcess
+from cornercase.optimizers.feature_process import RandomFeatureProcess
 
 
 def posterior(process, points):
@@ -16,10 +16,10 @@ def posterior(process, points):
 
 def test_its_own_mean_changes_no_mean_and_makes_sure_where_it_is_taken():
     rng = np.random.default_rng(0)
-    empty = FeatureProcess(3.0 * rng.normal(size=(300, 2)), 6.3 * rng.random(300), np.sqrt(2.0 / 300), 0.0, 0.1)
+    empty = RandomFeatureProcess(3.0 * rng.normal(size=(300, 2)), 6.3 * rng.random(300), np.sqrt(2.0 / 300), 0.0, 0.1)
     known, pending = rng.random((12, 2)), rng.random((4, 2)) + 0.5
-    process = empty.extended(known, np.sin(5.0 * known[:, 0]))
-    expecting = process.expecting(pending)
+    process = empty.with_more_values(known, np.sin(5.0 * known[:, 0]))
+    expecting = process.with_own_mean_at(pending)
     everywhere = 1.5 * rng.random((200, 2))
     mean, variance = posterior(process, everywhere)
     later, less = posterior(expecting, everywhere)
@@ -31,6 +31,6 @@ def test_its_own_mean_changes_no_mean_and_makes_sure_where_it_is_taken():
     assert (before > after).all()
     assert before.max() > 10.0 * after.max()
     # So do the samples.
-    samples = expecting.samples(4000, rng) @ expecting.features(pending).T
+    samples = expecting.draw_weights(4000, rng) @ expecting.random_features(pending).T
     np.testing.assert_allclose(samples.mean(axis=0), posterior(process, pending)[0], atol=0.01)
     np.testing.assert_allclose(samples.var(axis=0), after, rtol=0.15)

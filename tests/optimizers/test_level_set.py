@@ -14,11 +14,11 @@ from sklearn.gaussian_process.kernels import ConstantKernel, Matern
 
 from command_line import SPACE, X, cornercase
 from conftest import at_night
-from cornercase.evidence import CriticalSet, GaussianProcess, boundary_process, encoded
-from cornercase.evidence.kernel import _Loss
+from cornercase.evidence import CriticalSet, GaussianProcess, fit_boundary_process, encode_points
+from cornercase.evidence.kernel import _NegativeLogPosterior
 from cornercase.metrics import METRICS
 from cornercase.optimizers import BayesOptimizer, LevelSetOptimizer, SobolOptimizer
-from cornercase.optimizers.dips import below_dips
+from cornercase.optimizers.dips import suggest_below_local_minima
 from cornercase.scenario import Parameter, ParameterSpace
 from cornercase.study import Study
 from searches import CUBE, EVERYWHERE, THRESHOLD, explored, two_regions
@@ -26,7 +26,7 @@ from searches import CUBE, EVERYWHERE, THRESHOLD, explored, two_regions
 
 def found(points, scores):
     """Recall and precision of the critical set that a process of these scenarios predicts."""
-    told, true = CriticalSet(CUBE, points, scores, THRESHOLD).found(EVERYWHERE), two_regions(EVERYWHERE) <= THRESHOLD
+    told, true = CriticalSet(CUBE, points, scores, THRESHOLD).predict(EVERYWHERE), two_regions(EVERYWHERE) <= THRESHOLD
     return (told & true).sum() / true.sum(), (told & true).sum() / max(told.sum(), 1)
 
 
@@ -45,7 +45,7 @@ def test_it_finds_the_whole_critical_set_with_fewer_scenarios_than_others():
         SobolOptimizer(CUBE, 3),
     ):
         points = explored(optimizer, 200, function=tube)
-        told = CriticalSet(CUBE, points, tube(points), THRESHOLD).found(EVERYWHERE)
+        told = CriticalSet(CUBE, points, tube(points), THRESHOLD).predict(EVERYWHERE)
         recall[optimizer.name] = (told & true).sum() / true.sum()
         if optimizer.name == "level-set":
             assert (told & true).sum() / told.sum() > 0.9
@@ -77,13 +77,13 @@ def test_failed_scenarios_choices_and_finite_spaces():
     )
 
     def scores(points):
-        truck = space.parameters[1].numbers(points[:, 1]) == 1
+        truck = space.parameters[1].level_indices(points[:, 1]) == 1
         return np.where(points[:, 0] > 0.8, np.nan, np.where(truck, points[:, 2] + points[:, 0], 3.0))
 
     optimizer = LevelSetOptimizer(space, 0, 0.6)
     points = explored(optimizer, 120, function=scores)
     assert len(np.unique(points, axis=0)) == 120
-    later = space.parameters[1].numbers(points[40:, 1])
+    later = space.parameters[1].level_indices(points[40:, 1])
     # The boundary lies among the trucks.
     assert (later == 1).mean() > 0.6
     small = ParameterSpace.from_ranges(["a=0:4:1", "b=0:9:1"])
@@ -130,7 +130,7 @@ def test_failures_at_random_do_not_keep_it_from_the_boundary():
 
 def found_of(function, points, scores=None):
     """Recall and precision for any function; what fails is not critical."""
-    told = CriticalSet(CUBE, points, function(points) if scores is None else scores, THRESHOLD).found(EVERYWHERE)
+    told = CriticalSet(CUBE, points, function(points) if scores is None else scores, THRESHOLD).predict(EVERYWHERE)
     values = function(EVERYWHERE)
     told, true = told & np.isfinite(values), values <= THRESHOLD
     return (told & true).sum() / true.sum(), (told & true).sum() / told.sum()
@@ -145,7 +145,7 @@ def test_the_space_is_filled_once_the_boundary_is_found(seed):
 
     points = explored(LevelSetOptimizer(CUBE, seed, THRESHOLD), 300, function=scores)
     known = CriticalSet(CUBE, points, scores(points), THRESHOLD)
-    assert known.unvisited(0.01) < 0.2
+    assert known.unexplored_fraction(0.01) < 0.2
     recall, precision = found_of(scores, points)
     assert recall > 0.98
     assert precision > 0.98
@@ -170,7 +170,7 @@ def test_a_slope_far_above_the_threshold_is_followed_before_anything_is_critical
     points = qmc.Sobol(3, seed=4).random(64)
     away = np.linalg.norm(points - (0.5, 0.5, 0.5), axis=1)
     scores = THRESHOLD + 3.0 + 0.5 * away
-    mean, _ = boundary_process(points, scores, THRESHOLD).predict(EVERYWHERE)
+    mean, _ = fit_boundary_process(points, scores, THRESHOLD).predict(EVERYWHERE)
     apart = np.linalg.norm(EVERYWHERE - (0.5, 0.5, 0.5), axis=1)
     assert np.corrcoef(mean, apart)[0, 1] > 0.9
     assert np.ptp(mean) > 0.01
@@ -179,21 +179,21 @@ def test_a_slope_far_above_the_threshold_is_followed_before_anything_is_critical
 def test_below_a_dip_is_downhill_of_it():
     grid = np.stack(np.meshgrid(*[np.linspace(0, 1, 6)] * 2), -1).reshape(-1, 2)
     scores = np.minimum(np.linalg.norm(grid - (0.45, 0.63), axis=1), 0.5)
-    places = below_dips(grid, scores, 0.0)
+    places = suggest_below_local_minima(grid, scores, 0.0)
     assert places.shape == (1, 2)
     lowest = grid[np.argmin(scores)]
     assert np.linalg.norm(places[0] - lowest) == pytest.approx(0.1)
     assert np.linalg.norm(places[0] - (0.45, 0.63)) < scores.min()
     # Critical scenarios are no minima, nor are those far from the threshold for their depth; failures are uphill.
-    assert len(below_dips(grid, scores, 0.1)) == 0
-    assert len(below_dips(grid, scores + 2.0, 0.0)) == 0
+    assert len(suggest_below_local_minima(grid, scores, 0.1)) == 0
+    assert len(suggest_below_local_minima(grid, scores + 2.0, 0.0)) == 0
     failed = np.where(grid[:, 0] > 0.5, np.nan, scores)
-    assert below_dips(grid, failed, 0.0)[0, 0] < lowest[0]
+    assert suggest_below_local_minima(grid, failed, 0.0)[0, 0] < lowest[0]
 
 
 def test_choices_are_as_far_from_each_other():
     space = ParameterSpace([Parameter("kind", 0, 3, None, ("a", "b", "c", "d")), Parameter("x", 0, 1)])
-    places = encoded(space, np.stack([(np.arange(4) + 0.5) / 4, np.full(4, 0.3)], -1))
+    places = encode_points(space, np.stack([(np.arange(4) + 0.5) / 4, np.full(4, 0.3)], -1))
     apart = np.linalg.norm(places[:, None] - places, axis=-1)
     np.testing.assert_allclose(apart, 1.0 - np.eye(4))
 
@@ -203,7 +203,7 @@ def test_the_process_is_that_of_scikit_learn():
     points, values = rng.random((60, 3)), rng.normal(size=60)
     process = GaussianProcess().fit(points, values)
     learned = process.kernel
-    kernel = ConstantKernel(learned.signal**2) * Matern(learned.widths, nu=2.5)
+    kernel = ConstantKernel(learned.signal**2) * Matern(learned.length_scales, nu=2.5)
     other = GaussianProcessRegressor(kernel, alpha=learned.noise**2, optimizer=None)
     other.fit(points, values - values.mean())
     new = rng.random((500, 3))
@@ -212,7 +212,7 @@ def test_the_process_is_that_of_scikit_learn():
     np.testing.assert_allclose(mean, expected + values.mean(), atol=1e-3)
     np.testing.assert_allclose(deviation, spread, atol=2e-3)
     covariance = other.predict(new, return_cov=True)[1]
-    np.testing.assert_allclose(process.covariance(new, rows, 7), covariance[7], atol=2e-3)
+    np.testing.assert_allclose(process.covariance_with_point(new, rows, 7), covariance[7], atol=2e-3)
 
 
 def test_the_gradient_of_the_likelihood_is_its_derivative():
@@ -220,7 +220,7 @@ def test_the_gradient_of_the_likelihood_is_its_derivative():
     points, values = rng.random((20, 2)), rng.normal(size=20)
     squares: Any = ((points.T[:, :, None] - points.T[:, None]) ** 2).reshape(2, -1)
     at = np.log([0.3, 0.8, 1.2, 0.2])
-    likelihood = _Loss(squares, values)
+    likelihood = _NegativeLogPosterior(squares, values)
 
     def loss(place):
         return likelihood(place)[0]
@@ -234,7 +234,7 @@ def test_the_number_of_threads_does_not_show(monkeypatch):
     process = GaussianProcess().fit(points, two_regions(points))
     results = []
     for threads in (1, 2, 5):
-        monkeypatch.setattr("cornercase.evidence.gaussian_process.available_cpus", lambda threads=threads: threads)
+        monkeypatch.setattr("cornercase.evidence.gaussian_process.count_available_cpus", lambda threads=threads: threads)
         results.append(process.predict(EVERYWHERE))
     for mean, deviation in results[1:]:
         np.testing.assert_array_equal(mean, results[0][0])
@@ -246,7 +246,7 @@ def test_on_the_command_line_it_takes_the_threshold_of_the_metric_or_another(tmp
     own = cornercase(*common, "--metric", "wttc", "--budget", "40", "-o", tmp_path / "own.db")
     assert own.returncode == 0, own.stderr
     with Study.open(tmp_path / "own.db", readonly=True) as study:
-        assert study.meta.critical == METRICS.create("wttc").critical == 1.0
+        assert study.meta.critical == METRICS.create("wttc").default_threshold == 1.0
         expected = int((study.scores("wttc") <= 1.0).sum())
     shown = json.loads(cornercase("show", tmp_path / "own.db", "--json").stdout)
     assert shown["critical"]["is"] == "wttc <= 1 s"

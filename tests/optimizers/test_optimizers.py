@@ -20,11 +20,11 @@ from cornercase.optimizers import (
     RandomOptimizer,
     SobolOptimizer,
     create_optimizer,
-    optimizer_needs,
+    optimizer_requirements,
 )
-from cornercase.optimizers.feature_process import FeatureProcess
-from cornercase.optimizers.unseen import Unseen
-from cornercase.scenario import Constraint, Declaration, Parameter, ParameterSpace
+from cornercase.optimizers.feature_process import RandomFeatureProcess
+from cornercase.optimizers.unseen import Deduplicator
+from cornercase.scenario import Constraint, ParameterDeclaration, Parameter, ParameterSpace
 from cornercase.scenario.distributions import Distribution
 from searches import CUBE, explored, ridge
 
@@ -155,14 +155,14 @@ def test_every_search_keeps_to_constraints_names_and_steps_and_asks_for_nothing_
     # Less than 1.2 in the unit cube.
     limit = Constraint("lessThan", "${1.15 - $b / 10}")
     declared = [
-        Declaration("b", "double", "0"),
-        Declaration("kind", "string", ""),
-        Declaration("a", "double", "0", ((limit,),)),
+        ParameterDeclaration("b", "double", "0"),
+        ParameterDeclaration("kind", "string", ""),
+        ParameterDeclaration("a", "double", "0", ((limit,),)),
     ]
-    space = ParameterSpace(parameters).constrained(declared)
+    space = ParameterSpace(parameters).with_constraints(declared)
 
     def scores(points):
-        kind = parameters[1].numbers(points[:, 1])
+        kind = parameters[1].level_indices(points[:, 1])
         return np.where(points[:, 0] > 0.95, np.nan, np.abs(points[:, 0] - points[:, 2]) + 0.2 * kind)
 
     first, again = (create_optimizer(name, space, 3, threshold=0.3, budget=100) for _ in range(2))
@@ -174,7 +174,7 @@ def test_every_search_keeps_to_constraints_names_and_steps_and_asks_for_nothing_
         again.tell(points, scores(points))
         everything.append(points)
     met = np.concatenate(everything)
-    assert space.admits(met).all()
+    assert space.is_admissible(met).all()
     np.testing.assert_array_equal(space.snap(met), met)
     assert len(np.unique(met, axis=0)) == len(met)
     np.testing.assert_array_equal(first.ask(5), again.ask(5))
@@ -183,7 +183,7 @@ def test_every_search_keeps_to_constraints_names_and_steps_and_asks_for_nothing_
 class Threshold(Optimizer):
     """An optimizer of another package, which declares what it requires."""
 
-    name, needs = "threshold", frozenset({"threshold", "budget"})
+    name, requires = "threshold", frozenset({"threshold", "budget"})
 
     def __init__(self, space, seed, threshold, budget, gain=1.0):
         self.given = (threshold, budget, gain)
@@ -197,7 +197,7 @@ class Threshold(Optimizer):
 
 def test_an_optimizer_of_another_package_gets_what_it_declares(monkeypatch):
     monkeypatch.setitem(OPTIMIZERS._factories, "mine", (Threshold, {}))
-    assert optimizer_needs("mine:gain=2") == {"threshold", "budget"}
+    assert optimizer_requirements("mine:gain=2") == {"threshold", "budget"}
     made: Any = create_optimizer("mine:gain=2", CUBE, 0, threshold=0.5, budget=30)
     assert made.given == (0.5, 30, 2)
     with pytest.raises(InputError, match="needs a threshold"):
@@ -208,9 +208,9 @@ def test_an_optimizer_of_another_package_gets_what_it_declares(monkeypatch):
 
 
 def test_what_an_optimizer_does_not_declare_it_does_not_get():
-    assert Optimizer.needs == frozenset()
-    assert not Optimizer.takes_several
-    assert {name: optimizer_needs(name) for name in OPTIMIZERS.names() if optimizer_needs(name)} == {
+    assert Optimizer.requires == frozenset()
+    assert not Optimizer.multi_objective
+    assert {name: optimizer_requirements(name) for name in OPTIMIZERS.names() if optimizer_requirements(name)} == {
         "committee": {"threshold", "features"},
         "grid": {"budget"},
         "level-set": {"threshold"},
@@ -219,10 +219,10 @@ def test_what_an_optimizer_does_not_declare_it_does_not_get():
 
 def test_the_same_concrete_scenario_is_proposed_once():
     space = ParameterSpace.from_ranges(["a=0:9:1", "b=0:1"])
-    unseen = Unseen(space)
-    unseen.tell(np.array([[0.31, 0.5]]))
+    unseen = Deduplicator(space)
+    unseen.remember(np.array([[0.31, 0.5]]))
     points = np.array([[0.35, 0.5], [0.35, 0.6], [0.39, 0.6], [0.75, 0.1], [0.95, 0.1]])
-    np.testing.assert_array_equal(unseen.among(points, besides=np.array([[0.99, 0.1]])), points[[1, 3]])
+    np.testing.assert_array_equal(unseen.filter(points, exclude=np.array([[0.99, 0.1]])), points[[1, 3]])
     assert len(unseen) == 1
 
 
@@ -263,7 +263,7 @@ def test_a_model_is_learned_anew_with_ten_more_scores_or_a_share(name, most, mon
         learned.append(len(points))
         original(points, scores, seed)
 
-    monkeypatch.setattr(optimizer, "_learn", learn)
+    monkeypatch.setattr(optimizer, "_fit_model", learn)
     points = explored(optimizer, 20, batch=20)
     for told in (24, 27, 30, 100, 109, 110, 120, 121, *([1000] if most == 1000 else [])):
         more = SobolOptimizer(CUBE, told).ask(told - len(points))
@@ -298,12 +298,12 @@ def test_candidates_that_run_out_are_followed_by_others():
 def test_random_features_take_values_in_step_by_step_or_at_once(first, second, noise, seed):
     rng = np.random.default_rng(seed)
     points, values = rng.random((first + second, 2)), rng.normal(size=first + second)
-    empty = FeatureProcess(rng.normal(size=(40, 2)), rng.random(40), 0.2, 0.3, noise)
-    steps = empty.extended(points[:first], values[:first]).extended(points[first:], values[first:])
-    once = empty.extended(points, values)
-    drawn = [one.samples(2000, np.random.default_rng(1)) for one in (steps, once)]
+    empty = RandomFeatureProcess(rng.normal(size=(40, 2)), rng.random(40), 0.2, 0.3, noise)
+    steps = empty.with_more_values(points[:first], values[:first]).with_more_values(points[first:], values[first:])
+    once = empty.with_more_values(points, values)
+    drawn = [one.draw_weights(2000, np.random.default_rng(1)) for one in (steps, once)]
     np.testing.assert_allclose(drawn[0], drawn[1], atol=1e-7)
     # The mean of the samples is that of ridge regression.
-    rows = once.features(points)
+    rows = once.random_features(points)
     mean = np.linalg.solve(rows.T @ rows + noise**2 * np.eye(40), rows.T @ (values - 0.3))
     np.testing.assert_allclose(drawn[0].mean(axis=0), mean, atol=0.12)

@@ -34,7 +34,7 @@ def test_motion_and_boxes(tmp_path, name):
     write(tmp_path / name)
     found = read_recording(tmp_path / name)
     assert found.names == names
-    assert found.kinds == kinds
+    assert found.object_types == kinds
     np.testing.assert_allclose(found.time, TIME, atol=1e-9)
     for k, (beyond, apart) in enumerate(zip(ahead, (0.0, 30.0), strict=True)):
         x, y = way(TIME, apart + beyond)
@@ -63,7 +63,7 @@ def test_a_real_result_of_carmaker():
 @beside
 def test_a_real_recording_of_carla():
     found = read_recording(SAMPLES / "carla" / "DistanceToLaneCenter.log")
-    assert (found.names, found.kinds, found.time.size) == (("hero",), ("car",), 431)
+    assert (found.names, found.object_types, found.time.size) == (("hero",), ("car",), 431)
     # Lincoln MKZ 2017, from CARLA's vehicle catalogue.
     assert (found.length[0], found.width[0]) == pytest.approx((4.9017, 2.1283), abs=1e-3)
     way = np.hypot(np.diff(found.x[0]), np.diff(found.y[0]))
@@ -133,14 +133,14 @@ def test_what_sumo_really_writes(tmp_path):
     (tmp_path / "r.rou.xml").write_text(
         "<routes><vehicle id='v' depart='0' departPos='50' departSpeed='10'><route edges='ab'/></vehicle></routes>"
     )
-    from cornercase.simulators.sumo.network import _netconvert
+    from cornercase.simulators.sumo.network import _find_netconvert
 
     net = tmp_path / "n.net.xml"
     subprocess.run(
-        [_netconvert(), "-n", tmp_path / "n.nod.xml", "-e", tmp_path / "e.edg.xml", "-o", net,
+        [_find_netconvert(), "-n", tmp_path / "n.nod.xml", "-e", tmp_path / "e.edg.xml", "-o", net,
          "--offset.disable-normalization", "true"], check=True, capture_output=True,
     )  # fmt: skip
-    sumo = which("sumo") or _netconvert().replace("netconvert", "sumo")
+    sumo = which("sumo") or _find_netconvert().replace("netconvert", "sumo")
     subprocess.run(
         [sumo, "-n", net, "-r", tmp_path / "r.rou.xml", "--fcd-output", tmp_path / "f.xml", "--step-length", "0.1",
          "--end", "5"], check=True, capture_output=True,

@@ -22,7 +22,7 @@ def test_osi_traces_of_all_forms(tmp_path, kind, ending):
     path = multi_channel(path, kind) if ending == ".mcap" else single_channel(path, osi_messages(kind))
     read = read_recording(path)
     assert read.names == ("4", "17", "5")
-    assert read.kinds == ("car", "truck", "pedestrian")
+    assert read.object_types == ("car", "truck", "pedestrian")
     np.testing.assert_allclose(read.time, TIMES, atol=1e-9)
     np.testing.assert_allclose(read.speed[:2], np.array([[20.0] * 20, [10.0] * 20]))
     assert np.isnan(read.x[2, :10]).all()
@@ -58,7 +58,7 @@ def test_osi_traces_that_are_cut_off_or_of_something_else(tmp_path):
 def test_commonroad_scenarios(tmp_path):
     read = read_recording(commonroad(tmp_path / "scene.xml"))
     assert read.names == ("42", "43", "44")
-    assert read.kinds == ("car", "car", "car")
+    assert read.object_types == ("car", "car", "car")
     np.testing.assert_allclose(read.time, np.arange(21) * 0.1)
     np.testing.assert_allclose(Ttc().course(read, "42", "43"), 3.0 - read.time, atol=1e-9)
     assert (read.x[2] == 20.0).all()

@@ -16,11 +16,11 @@ from lxml import etree
 
 from conftest import examples
 from cornercase._common.errors import InputError
-from cornercase.recordings import MOTION, Collision, Recording, read_recording
-from cornercase.recordings.recording import COLUMNS
-from cornercase.recordings.sketch import tracks_as_svg
+from cornercase.recordings import MOTION_ARRAYS, Collision, Recording, read_recording
+from cornercase.recordings.recording import CSV_COLUMNS
+from cornercase.recordings.sketch import draw_tracks
 
-HEADER = ",".join(COLUMNS)
+HEADER = ",".join(CSV_COLUMNS)
 FIELDS = ("time", "x", "y", "heading", "speed", "acceleration", "length", "width", "center_x")
 
 
@@ -34,7 +34,7 @@ def recording() -> Recording:
     return Recording(
         time=time,
         names=("ego", "walker"),
-        kinds=("car", "pedestrian"),
+        object_types=("car", "pedestrian"),
         **motion,
         length=np.array([4.5, 0.5]),
         width=np.array([1.8, 0.6]),
@@ -44,7 +44,7 @@ def recording() -> Recording:
 
 
 def same(a: Recording, b: Recording) -> None:
-    assert (a.names, a.kinds, a.collisions) == (b.names, b.kinds, b.collisions)
+    assert (a.names, a.object_types, a.collisions) == (b.names, b.object_types, b.collisions)
     for field in FIELDS:
         one, two = getattr(a, field), getattr(b, field)
         assert one.shape == two.shape
@@ -75,7 +75,7 @@ def test_the_centre_lies_ahead_of_the_reference_point():
     shifted = recording()
     ahead = 1.4 * np.array([np.cos(shifted.heading[0]), np.sin(shifted.heading[0])]).T
     reference = np.stack([shifted.x[0], shifted.y[0]], -1)
-    np.testing.assert_allclose(shifted.center("ego"), reference + ahead)
+    np.testing.assert_allclose(shifted.box_center("ego"), reference + ahead)
 
 
 def test_two_entities_collide_when_they_do_so_with_each_other():
@@ -97,7 +97,7 @@ def test_rows_of_other_tools_in_any_order_with_more_columns_and_a_byte_order_mar
     path.write_text("\n".join([HEADER + ",remark", *rows]), encoding="utf-8-sig")
     read = read_recording(path)
     assert read.names == ("b", "a")
-    assert read.kinds == ("car", "bicycle")
+    assert read.object_types == ("car", "bicycle")
     np.testing.assert_array_equal(read.time, [0, 0.5])
     np.testing.assert_array_equal(read.x, np.array([[np.nan, 1], [5, 6]]))
     assert np.isnan(read.acceleration[1]).all()
@@ -133,7 +133,7 @@ def test_a_missing_file_and_one_that_is_no_text_are_named(tmp_path):
 
 def test_an_unknown_entity_is_answered_with_the_known_ones():
     with pytest.raises(InputError, match="did you mean 'walker'"):
-        recording().index("walkr")
+        recording().entity_index("walkr")
 
 
 def test_a_folder_that_cannot_be_written_leaves_nothing(tmp_path):
@@ -148,7 +148,7 @@ def test_each_line_is_what_the_csv_module_writes(tmp_path):
     odd = Recording(
         time=np.array([0.0, 1e-7, 100.0]),
         names=('a "b", c', "=1+1", ""),
-        kinds=("car\nbus", "@kind", "misc"),
+        object_types=("car\nbus", "@kind", "misc"),
         x=x,
         y=2.0 * x,
         heading=x[::-1],
@@ -162,10 +162,10 @@ def test_each_line_is_what_the_csv_module_writes(tmp_path):
     odd.to_csv(tmp_path / "r.csv")
     lines = io.StringIO()
     writer = csv.writer(lines, lineterminator="\n")
-    writer.writerow((*COLUMNS, "collision"))
+    writer.writerow((*CSV_COLUMNS, "collision"))
     for instant, time in enumerate(odd.time.tolist()):
         for who, texts in enumerate((('a "b", c', "car\nbus"), ("'=1+1", "'@kind"), ("", "misc"))):
-            motion = [float(getattr(odd, column)[who, instant]) for column in MOTION]
+            motion = [float(getattr(odd, column)[who, instant]) for column in MOTION_ARRAYS]
             box = [float(getattr(odd, column)[who]) for column in ("length", "width", "center_x")]
             writer.writerow((time, *texts, *motion, *box, "'=1+1;" if (instant, who) == (1, 0) else ""))
     assert (tmp_path / "r.csv").read_bytes().decode() == lines.getvalue()
@@ -195,16 +195,16 @@ def test_collisions_are_kept_where_the_simulators_clock_differs_in_the_last_digi
     hit.to_csv(tmp_path / "hit.csv")
     on_time = (Collision(float(one.time[1]), ("ego", "walker")),)
     assert read_recording(tmp_path / "hit.csv").collisions == on_time
-    assert set(hit.table()["collision"]) == {"", "walker"}
+    assert set(hit.to_dataframe()["collision"]) == {"", "walker"}
 
 
 def test_a_table_has_the_rows_and_columns_of_the_csv(tmp_path):
     one = recording()
     one.to_csv(tmp_path / "one.csv")
-    written = pandas.read_csv(
+    written = pandas.read_recording_csv(
         tmp_path / "one.csv", keep_default_na=False, na_values="nan", float_precision="round_trip"
     )
-    table = one.table()
+    table = one.to_dataframe()
     assert list(table.columns) == list(written.columns)
     assert len(table) == len(one.names) * len(one.time)
     for column in ("time", "entity", "kind", "x", "length", "collision"):
@@ -230,17 +230,17 @@ def test_a_notebook_shows_who_is_there_and_where_they_go():
 
 def test_tracks_have_gaps_and_who_never_comes_has_none():
     x = np.array([[0.0, 1.0, np.nan, 3.0], [np.nan] * 4])
-    lines = [one.get("points", "") for one in etree.fromstring(tracks_as_svg(x, x)).iterfind("polyline")]
+    lines = [one.get("points", "") for one in etree.fromstring(draw_tracks(x, x)).iterfind("polyline")]
     assert [len(one.split()) for one in lines] == [2, 1]
     # y is upwards; both axes have the same scale.
     (first, second), _ = ([tuple(map(float, point.split(","))) for point in one.split()] for one in lines)
     assert second[0] - first[0] == pytest.approx(first[1] - second[1], abs=0.2)
-    assert tracks_as_svg(np.full((2, 3), np.nan), np.zeros((2, 3))) == ""
+    assert draw_tracks(np.full((2, 3), np.nan), np.zeros((2, 3))) == ""
 
 
 def test_an_empty_recording_has_words_a_page_and_a_table():
     one = recording()
-    empty = replace(one, time=one.time[:0], **{column: getattr(one, column)[:, :0] for column in MOTION}, collisions=())
+    empty = replace(one, time=one.time[:0], **{column: getattr(one, column)[:, :0] for column in MOTION_ARRAYS}, collisions=())
     assert "0 s in 0 instants" in repr(empty)
     assert "never" in empty._repr_html_()
-    assert empty.table().empty
+    assert empty.to_dataframe().empty

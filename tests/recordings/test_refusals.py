@@ -6,19 +6,19 @@ import pytest
 
 from cornercase._common.errors import InputError
 from cornercase.metrics import measure
-from cornercase.recordings import EntitySamples, read_recording, recording_of
-from cornercase.recordings.formats.esmini import FIRST_WORDS
+from cornercase.recordings import EntitySamples, read_recording, recording_from_samples
+from cornercase.recordings.formats.esmini import ESMINI_LOG_START
 
-HEADER = f"{FIRST_WORDS}\nIndex [-], TimeStamp [s], #1 Entity_Name [-]"
+HEADER = f"{ESMINI_LOG_START}\nIndex [-], TimeStamp [s], #1 Entity_Name [-]"
 FCD = '<fcd-export><timestep time="{}"><vehicle id="a" x="{}" y="0" angle="90" speed="1"{}/></timestep></fcd-export>'
 
 
 @pytest.mark.parametrize(
     ("name", "content", "words"),
     [
-        ("log.csv", FIRST_WORDS.encode() + b"\n\xff", "cannot be read"),
+        ("log.csv", ESMINI_LOG_START.encode() + b"\n\xff", "cannot be read"),
         ("log.csv", f"{HEADER},\n".encode(), "the header lacks '#1 "),
-        ("log.csv", FIRST_WORDS.encode(), "has no header beginning with 'Index"),
+        ("log.csv", ESMINI_LOG_START.encode(), "has no header beginning with 'Index"),
         ("fcd.xml", FCD.format("0", "here", "").encode(), "line 1: <vehicle> needs a number in 'x', not 'here'"),
         ("fcd.xml", FCD.format("nan", "0", "").encode(), "a time that is not finite"),
         ("fcd.xml", FCD.format("0", "0", ' length="-1" width="2"').encode(), "a has a box of -1.0 m x 2.0 m"),
@@ -48,7 +48,7 @@ def test_the_attributes_of_a_vehicle_go_before_its_type(tmp_path):
 def test_one_sample_is_a_recording_without_speed(tmp_path):
     track = EntitySamples("car", 4.0, 2.0)
     track.samples[1.0] = (3.0, 4.0, 0.0, float("nan"), float("nan"))
-    read = recording_of(tmp_path / "one", {"A": track})
+    read = recording_from_samples(tmp_path / "one", {"A": track})
     assert (read.x[0, 0], read.y[0, 0], read.time.tolist()) == (3.0, 4.0, [1.0])
 
 

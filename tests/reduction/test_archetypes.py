@@ -9,10 +9,10 @@ from scipy.spatial.distance import pdist, squareform
 
 from conftest import examples
 from cornercase._common.errors import InputError
-from cornercase.reduction.cluster_selection import choose_by_cluster
+from cornercase.reduction.cluster_selection import select_per_cluster
 from cornercase.reduction.coverage import measure_coverage
-from cornercase.reduction.hulls import find_hull, find_hull_archetypes
-from cornercase.reduction.kept import Kept
+from cornercase.reduction.hulls import find_convex_hull, find_hull_archetypes
+from cornercase.reduction.kept import Selected
 from cornercase.reduction.medoids import find_prototype
 
 
@@ -27,7 +27,7 @@ def test_corners_of_a_cube():
     corners = np.array(list(itertools.product([0.0, 1.0], repeat=3)))
     inside = np.random.default_rng(0).uniform(0.05, 0.95, (40, 3))
     points = np.concatenate((inside, corners))
-    hull = find_hull(points)
+    hull = find_convex_hull(points)
     assert hull.vertices.tolist() == list(range(40, 48))
     # Twelve triangles, which enclose the volume of the cube.
     assert hull.simplices.shape == (12, 3)
@@ -66,7 +66,7 @@ def test_every_scenario_lies_between_the_archetypes(n, d, flat, seed):
     ],
 )
 def test_flat_hulls(points, vertices, facets):
-    hull = find_hull(points)
+    hull = find_convex_hull(points)
     assert hull.vertices.tolist() == vertices
     assert hull.simplices.shape == facets
     assert set(hull.simplices.ravel().tolist()) <= set(vertices)
@@ -102,32 +102,32 @@ def test_reduces_400_scenarios_in_2_clusters_to_32():
     points = rng.random((400, 3))
     labels = (points[:, 0] > points[:, 1]).astype(int)
     distances = squareform(pdist(points))
-    kept = choose_by_cluster(points, distances, labels)
+    kept = select_per_cluster(points, distances, labels)
     assert len(kept) == 32
     assert len({one.index for one in kept}) == 32
     for name in (0, 1):
         roles = [one.role for one in kept if one.cluster == name]
         assert roles == ["prototype"] + ["archetype"] * 15
     assert all(labels[one.index] == one.cluster for one in kept)
-    assert kept == choose_by_cluster(points, distances, labels)
+    assert kept == select_per_cluster(points, distances, labels)
 
 
 def test_keeps_about_a_tenth_and_nothing_of_the_noise():
     rng = np.random.default_rng(1)
     points = rng.random((300, 3))
     labels = rng.integers(-1, 3, 300)
-    kept = choose_by_cluster(points, squareform(pdist(points)), labels)
+    kept = select_per_cluster(points, squareform(pdist(points)), labels)
     assert len(kept) == 30
     assert {one.cluster for one in kept} == {0, 1, 2}
-    assert len(choose_by_cluster(points, squareform(pdist(points)), labels, archetypes=2)) == 9
+    assert len(select_per_cluster(points, squareform(pdist(points)), labels, archetypes=2)) == 9
 
 
 def test_nothing_is_kept_twice():
     points = np.array([[0.0, 0.0], [1.0, 0.0], [0.0, 0.0], [0.0, 1.0], [0.5, 0.5]])
     distances = squareform(pdist(points))
-    kept = choose_by_cluster(points, distances, [0, 0, 0, 1, -1])
-    assert kept == (Kept(0, 0, "prototype"), Kept(1, 0, "archetype"), Kept(3, 1, "prototype"))
-    assert choose_by_cluster(points, distances, [-1] * 5) == ()
+    kept = select_per_cluster(points, distances, [0, 0, 0, 1, -1])
+    assert kept == (Selected(0, 0, "prototype"), Selected(1, 0, "archetype"), Selected(3, 1, "prototype"))
+    assert select_per_cluster(points, distances, [-1] * 5) == ()
 
 
 def test_coverage_of_points_on_a_line():
@@ -147,20 +147,20 @@ def test_archetypes_cover_the_extremes_better_than_chance():
     points = np.random.default_rng(2).random((300, 3))
     distances = squareform(pdist(points))
     labels = (points[:, 2] > 0.5).astype(int)
-    found = measure_coverage(distances, [one.index for one in choose_by_cluster(points, distances, labels)])
+    found = measure_coverage(distances, [one.index for one in select_per_cluster(points, distances, labels)])
     assert found.largest < found.random_largest
 
 
 @pytest.mark.parametrize(
     ("call", "words"),
     [
-        (lambda: find_hull(np.empty((0, 3))), "have no hull"),
-        (lambda: find_hull([1.0, 2.0]), "have no hull"),
-        (lambda: find_hull([[1.0], [np.nan]]), "Point 1 is not finite"),
+        (lambda: find_convex_hull(np.empty((0, 3))), "have no hull"),
+        (lambda: find_convex_hull([1.0, 2.0]), "have no hull"),
+        (lambda: find_convex_hull([[1.0], [np.nan]]), "Point 1 is not finite"),
         (lambda: find_hull_archetypes([[1.0]], 0), "`k` 0"),
         (lambda: find_prototype(np.zeros((2, 2)), []), "has no prototype"),
-        (lambda: choose_by_cluster(np.zeros((3, 1)), np.zeros((2, 2)), [0, 0]), "same scenarios"),
-        (lambda: choose_by_cluster(np.zeros((1, 1)), [[0.0]], [0], archetypes=0), "`archetypes` 0"),
+        (lambda: select_per_cluster(np.zeros((3, 1)), np.zeros((2, 2)), [0, 0]), "same scenarios"),
+        (lambda: select_per_cluster(np.zeros((1, 1)), [[0.0]], [0], archetypes=0), "`archetypes` 0"),
         (lambda: measure_coverage(np.zeros((2, 2)), []), "No scenario is selected"),
         (lambda: measure_coverage(np.zeros((2, 2)), [2]), "not among the 2"),
         (lambda: measure_coverage(np.zeros((2, 2)), [-1]), "not among the 2"),

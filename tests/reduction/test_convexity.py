@@ -11,9 +11,9 @@ from cornercase._common.errors import InputError
 from cornercase.clustering import cluster
 from cornercase.dtw import distance_matrix
 from cornercase.reduction.archetypal_analysis import find_archetypes, find_kernel_archetypes
-from cornercase.reduction.cluster_selection import choose_by_cluster
-from cornercase.reduction.cluster_shapes import find_shapes
-from cornercase.reduction.convexity import CONVEX, find_convex_parts, measure_convexity
+from cornercase.reduction.cluster_selection import select_per_cluster
+from cornercase.reduction.cluster_shapes import classify_cluster_shapes
+from cornercase.reduction.convexity import MIN_CONVEXITY, split_into_convex_parts, measure_convexity
 from cornercase.reduction.hulls import find_hull_archetypes
 
 
@@ -43,7 +43,7 @@ def test_cubes_and_balls_are_convex(count, dimensions, seed):
     rng = np.random.default_rng(seed)
     for points in (rng.random((count, dimensions)), rng.normal(size=(count, dimensions))):
         assert measure_convexity(points, everyone(points)) > 0.95
-        assert len(find_convex_parts(points, everyone(points))) == 1
+        assert len(split_into_convex_parts(points, everyone(points))) == 1
     halves = rng.random((count, dimensions))
     assert measure_convexity(halves, halves[:, 0] < halves[:, 1]) > 0.9
 
@@ -52,11 +52,11 @@ def test_cubes_and_balls_are_convex(count, dimensions, seed):
 def test_a_horseshoe_is_not_and_falls_into_parts_that_are(seed):
     points = horseshoe(200, seed)
     assert measure_convexity(points, everyone(points)) < 0.7
-    parts = find_convex_parts(points, everyone(points))
+    parts = split_into_convex_parts(points, everyone(points))
     assert 2 <= len(parts) <= 4
     assert sorted(np.concatenate(parts).tolist()) == list(range(200))
     for part in parts:
-        assert measure_convexity(points[part], everyone(part)) >= CONVEX
+        assert measure_convexity(points[part], everyone(part)) >= MIN_CONVEXITY
 
 
 def test_what_lies_around_others_is_not_convex():
@@ -78,8 +78,8 @@ def test_archetypes_are_the_known_corners(corners, seed):
     places = np.concatenate([np.zeros((1, 4)), np.eye(4)])[:corners]
     points = np.concatenate([places, rng.dirichlet(np.full(corners, 0.8), 200) @ places])
     found = find_archetypes(points)
-    assert len(found.indices) == corners == len(found.explained)
-    assert found.explained[-1] > 0.98
+    assert len(found.indices) == corners == len(found.explained_variance)
+    assert found.explained_variance[-1] > 0.98
     away = cdist(places, points[found.indices])
     assert away.min(axis=1).max() < 0.15
     assert find_archetypes(points).indices.tolist() == found.indices.tolist()
@@ -111,27 +111,27 @@ def test_the_shape_decides(seed):
     bent, round_ = horseshoe(200, seed), rng.normal(size=(100, 2)) * 0.2 + [6, 0]
     points = np.concatenate([bent, round_])
     labels = np.repeat([0, 1], [200, 100])
-    found = find_shapes(points, labels)
+    found = classify_cluster_shapes(points, labels)
     assert [one.shape.method for one in found] == ["parts", "hull"]
     assert len(found[0].parts) > 1
-    assert found[0].shape.convexity < CONVEX <= found[1].shape.convexity
+    assert found[0].shape.convexity < MIN_CONVEXITY <= found[1].shape.convexity
     # The same region, but bent in kernel space, since the distances are those of the horseshoe.
     clustered = cluster(distance_matrix(standing(points)))
     flat = np.concatenate([rng.random((200, 2)), 2.0 + rng.random((100, 2))])
-    assert find_shapes(flat, labels, clustered.embedding)[0].shape.method == "kernel"
-    assert [one.shape.method for one in find_shapes(points, labels, method="pcha")] == ["pcha", "pcha"]
-    assert find_shapes(rng.random((100, 8)), np.zeros(100, dtype=np.int64))[0].shape.method == "pcha"
+    assert classify_cluster_shapes(flat, labels, clustered.embedding)[0].shape.method == "kernel"
+    assert [one.shape.method for one in classify_cluster_shapes(points, labels, method="pcha")] == ["pcha", "pcha"]
+    assert classify_cluster_shapes(rng.random((100, 8)), np.zeros(100, dtype=np.int64))[0].shape.method == "pcha"
 
 
 def test_all_ways_keep_scenarios_of_the_cluster_and_as_many_as_wanted():
     points = horseshoe(120, 0)
     distances, labels = cdist(points, points), np.repeat([0, -1], [100, 20])
     for method in ("auto", "hull", "pcha", "parts", "kernel"):
-        shaped = find_shapes(points, labels, method=method)
-        kept = choose_by_cluster(points, distances, labels, archetypes=8, shaped=shaped)
+        shaped = classify_cluster_shapes(points, labels, method=method)
+        kept = select_per_cluster(points, distances, labels, archetypes=8, shaped_clusters=shaped)
         assert len({one.index for one in kept}) == len(kept) <= 9
         assert all(one.cluster == 0 and one.index < 100 for one in kept)
-        assert kept == choose_by_cluster(points, distances, labels, archetypes=8, shaped=shaped)
+        assert kept == select_per_cluster(points, distances, labels, archetypes=8, shaped_clusters=shaped)
 
 
 @pytest.mark.parametrize(
@@ -139,9 +139,9 @@ def test_all_ways_keep_scenarios_of_the_cluster_and_as_many_as_wanted():
     [
         (lambda: find_archetypes(np.empty((0, 2))), "have no archetypes"),
         (lambda: find_archetypes(np.array([[1.0], [2.0]]), 0), "`k` 0"),
-        (lambda: find_archetypes(np.array([[1.0], [2.0]]), most=0), "`most` 0"),
+        (lambda: find_archetypes(np.array([[1.0], [2.0]]), max_k=0), "`most` 0"),
         (
-            lambda: find_shapes(np.zeros((3, 1)), np.zeros(3, dtype=np.int64), method="hul"),  # type: ignore[arg-type]
+            lambda: classify_cluster_shapes(np.zeros((3, 1)), np.zeros(3, dtype=np.int64), method="hul"),  # type: ignore[arg-type]
             "did you mean 'hull'",
         ),
     ],

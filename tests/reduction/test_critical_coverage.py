@@ -10,8 +10,8 @@ from scipy.stats import qmc
 from conftest import at_night
 from cornercase._common.errors import InputError
 from cornercase.evidence import CriticalSet
-from cornercase.reduction.coverage import measure_gaps
-from cornercase.reduction.critical_coverage import CriticalCoverage, distance_alike, judge_gaps
+from cornercase.reduction.coverage import measure_nearest_distances
+from cornercase.reduction.critical_coverage import CriticalCoverage, find_similar_distance, measure_critical_coverage
 from cornercase.scenario import ParameterSpace
 
 SPACE = ParameterSpace.from_ranges(["a=0:1", "b=0:1"])
@@ -19,7 +19,7 @@ SPACE = ParameterSpace.from_ranges(["a=0:1", "b=0:1"])
 
 def covered(points, scores, threshold, distances, kept, within, seed=0) -> CriticalCoverage:
     """How well the scenarios `kept` represent the critical ones."""
-    return judge_gaps(SPACE, points, scores, threshold, measure_gaps(distances, kept, seed=seed), within, seed=seed)
+    return measure_critical_coverage(SPACE, points, scores, threshold, measure_nearest_distances(distances, kept, seed=seed), within, seed=seed)
 
 
 def disc(points):
@@ -86,17 +86,17 @@ def test_all_of_a_set_lies_in_itself_and_nothing_in_what_is_apart():
     points, scores, _ = explored()
     one = CriticalSet(SPACE, points, scores, 0.3)
     whole = CriticalSet(SPACE, points, scores - 1.0, 0.3)
-    assert one.share_in(whole).value > 0.97
-    assert one.share_in(CriticalSet(SPACE, points, 1.0 - points[:, 0], 0.05)).value < 0.05
+    assert one.fraction_inside(whole).value > 0.97
+    assert one.fraction_inside(CriticalSet(SPACE, points, 1.0 - points[:, 0], 0.05)).value < 0.05
 
 
 def test_alike_is_half_of_what_is_usual_within_clusters():
     places = np.array([0.0, 1.0, 2.0, 100.0, 101.0, 102.0, 500.0])
     distances = cdist(places[:, None], places[:, None])
     labels = np.array([0, 0, 0, 1, 1, 1, -1])
-    assert distance_alike(distances, labels) == 0.5
-    assert distance_alike(distances, labels, 2.0) == 2.0
-    assert distance_alike(distances, np.full(7, -1)) == 0.5 * np.median(distances[np.triu_indices(7, 1)])
+    assert find_similar_distance(distances, labels) == 0.5
+    assert find_similar_distance(distances, labels, 2.0) == 2.0
+    assert find_similar_distance(distances, np.full(7, -1)) == 0.5 * np.median(distances[np.triu_indices(7, 1)])
     for share in (0.0, -1.0, np.inf, np.nan):
         with pytest.raises(InputError, match="give a number above 0"):
-            distance_alike(distances, labels, share)
+            find_similar_distance(distances, labels, share)

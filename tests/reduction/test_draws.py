@@ -10,10 +10,10 @@ from scipy.spatial.distance import cdist
 
 from cornercase._common.errors import InputError
 from cornercase.reduction import coverage, rivals
-from cornercase.reduction.coverage import measure_coverage, measure_gaps
-from cornercase.reduction.critical_coverage import judge_gaps
-from cornercase.reduction.draws import draw_choices, nearest_of
-from cornercase.reduction.selection import choose_scenarios
+from cornercase.reduction.coverage import measure_coverage, measure_nearest_distances
+from cornercase.reduction.critical_coverage import measure_critical_coverage
+from cornercase.reduction.draws import draw_random_selections, distances_to_nearest_per_selection
+from cornercase.reduction.selection import select_scenarios
 from cornercase.scenario import ParameterSpace
 
 SPACE = ParameterSpace.from_ranges(["a=0:1", "b=0:1"])
@@ -29,33 +29,33 @@ def test_a_set_is_graded_by_draws_that_it_was_not_chosen_with(seed, monkeypatch)
     for module, seen in drawn.items():
 
         def spy(*arguments, seen=seen, **options):
-            choices = draw_choices(*arguments, **options)
+            choices = draw_random_selections(*arguments, **options)
             seen |= as_sets(choices)
             return choices
 
-        monkeypatch.setattr(module, "draw_choices", spy)
+        monkeypatch.setattr(module, "draw_random_selections", spy)
     points = np.random.default_rng(seed).random((60, 2))
     distances, labels = cdist(points, points), (points[:, 0] > 0.5).astype(int)
-    kept = np.array([one.index for one in choose_scenarios(points, [distances], labels, size=6)])
+    kept = np.array([one.index for one in select_scenarios(points, [distances], labels, size=6)])
     measure_coverage(distances, kept, seed=seed)
     measure_coverage(distances, kept)
-    judge_gaps(SPACE, points, points[:, 0], 0.1, measure_gaps(distances, kept, seed=seed), 0.2, seed=seed)
+    measure_critical_coverage(SPACE, points, points[:, 0], 0.1, measure_nearest_distances(distances, kept, seed=seed), 0.2, seed=seed)
     assert len(drawn[rivals]) >= 100
     assert len(drawn[coverage]) >= 100
     assert not drawn[rivals] & drawn[coverage]
 
 
 def test_streams_and_seeds_share_nothing_and_each_is_the_same_each_time():
-    drawn = [draw_choices(60, 6, stream=stream, seed=seed) for stream in ("choosing", "grading") for seed in (0, 1, 2)]
+    drawn = [draw_random_selections(60, 6, stream=stream, seed=seed) for stream in ("choosing", "grading") for seed in (0, 1, 2)]
     for k, one in enumerate(drawn):
         assert one.shape == (100, 6)
         assert all(len(set(each)) == 6 for each in one.tolist())
         assert not any(as_sets(one) & as_sets(other) for other in drawn[:k])
-    np.testing.assert_array_equal(drawn[3], draw_choices(60, 6, stream="grading"))
+    np.testing.assert_array_equal(drawn[3], draw_random_selections(60, 6, stream="grading"))
 
 
 def test_the_nearest_one_of_each_choice():
     distances = np.abs(np.subtract.outer(np.arange(5.0), np.arange(5.0)))
-    assert nearest_of(distances, np.array([[0, 4], [2, 2]])).tolist() == [[0, 1, 2, 1, 0], [2, 1, 0, 1, 2]]
+    assert distances_to_nearest_per_selection(distances, np.array([[0, 4], [2, 2]])).tolist() == [[0, 1, 2, 1, 0], [2, 1, 0, 1, 2]]
     with pytest.raises(InputError, match="`draws` 0"):
-        draw_choices(5, 2, stream="grading", draws=0)
+        draw_random_selections(5, 2, stream="grading", draws=0)

@@ -10,7 +10,7 @@ import pytest
 from scipy.stats import binomtest
 
 from cornercase.drivers import Mutant
-from cornercase.reduction import Exposure, choose_exposing
+from cornercase.reduction import KillMatrix, select_killing
 
 
 def apart_on_a_line(n):
@@ -25,7 +25,7 @@ def apart_on_a_line(n):
 def exposure(exposed):
     n, m = exposed.shape
     mutants = tuple(Mutant(f"normal:horizon={7 - i / 10}", "foresees less") for i in range(m))
-    return Exposure("normal", ("no collision",), tuple(range(1, n + 1)), np.zeros(n, bool), mutants, exposed)
+    return KillMatrix("normal", ("no collision",), tuple(range(1, n + 1)), np.zeros(n, bool), mutants, exposed)
 
 
 def test_what_is_chosen_is_near_the_best_of_all_choices():
@@ -38,7 +38,7 @@ def test_what_is_chosen_is_near_the_best_of_all_choices():
         def worth(rows, exposed=exposed):
             return float((2.0 - 2.0 * 0.5 ** exposed[list(rows)].sum(axis=0)).sum())
 
-        chosen = choose_exposing(exposed, apart_on_a_line(12), 3)
+        chosen = select_killing(exposed, apart_on_a_line(12), 3)
         best = max(worth(rows) for rows in combinations(range(12), 3))
         reached.append(worth(chosen) / best)
     assert min(reached) >= 1.0 - math.exp(-1.0)
@@ -47,26 +47,26 @@ def test_what_is_chosen_is_near_the_best_of_all_choices():
 
 def test_a_rare_mutant_is_preferred_to_one_more_of_a_common_one():
     exposed = np.array([[1, 1, 0], [1, 1, 0], [0, 0, 1], [0, 0, 0]], dtype=bool)
-    assert choose_exposing(exposed, apart_on_a_line(4), 2) == [0, 2]
+    assert select_killing(exposed, apart_on_a_line(4), 2) == [0, 2]
     # Scenarios that kill nothing are not selected.
-    assert sorted(choose_exposing(exposed, apart_on_a_line(4), 4)) == [0, 1, 2]
+    assert sorted(select_killing(exposed, apart_on_a_line(4), 4)) == [0, 1, 2]
 
 
 def test_of_equals_the_one_that_is_farthest_is_chosen_and_none_that_is_alike():
     exposed = np.ones((10, 2), dtype=bool)
-    assert choose_exposing(exposed, apart_on_a_line(10), 3)[:2] == [0, 9]
-    assert choose_exposing(exposed, lambda rows: np.zeros((len(rows), 10)), 3) == [0]
+    assert select_killing(exposed, apart_on_a_line(10), 3)[:2] == [0, 9]
+    assert select_killing(exposed, lambda rows: np.zeros((len(rows), 10)), 3) == [0]
 
 
 def test_grades_count_what_can_be_exposed():
     found = exposure(np.array([[1, 0, 0, 0], [1, 1, 0, 0], [0, 0, 1, 0]], dtype=bool))
-    grade = found.grade([1, 3])
-    assert (grade.mutants, grade.possible, grade.exposed) == (4, 3, 2)
+    grade = found.mutation_score([1, 3])
+    assert (grade.mutants, grade.killable, grade.killed) == (4, 3, 2)
     assert grade.interval == pytest.approx(tuple(binomtest(2, 3).proportion_ci(0.95, "exact")))
-    assert found.grade().share == 1.0
+    assert found.mutation_score().share == 1.0
     # A scenario that was not run with mutants kills none.
-    assert found.grade([99]).exposed == 0
-    assert found.unexposed == ("normal:horizon=6.7",)
-    assert found.by_mutation == {"foresees less": (3, 4)}
+    assert found.mutation_score([99]).killed == 0
+    assert found.survivors == ("normal:horizon=6.7",)
+    assert found.counts_by_mutation == {"foresees less": (3, 4)}
     low, high = binomtest(3, 4).proportion_ci(0.95, "exact")
-    assert found.text == f"3 of 4 mutants of normal are exposed, 75% ({low:.0%} to {high:.0%} with 95 % confidence)"
+    assert found.summary_text == f"3 of 4 mutants of normal are exposed, 75% ({low:.0%} to {high:.0%} with 95 % confidence)"

@@ -8,12 +8,12 @@ import numpy as np
 import pytest
 from scipy.spatial.distance import cdist
 
-from cornercase.reduction.choosing import Material, Wish, choose, try_choice
+from cornercase.reduction.choosing import SelectionInput, SelectionRequest, select, cross_validate
 from cornercase.reduction.coverage import measure_coverage
-from cornercase.reduction.draws import draw_choices, nearest_of
-from cornercase.reduction.held_out import divide, judge, judge_critical, measure_held_out_gaps
+from cornercase.reduction.draws import draw_random_selections, distances_to_nearest_per_selection
+from cornercase.reduction.held_out import draw_folds, summarize_held_out, summarize_held_out_critical, measure_held_out_distances
 
-TWENTY = Wish(20, None, None, "auto")
+TWENTY = SelectionRequest(20, None, None, "auto")
 
 
 def drawn(count, rng):
@@ -25,20 +25,20 @@ def drawn(count, rng):
 
 def material(count, rng):
     points, labels = drawn(count, rng)
-    return Material(points, [cdist(points, points)], labels, points, ())
+    return SelectionInput(points, [cdist(points, points)], labels, points, ())
 
 
 @pytest.mark.parametrize("count", [0, 9, 10, 57, 600, 601, 3000])
 def test_each_scenario_judges_once_and_chooses_nothing_that_it_judges(count):
-    parts = divide(count)
+    parts = draw_folds(count)
     assert len(parts) == (0 if count < 10 else 5 if count <= 600 else 1)
     judging = np.concatenate(parts) if parts else np.zeros(0)
     assert len(np.unique(judging)) == len(judging) == (0 if count < 10 else count if count <= 600 else -(-count // 5))
     found = material(57, np.random.default_rng(0))
-    for trial in try_choice(found, TWENTY):
-        assert not set(trial.judging.tolist()) & set(trial.chosen_from.tolist())
-        assert set(trial.kept.tolist()) <= set(trial.chosen_from.tolist())
-        assert len(trial.kept) == 20
+    for trial in cross_validate(found, TWENTY):
+        assert not set(trial.held_out.tolist()) & set(trial.training.tolist())
+        assert set(trial.selected.tolist()) <= set(trial.training.tolist())
+        assert len(trial.selected) == 20
 
 
 def test_what_is_said_of_others_is_what_further_scenarios_find():
@@ -46,9 +46,9 @@ def test_what_is_said_of_others_is_what_further_scenarios_find():
     for seed in range(8):
         rng = np.random.default_rng(seed)
         found = material(203, rng)
-        kept = [one.index for one in choose(found, TWENTY)[0]]
+        kept = [one.index for one in select(found, TWENTY)[0]]
         others, _ = drawn(2003, rng)
-        held_out = judge(measure_held_out_gaps(found.distances[0], try_choice(found, TWENTY)))
+        held_out = summarize_held_out(measure_held_out_distances(found.distances[0], cross_validate(found, TWENTY)))
         assert held_out is not None
         told.append(held_out.mean)
         alike.append(measure_coverage(found.distances[0], kept).mean)
@@ -63,10 +63,10 @@ def test_a_set_leaves_less_of_further_scenarios_than_random_choices_do_in_the_me
     for seed in range(5):
         rng = np.random.default_rng(100 + seed)
         found = material(303, rng)
-        kept = [one.index for one in choose(found, Wish(30, None, None, "auto"))[0]]
+        kept = [one.index for one in select(found, SelectionRequest(30, None, None, "auto"))[0]]
         others, _ = drawn(2003, rng)
         away = cdist(found.points, others)
-        random = nearest_of(away, draw_choices(303, 30, stream="grading", draws=200, seed=seed)).mean(axis=1)
+        random = distances_to_nearest_per_selection(away, draw_random_selections(303, 30, stream="grading", draws=200, seed=seed)).mean(axis=1)
         # Not the largest: no selection can know outliers among further scenarios.
         assert (random > away[kept].min(axis=0).mean()).mean() >= 0.9
 
@@ -77,10 +77,10 @@ def test_critical_scenarios_are_like_a_kept_one_as_often_as_is_said_of_others():
         rng = np.random.default_rng(seed)
         found = material(203, rng)
         distances, points = found.distances[0], found.points
-        kept = np.array([one.index for one in choose(found, TWENTY)[0]])
-        gaps = measure_held_out_gaps(distances, try_choice(found, TWENTY))
+        kept = np.array([one.index for one in select(found, TWENTY)[0]])
+        gaps = measure_held_out_distances(distances, cross_validate(found, TWENTY))
         critical = points.sum(axis=1) <= 0.4
-        found_so = judge_critical(gaps, critical, critical, 0.08)
+        found_so = summarize_held_out_critical(gaps, critical, critical, 0.08)
         others, _ = drawn(4003, rng)
         others = others[others.sum(axis=1) <= 0.4]
         assert found_so is not None
@@ -95,14 +95,14 @@ def test_critical_scenarios_are_like_a_kept_one_as_often_as_is_said_of_others():
 
 def test_a_few_scenarios_are_judged_by_nobody():
     few = material(9, np.random.default_rng(0))
-    assert measure_held_out_gaps(few.distances[0], try_choice(few, Wish(3, None, None, "auto"))) is None
-    assert judge(None) is None
+    assert measure_held_out_distances(few.distances[0], cross_validate(few, SelectionRequest(3, None, None, "auto"))) is None
+    assert summarize_held_out(None) is None
 
 
 def test_the_same_scenarios_are_judged_the_same_each_time():
     found = material(61, np.random.default_rng(3))
-    for wish in (TWENTY, Wish(None, 0.3, None, "auto"), Wish(None, None, 4, "hull")):
-        first, second = (judge(measure_held_out_gaps(found.distances[0], try_choice(found, wish))) for _ in range(2))
+    for wish in (TWENTY, SelectionRequest(None, 0.3, None, "auto"), SelectionRequest(None, None, 4, "hull")):
+        first, second = (summarize_held_out(measure_held_out_distances(found.distances[0], cross_validate(found, wish))) for _ in range(2))
         assert first is not None
         assert second is not None
         assert asdict(first) == asdict(second)

@@ -8,13 +8,13 @@ from scipy.spatial.distance import pdist, squareform
 
 from conftest import at_night
 from cornercase._common.errors import InputError
-from cornercase.clustering import PlacedDistances, analyze, analyzing, landmarks
-from cornercase.reduction import choose_medoids, gap_sums, measure_coverage, reduce, reducing
-from cornercase.reduction.critical_coverage import distance_alike
-from cornercase.reduction.gap_cells import CellSums
-from cornercase.reduction.held_out import Trial, measure_held_out_gaps
+from cornercase.clustering import EmbeddedDistances, analyze, analyzing, landmarks
+from cornercase.reduction import find_k_medoids, gap_sums, measure_coverage, reduce, reducing
+from cornercase.reduction.critical_coverage import find_similar_distance
+from cornercase.reduction.gap_cells import CellCoverageSums
+from cornercase.reduction.held_out import Fold, measure_held_out_distances
 from cornercase.reduction.medoids import find_prototype
-from cornercase.reduction.selection import choose_scenarios
+from cornercase.reduction.selection import select_scenarios
 from synthetic import explorer, opened
 
 
@@ -28,23 +28,23 @@ def scenarios():
 
 def test_the_choice_by_places_is_that_by_the_matrix(scenarios):
     points, places, matrices, labels = scenarios
-    placed = choose_scenarios(points, [PlacedDistances(one) for one in places], labels, [1], size=30)
+    placed = select_scenarios(points, [EmbeddedDistances(one) for one in places], labels, [1], size=30)
     assert {one.index for one in placed} == {
-        one.index for one in choose_scenarios(points, matrices, labels, [1], size=30)
+        one.index for one in select_scenarios(points, matrices, labels, [1], size=30)
     }
-    placed = choose_scenarios(points, [PlacedDistances(one) for one in places], labels, cover=0.1)
-    assert [one.index for one in placed] == [one.index for one in choose_scenarios(points, matrices, labels, cover=0.1)]
+    placed = select_scenarios(points, [EmbeddedDistances(one) for one in places], labels, cover=0.1)
+    assert [one.index for one in placed] == [one.index for one in select_scenarios(points, matrices, labels, cover=0.1)]
 
 
 @pytest.mark.parametrize("size", at_night([20, 60, 400], {60, 400}))
 def test_the_choice_by_cells_is_that_by_the_matrix(scenarios, monkeypatch, size):
     points, places, _, labels = scenarios
     # Distances of 300 scenarios would be kept in memory; the patch prevents that. The last cell is not full.
-    monkeypatch.setattr(gap_sums, "_MOST_WHOLE", 10)
+    monkeypatch.setattr(gap_sums, "_MAX_IN_MEMORY", 10)
     doubled = [np.concatenate((one, one[:7])) for one in places]
     points, labels = (np.concatenate((one, one[:7])) for one in (points, labels))
-    placed = choose_scenarios(points, [PlacedDistances(one) for one in doubled], labels, [1], size=size)
-    whole = choose_scenarios(points, [squareform(pdist(one, "sqeuclidean")) for one in doubled], labels, [1], size=size)
+    placed = select_scenarios(points, [EmbeddedDistances(one) for one in doubled], labels, [1], size=size)
+    whole = select_scenarios(points, [squareform(pdist(one, "sqeuclidean")) for one in doubled], labels, [1], size=size)
     assert [one.index for one in placed] == [one.index for one in whole]
     assert len(placed) == min(size, len({one.index % 300 for one in placed}))
 
@@ -54,7 +54,7 @@ def test_cells_find_what_is_left_in_places_of_any_size():
     for count, axes, power in ((1, 1, 3), (16, 3, 2), (37, 19, 3), (200, 8, 2)):
         places = [rng.random((count, axes)) * rng.random(axes), rng.random((count, 2))]
         heavy, usual, kept = rng.random((2, count)), [0.3, 0.7], [0, count // 2]
-        sums = CellSums(places, usual, list(heavy), power, kept)
+        sums = CellCoverageSums(places, usual, list(heavy), power, kept)
         costs = [
             (squareform(pdist(one, "sqeuclidean")) / unit) ** power * weight
             for one, unit, weight in zip(places, usual, heavy, strict=True)
@@ -62,48 +62,48 @@ def test_cells_find_what_is_left_in_places_of_any_size():
         left = [one[kept].min(axis=0) for one in costs]
         gains = sum(np.maximum(now - one, 0.0).sum(axis=1) for now, one in zip(left, costs, strict=True))
         np.testing.assert_allclose(sums.gains, gains, atol=1e-12)
-        assert sums.best(np.ones(count), 0.0) == gains.argmax()
-        assert sums.best(np.zeros(count), 0.0) is None
+        assert sums.best_candidate(np.ones(count), 0.0) == gains.argmax()
+        assert sums.best_candidate(np.zeros(count), 0.0) is None
 
 
 def test_grades_by_places_are_those_by_the_matrix(scenarios):
     _, places, (matrix, _), labels = scenarios
-    placed = PlacedDistances(places[0])
+    placed = EmbeddedDistances(places[0])
     members = np.flatnonzero(labels)
     assert find_prototype(placed, members) == find_prototype(matrix, members)
-    assert distance_alike(placed, labels) == pytest.approx(distance_alike(matrix, labels))
+    assert find_similar_distance(placed, labels) == pytest.approx(find_similar_distance(matrix, labels))
     one, two = (measure_coverage(each, np.arange(0, 300, 10)) for each in (placed, matrix))
     names = ("largest", "mean", "worst", "largest_relative", "random_largest", "random_mean", "better_mean")
     assert [getattr(one, name) for name in names] == pytest.approx([getattr(two, name) for name in names])
     # Two heuristics; neither is optimal.
     assert one.medoids_mean == pytest.approx(two.medoids_mean, rel=0.15)
     everyone = np.arange(300)
-    trials = [Trial(everyone[60:], everyone[60:90], everyone[:60])]
-    mine, other = (measure_held_out_gaps(each, trials) for each in (placed, matrix))
+    trials = [Fold(everyone[60:], everyone[60:90], everyone[:60])]
+    mine, other = (measure_held_out_distances(each, trials) for each in (placed, matrix))
     assert mine is not None
     assert other is not None
-    np.testing.assert_allclose(mine.kept, other.kept, atol=1e-12)
-    np.testing.assert_allclose(mine.random, other.random, atol=1e-12)
+    np.testing.assert_allclose(mine.to_selected, other.to_selected, atol=1e-12)
+    np.testing.assert_allclose(mine.to_random, other.to_random, atol=1e-12)
 
 
 def test_medoids_of_places_are_about_as_good_as_those_of_a_matrix(scenarios):
     _, places, (matrix, _), _ = scenarios
-    left = [matrix[:, choose_medoids(each, 20)].min(axis=1).mean() for each in (PlacedDistances(places[0]), matrix)]
+    left = [matrix[:, find_k_medoids(each, 20)].min(axis=1).mean() for each in (EmbeddedDistances(places[0]), matrix)]
     assert left[0] < 1.15 * left[1]
 
 
 def test_a_study_of_many_is_reduced_within_a_memory(tmp_path, monkeypatch):
-    monkeypatch.setattr(analyzing, "MOST_COMPARED", 30)
+    monkeypatch.setattr(analyzing, "MAX_ALL_PAIRS", 30)
     monkeypatch.setattr(landmarks, "LANDMARKS", 24)
     path = tmp_path / "s.db"
     with opened(path) as study:
         explorer(study, metrics=("distance", "wttc"), optimizer="sobol", budget=60).run()
     found = analyze(path)
-    assert all(one.inexact is not None for one in found.values())
-    monkeypatch.setattr(reducing, "explored_scenario", lambda *given, **options: None)
+    assert all(one.embedding_error is not None for one in found.values())
+    monkeypatch.setattr(reducing, "find_explored_scenario", lambda *given, **options: None)
     reduced = reduce(path, tmp_path / "kept", size=8)
     assert len(reduced) == 8
     assert reduced.coverage["distance"].largest_relative < 0.5
-    monkeypatch.setattr(reducing, "_OF_A_SCENARIO", 10**8)
+    monkeypatch.setattr(reducing, "_BYTES_PER_SCENARIO", 10**8)
     with pytest.raises(InputError, match=r"distances of \d+ scenarios need .* more than `memory` 500 MB"):
         reduce(path, tmp_path / "kept", size=8, memory="500 MB")

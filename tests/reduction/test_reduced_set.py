@@ -18,8 +18,8 @@ from cornercase._common.errors import InputError
 from cornercase.clustering import read_analyses, read_distances
 from cornercase.reduction import read_reduction, reduce
 from cornercase.reduction.coverage import measure_coverage
-from cornercase.reduction.medoids import choose_medoids
-from cornercase.reduction.selection import choose_scenarios
+from cornercase.reduction.medoids import find_k_medoids
+from cornercase.reduction.selection import select_scenarios
 from cornercase.study import Study
 
 
@@ -36,15 +36,15 @@ def two_clusters(count=120, seed=0):
 @settings(max_examples=examples(30), deadline=None)
 def test_it_has_the_size_that_is_asked_for_and_nothing_twice(size, seed):
     points, distances, labels = two_clusters(seed=seed)
-    kept = choose_scenarios(points, distances, labels, size=size)
+    kept = select_scenarios(points, distances, labels, size=size)
     assert len(kept) == len({one.index for one in kept}) == size
     assert all(one.cluster == labels[one.index] for one in kept)
-    assert choose_scenarios(points, distances, labels, size=size) == kept
+    assert select_scenarios(points, distances, labels, size=size) == kept
 
 
 def test_critical_clusters_come_first_and_have_more_archetypes():
     points, distances, labels = two_clusters()
-    kept = choose_scenarios(points, distances, labels, critical=[1], size=16)
+    kept = select_scenarios(points, distances, labels, critical_clusters=[1], size=16)
     assert [(one.cluster, one.role) for one in kept[:2]] == [(1, "prototype"), (0, "prototype")]
     archetypes = [one.cluster for one in kept if one.role == "archetype"]
     assert (archetypes.count(1), archetypes.count(0)) == (2, 1)
@@ -55,19 +55,19 @@ def test_critical_clusters_are_covered_more_closely():
     points, distances, labels = two_clusters(300)
     left = []
     for critical in ([0], [1]):
-        kept = [one.index for one in choose_scenarios(points, distances, labels, critical, size=30)]
+        kept = [one.index for one in select_scenarios(points, distances, labels, critical, size=30)]
         left.append(distances[0][labels == 1][:, kept].min(axis=1).mean())
     assert left[1] < 0.95 * left[0]
 
 
 def test_each_that_fills_a_gap_is_where_it_leaves_least():
     points, distances, labels = two_clusters(60)
-    kept = [one.index for one in choose_scenarios(points, distances[:1], labels, size=12)]
+    kept = [one.index for one in select_scenarios(points, distances[:1], labels, size=12)]
 
     def left(indices):
         return (distances[0][:, indices].min(axis=1) ** 3).sum()
 
-    gaps = [k for k, one in enumerate(choose_scenarios(points, distances[:1], labels, size=12)) if one.role == "gap"]
+    gaps = [k for k, one in enumerate(select_scenarios(points, distances[:1], labels, size=12)) if one.role == "gap"]
     assert gaps
     for k in gaps:
         for other in range(len(points)):
@@ -77,7 +77,7 @@ def test_each_that_fills_a_gap_is_where_it_leaves_least():
 @pytest.mark.parametrize("cover", [0.4, 0.2, 0.1])
 def test_a_coverage_is_reached_in_every_clustering_and_noise_counts(cover):
     points, distances, labels = two_clusters()
-    kept = [one.index for one in choose_scenarios(points, distances, labels, cover=cover)]
+    kept = [one.index for one in select_scenarios(points, distances, labels, cover=cover)]
     for matrix in distances:
         assert matrix[:, kept].min(axis=1).max() <= cover * matrix.max() + 1e-12
     # With one less, some scenario is similar to none by both.
@@ -88,7 +88,7 @@ def test_a_coverage_is_reached_in_every_clustering_and_noise_counts(cover):
 def test_what_is_alike_is_kept_once():
     points, distances, labels = two_clusters(23)
     twice = np.concatenate([np.arange(23)] * 2)
-    kept = choose_scenarios(points[twice], [m[np.ix_(twice, twice)] for m in distances], labels[twice], size=46)
+    kept = select_scenarios(points[twice], [m[np.ix_(twice, twice)] for m in distances], labels[twice], size=46)
     assert len(kept) == 23
 
 
@@ -97,12 +97,12 @@ def test_medoids_leave_nearly_the_smallest_mean_there_is():
     for _ in range(10):
         points = rng.random((14, 2))
         distances = cdist(points, points)
-        found = choose_medoids(distances, 3)
+        found = find_k_medoids(distances, 3)
         best = min(distances[:, list(each)].min(axis=1).mean() for each in combinations(range(14), 3))
         assert distances[:, found].min(axis=1).mean() <= 1.25 * best
     blobs = np.concatenate([0.01 * rng.random((10, 2)) + place for place in ((0, 0), (1, 0), (0, 1))])
-    assert (choose_medoids(cdist(blobs, blobs), 3) // 10).tolist() == [0, 1, 2]
-    assert choose_medoids(np.zeros((4, 4)), 4).tolist() == [0, 1, 2, 3]
+    assert (find_k_medoids(cdist(blobs, blobs), 3) // 10).tolist() == [0, 1, 2]
+    assert find_k_medoids(np.zeros((4, 4)), 4).tolist() == [0, 1, 2, 3]
 
 
 @pytest.mark.parametrize(
@@ -116,7 +116,7 @@ def test_medoids_leave_nearly_the_smallest_mean_there_is():
 )
 def test_refuses_in_one_sentence(options, words):
     with pytest.raises(InputError, match=words):
-        choose_scenarios(*two_clusters(), **options)
+        select_scenarios(*two_clusters(), **options)
 
 
 def test_the_command_line_keeps_as_many_as_it_is_told(tmp_path):
@@ -206,9 +206,9 @@ def test_python_gets_what_the_manifest_says_and_reads_it_back(explored, tmp_path
     path = shutil.copy(folder / "s.db", tmp_path / "s.db")
     reduced = reduce(path, tmp_path / "again")
     assert json.loads((tmp_path / "again" / "manifest.json").read_text()) == manifest
-    assert (len(reduced), reduced.run, reduced.by) == (12, 120, "wttc")
+    assert (len(reduced), reduced.n_run, reduced.by) == (12, 120, "wttc")
     assert reduced.ids == [one["id"] for one in manifest["scenarios"]]
-    assert [one.why for one in reduced.kept] == [one["why"] for one in manifest["scenarios"]]
+    assert [one.why for one in reduced.scenarios] == [one["why"] for one in manifest["scenarios"]]
     assert reduced.coverage["wttc"].medoids_mean == manifest["coverage"]["wttc"]["medoids_mean"]
     assert "12 of 120 scenarios kept by wttc" in repr(reduced)
     table = reduced._repr_html_()
@@ -258,7 +258,7 @@ def test_python_is_refused_in_one_sentence_before_anything_is_written(explored, 
 def test_the_manifest_tells_the_shape_of_each_cluster_and_what_is_unlike_all_kept(explored):
     folder, manifest = explored
     with Study.open(folder / "s.db", readonly=True) as study:
-        labels = study.analysis("wttc", "labels")[0]["labels"]
+        labels = study.read_analysis("wttc", "labels")[0]["labels"]
     assert [one["cluster"] for one in manifest["shapes"]] == list(range(labels.max() + 1))
     for one in manifest["shapes"]:
         assert 0.0 <= one["convexity"] <= 1.0
@@ -328,14 +328,14 @@ def test_new_scenarios_join_the_clusters_that_are_kept(explored, tmp_path):
     study = tmp_path / "s.db"
     study.write_bytes((folder / "s.db").read_bytes())
     with Study.open(study, readonly=True) as opened:
-        before = opened.analysis("wttc", "ids", "labels")[0]
+        before = opened.read_analysis("wttc", "ids", "labels")[0]
     common = ["--ego", "Ego", "--other", "Pedestrian", "--metric", "wttc", "--optimizer", "sobol", "--critical", "0.5"]
     assert cornercase("explore", X, "--space", SPACE, *common, "--budget", "132", "-o", study).returncode == 0
     for _ in range(2):
         done = cornercase("analyze", study, "--keep-clusters")
         assert done.returncode == 0, done.stderr
         with Study.open(study, readonly=True) as opened:
-            after, info = opened.analysis("wttc", "ids", "labels", "embedding")
+            after, info = opened.read_analysis("wttc", "ids", "labels", "embedding")
         assert len(after["ids"]) == len(after["labels"]) == len(after["embedding"]) == 132
         assert after["labels"][:120].tolist() == before["labels"].tolist()
         assert set(after["labels"][120:].tolist()) <= {-1, *before["labels"].tolist()}

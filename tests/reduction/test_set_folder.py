@@ -14,7 +14,7 @@ from conftest import at_night
 from cornercase._common.errors import InputError
 from cornercase._common.files import read_file
 from cornercase.reduction import set_folder
-from cornercase.reduction.set_folder import MANIFEST, finish_set, replaced_set
+from cornercase.reduction.set_folder import MANIFEST, complete_replacement, replace_set
 
 OLD = {"s-00001.xosc": b"one", "s-00002.xosc": b"two", "s-00003.xosc": b"three", "road.xodr": b"road"}
 NEW = {"s-00002.xosc": b"two again", "s-00004.xosc": b"four", "catalogs/c/c.xosc": b"catalog", "road.xodr": b"new road"}
@@ -27,11 +27,11 @@ class KilledError(BaseException):
 
 
 def write(folder: Path, files: dict[str, bytes]) -> None:
-    with replaced_set(folder) as written:
+    with replace_set(folder) as written:
         for place, content in files.items():
             written.add(place, content)
         named = [{"file": place} for place in files if place.startswith("s-")]
-        written.seal({"scenarios": named, "files": dict(written.digests)})
+        written.write_manifest({"scenarios": named, "files": dict(written.digests)})
         written.replace()
 
 
@@ -118,7 +118,7 @@ def test_killed_at_any_order_it_leaves_the_earlier_set_or_the_new_one(tmp_path, 
             break
         # A reader that cannot complete it reports missing or changed files, or finds one set.
         if (folder / MANIFEST).exists():
-            finish_set(folder)
+            complete_replacement(folder)
             found = sets(folder)
             assert found in (earlier, NEW)
             names = {one.name for one in folder.glob("*.xosc")}
@@ -152,7 +152,7 @@ def test_an_error_at_any_order_is_a_sentence_and_loses_nothing(tmp_path, monkeyp
         if earlier is None and not (folder / MANIFEST).exists():
             assert not folder.exists() or not list(folder.glob("*.xosc"))
         else:
-            finish_set(folder)
+            complete_replacement(folder)
             assert sets(folder) in (earlier, NEW)
         write(folder, NEW)
         assert content(folder) == NEW | {MANIFEST: (folder / MANIFEST).read_bytes()}
@@ -173,7 +173,7 @@ def test_a_folder_of_a_stranger_reaches_nothing_outside_of_it(tmp_path):
         if not (folder / "away").is_symlink():
             (folder / "away").symlink_to(tmp_path)
         with pytest.raises(InputError, match="not a file in the folder"):
-            finish_set(folder)
+            complete_replacement(folder)
         assert outside.read_text() == "mine"
         (folder / "away").unlink()
         (folder / MANIFEST).unlink()
@@ -200,7 +200,7 @@ def test_what_cannot_be_read_for_a_moment_is_not_given_up(tmp_path, monkeypatch)
         if reads <= failing:
             break
         count += 1
-        finish_set(folder)
+        complete_replacement(folder)
         assert sets(folder) in (OLD, NEW)
         write(folder, NEW)
         assert content(folder) == NEW | {MANIFEST: (folder / MANIFEST).read_bytes()}

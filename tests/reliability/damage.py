@@ -19,7 +19,7 @@ import numpy as np
 import cornercase as cc
 from command_line import cornercase
 from cornercase.study import verify
-from cornercase.study.schema import STATEMENTS, TABLES
+from cornercase.study.schema import CREATE_STATEMENTS, TABLES
 
 EXAMPLE = Path(cc.__file__).parents[2] / "examples" / "x_intersection"
 BUDGET = 12
@@ -69,7 +69,7 @@ def held(path: Path, *but: str, check: bool = True) -> dict[str, Any] | None:
             found: dict[str, Any] = {
                 name: connection.execute(f"SELECT * FROM {name}").fetchall()
                 for (name,) in connection.execute("SELECT name FROM sqlite_master WHERE type = 'table' ORDER BY name")
-                if name in STATEMENTS and name not in but
+                if name in CREATE_STATEMENTS and name not in but
             }
             found["schema"] = connection.execute("SELECT type, name, sql FROM sqlite_master ORDER BY name").fetchall()
             found["version"] = connection.execute("PRAGMA user_version").fetchone()
@@ -109,15 +109,15 @@ def _by_sql(path: Path, rng: np.random.Generator, kind: str) -> str:
             for name in TABLES
             if name in there and connection.execute(f"SELECT 1 FROM {name}").fetchone() is not None
         ]
-        table = str(rng.choice([name for name in filled if TABLES[name].blob or kind != "blob"]))
+        table = str(rng.choice([name for name in filled if TABLES[name].has_blob or kind != "blob"]))
         about = TABLES[table]
-        keys = connection.execute(f"SELECT {', '.join(about.columns[: about.key])} FROM {table}").fetchall()
+        keys = connection.execute(f"SELECT {', '.join(about.columns[: about.n_key_columns])} FROM {table}").fetchall()
         key = keys[int(rng.integers(len(keys)))]
-        where = " AND ".join(f"{name} = ?" for name in about.columns[: about.key])
+        where = " AND ".join(f"{name} = ?" for name in about.columns[: about.n_key_columns])
         if kind == "row" and table != "elapsed":
             connection.execute(f"DELETE FROM {table} WHERE {where}", key)
             return f"{kind} of {table} {key}"
-        column = about.columns[-1] if kind == "blob" else str(rng.choice(about.columns[about.key :]))
+        column = about.columns[-1] if kind == "blob" else str(rng.choice(about.columns[about.n_key_columns :]))
         (value,) = connection.execute(f"SELECT {column} FROM {table} WHERE {where}", key).fetchone()
         other = _other(value, rng)
         try:

@@ -191,7 +191,7 @@ def prepare(folder: Path) -> None:
 
 def judge(command: str, ended: Ended, before: dict[str, str], after: dict[str, str], work: Path) -> list[str]:
     """Say what is not as it has to be after an order has failed."""
-    from cornercase.reduction import finish_set
+    from cornercase.reduction import complete_replacement
 
     wrong = []
     if ended.code not in (0, 1, 2):
@@ -204,7 +204,7 @@ def judge(command: str, ended: Ended, before: dict[str, str], after: dict[str, s
     if command.startswith("reduce"):
         for place in ("set", "new/set"):
             if (work / place).is_dir():
-                finish_set(work / place)
+                complete_replacement(work / place)
         kept = {one for one in content(work) if one.startswith(("set/", "new/"))}
         now = content(work)
         ours = {name: now[name] for name in kept if "/.cornercase-" not in name}

@@ -27,7 +27,7 @@ def shown_by_ipython(study):
 def test_a_study_is_shown_as_its_page(whole, tmp_path):
     with cc.Study.open(whole, readonly=True) as study:
         page = study._repr_html_()
-        before = study.elapsed()
+        before = study.elapsed_by_stage()
     (frame,) = etree.HTML(page).iter("iframe")
     # It reaches nothing of the notebook: neither its origin nor its top.
     assert frame.get("sandbox") == "allow-scripts allow-downloads"
@@ -37,7 +37,7 @@ def test_a_study_is_shown_as_its_page(whole, tmp_path):
     # To be looked at is nothing that a study notes.
     with cc.Study.open(whole, readonly=False) as study:
         assert study._repr_html_() == page
-        assert study.elapsed() == before
+        assert study.elapsed_by_stage() == before
 
 
 def test_ipython_asks_for_it(whole):
@@ -49,16 +49,16 @@ def test_what_was_not_run_or_is_too_large_is_shown_as_a_table(whole, tmp_path):
     with cc.Study.open(whole, readonly=True) as study:
         meta, points = study.meta, np.array([row.point for row in study.rows()])
         values = [row.values for row in study.rows()]
-    assert "<iframe" in str(inline.show_study(whole, max_scenarios=len(points)))
-    assert inline.show_study(whole, max_scenarios=len(points) - 1) is None
+    assert "<iframe" in str(inline.render_notebook_report(whole, max_scenarios=len(points)))
+    assert inline.render_notebook_report(whole, max_scenarios=len(points) - 1) is None
     with Study.create(tmp_path / "new.db", meta) as study:
         assert "<iframe" not in study._repr_html_()
         assert "<table" in study._repr_html_()
-        study.writer.propose(1, points, values)
+        study.writer.add_pending(1, points, values)
         assert "<iframe" not in study._repr_html_()
 
 
 def test_repr_draws_no_page(whole, monkeypatch):
-    monkeypatch.setattr(inline, "show_study", None)
+    monkeypatch.setattr(inline, "render_notebook_report", None)
     with cc.Study.open(whole, readonly=True) as study:
         assert repr(study).startswith("<Study ")

@@ -25,12 +25,12 @@ import cornercase as cc
 from command_line import SPACE, X, cornercase
 from cornercase._common.errors import InputError
 from cornercase.recordings import read_recording
-from cornercase.report.blocks import pack_record
-from cornercase.report.contents import page_contents
+from cornercase.report.blocks import encode_recording
+from cornercase.report.contents import page_payload
 from cornercase.report.data import read_report_data
-from cornercase.report.live.follower import Follower, State
-from cornercase.report.live.knowing import Finder
-from cornercase.report.live.telling import Cursor, Teller
+from cornercase.report.live.follower import StudyFollower, StudyProgress
+from cornercase.report.live.knowing import AnalysisWorker
+from cornercase.report.live.telling import Cursor, EventStream
 from cornercase.study import Study, write_note
 from strangers import whole_study
 from waiting import until
@@ -38,7 +38,7 @@ from waiting import until
 pytest.importorskip("starlette")
 from starlette.testclient import TestClient
 
-from cornercase.report.live.server import make_app
+from cornercase.report.live.server import create_app
 
 TOKEN = "a-token"
 ENDED = "SELECT COUNT(*) FROM scenarios WHERE state <> 'pending'"
@@ -51,12 +51,12 @@ def whole(tmp_path_factory):
 
 @contextmanager
 def followed(path):
-    follower = Follower(path)
-    finder = Finder(follower)
+    follower = StudyFollower(path)
+    finder = AnalysisWorker(follower)
     follower.start()
     finder.start()
     try:
-        yield Teller(follower, finder)
+        yield EventStream(follower, finder)
     finally:
         finder.stop()
         follower.stop()
@@ -66,7 +66,7 @@ def followed(path):
 def client(whole):
     with followed(whole) as teller:
         until(lambda: teller.contents().get("details"))
-        app = make_app(whole, teller, TOKEN, None, lambda: False)
+        app = create_app(whole, teller, TOKEN, None, lambda: False)
         made = TestClient(app, base_url="http://127.0.0.1:80")
         made.params = {"token": TOKEN}
         yield made
@@ -75,7 +75,7 @@ def client(whole):
 def test_live_contents_are_those_of_the_report(whole, client):
     found = client.get("/contents").json()
     with Study.open(whole, readonly=True) as study:
-        expected = json.loads(json.dumps(page_contents(read_report_data(study))))
+        expected = json.loads(json.dumps(page_payload(read_report_data(study))))
     # The page counts its scenarios itself, as they come.
     assert expected.pop("about") == found["about"].replace("Search:", "12 scenarios were run. Search:")
     for name, value in expected.items():
@@ -89,8 +89,8 @@ def test_a_scenario_is_given_exactly(whole, client, tmp_path):
     with Study.open(whole, readonly=True) as study:
         recording = study.recording(7)
         metrics = [cc.METRICS.create(name) for name in study.meta.metrics]
-        courses = {one.name: one.capped(study.course(7, one.name)) for one in metrics}
-    assert zlib.decompress(client.get("/recordings/7").content) == pack_record(7, recording, courses)
+        courses = {one.name: one.clip_course(study.course(7, one.name)) for one in metrics}
+    assert zlib.decompress(client.get("/recordings/7").content) == encode_recording(7, recording, courses)
     (tmp_path / "r.csv").write_bytes(client.get("/recordings/7.csv").content)
     read = read_recording(tmp_path / "r.csv")
     np.testing.assert_array_equal(read.x, recording.x)
@@ -189,7 +189,7 @@ def test_notes_are_all_that_is_written(client, whole):
         assert answer.status_code == 400
         assert len(answer.text.strip().splitlines()) == 1
     assert client.put("/notes/2", content=b"").status_code == 204
-    for method in ("post", "delete", "patch", "put"):
+    for method in ("post", "delete", "patch", "insert_rows"):
         for path in ("/contents", "/", "/recordings/1", "/scenarios/1.xosc"):
             assert getattr(client, method)(path).status_code == 405
     with Study.open(whole, readonly=True) as study:
@@ -199,13 +199,13 @@ def test_notes_are_all_that_is_written(client, whole):
 
 def news(teller, cursor):
     """All that a page with a cursor is told by now: events with their data."""
-    text = "".join(teller.write_events(cursor)())
+    text = "".join(teller.event_writer(cursor)())
     return [(event, json.loads(data)) for event, data in re.findall(r"event: (\w+)\ndata: (.*)\n", text)]
 
 
 def test_a_page_is_told_of_each_scenario_once(tmp_path, whole):
     with Study.open(whole, readonly=True) as study:
-        meta, rows = study.meta, study.done()
+        meta, rows = study.meta, study.finished_rows()
         recording = study.recording(1)
         courses = {name: (study.course(1, name), 1.0) for name in meta.metrics}
     with followed(tmp_path / "new.db") as teller:
@@ -213,16 +213,16 @@ def test_a_page_is_told_of_each_scenario_once(tmp_path, whole):
         assert set(teller.contents()) == {"live"}
         with Study.create(tmp_path / "new.db", meta) as study:
             points = np.array([row.point for row in rows])
-            study.writer.propose(1, points, [row.values for row in rows])
+            study.writer.add_pending(1, points, [row.values for row in rows])
             until(lambda: teller.follower.state.name == "live")
-            study.writer.finish(3, recording, courses)
+            study.writer.record_result(3, recording, courses)
             # What is known of all is found in the background, and told with everything when it is first there.
             until(lambda: teller.contents().get("details"))
             contents = teller.contents()
             assert contents["scenarios"]["id"] == [3]
-            cursor = Cursor.of(contents["live"]["cursor"])
-            study.writer.fail(1, cc.SimulationError("the road <ends>"))
-            study.writer.finish(2, recording, courses)
+            cursor = Cursor.parse(contents["live"]["cursor"])
+            study.writer.record_failure(1, cc.SimulationError("the road <ends>"))
+            study.writer.record_result(2, recording, courses)
             until(lambda: teller.follower.state.run == 2 and teller.follower.state.failed == 1)
             events = news(teller, cursor)
             ((_, columns),) = [one for one in events if one[0] == "scenarios"]
@@ -232,28 +232,28 @@ def test_a_page_is_told_of_each_scenario_once(tmp_path, whole):
             assert columns["courses"]["distance"][0] is None
             assert len(columns["courses"]["distance"][1]) == contents["courses"]["distance"]["points"]
             # Whoever asks again with the cursor after them is not told of them again.
-            again = Cursor.of(teller.contents()["live"]["cursor"])
+            again = Cursor.parse(teller.contents()["live"]["cursor"])
             assert not [one for one in news(teller, again) if one[0] == "scenarios"]
             assert teller.contents()["scenarios"]["id"] == [1, 2, 3]
         # Something else of that name: everything is asked for anew.
         (tmp_path / "new.db").unlink()
         until(lambda: teller.follower.state.name == "waiting")
         with Study.create(tmp_path / "new.db", meta) as study:
-            study.writer.propose(1, points[:1], [rows[0].values])
-            study.writer.finish(1, recording, courses)
+            study.writer.add_pending(1, points[:1], [rows[0].values])
+            study.writer.record_result(1, recording, courses)
             until(lambda: teller.follower.state.run == 1)
         assert news(teller, again)[0][0] == "contents"
         write_note(tmp_path / "new.db", 1, "seen")
         until(lambda: teller.follower.notes == {1: "seen"})
 
 
-class Growing(Follower):
+class Growing(StudyFollower):
     """Of a study that grows by a scenario at each look at what is new."""
 
     grow: Callable[[], object] | None = None
 
-    def since(self, *arguments, **options):
-        found = super().since(*arguments, **options)
+    def digests_since(self, *arguments, **options):
+        found = super().digests_since(*arguments, **options)
         if self.grow is not None:
             self.grow()
         return found
@@ -262,7 +262,7 @@ class Growing(Follower):
 def parts_of(study, count):
     """A study of which so many scenarios ended, with what it takes to end the others."""
     with Study.open(study, readonly=True) as opened:
-        meta, rows, recording = opened.meta, opened.done(), opened.recording(1)
+        meta, rows, recording = opened.meta, opened.finished_rows(), opened.recording(1)
         courses = {name: (opened.course(1, name), 1.0) for name in meta.metrics}
     return meta, np.array([row.point for row in rows])[:count], [row.values for row in rows][:count], recording, courses
 
@@ -270,13 +270,13 @@ def parts_of(study, count):
 def test_42_16_what_is_told_counts_what_was_told(tmp_path, whole):
     meta, points, values, recording, courses = parts_of(whole, 12)
     follower = Growing(tmp_path / "s.db")
-    finder = Finder(follower)
+    finder = AnalysisWorker(follower)
     with Study.create(tmp_path / "s.db", meta) as study:
-        study.writer.propose(1, points, values)
-        study.writer.finish(1, recording, courses)
+        study.writer.add_pending(1, points, values)
+        study.writer.record_result(1, recording, courses)
         follower.start()
         finder.start()
-        teller = Teller(follower, finder)
+        teller = EventStream(follower, finder)
         until(lambda: teller.contents().get("known_of") == 1)
         left = iter(range(2, 9))
 
@@ -285,9 +285,9 @@ def test_42_16_what_is_told_counts_what_was_told(tmp_path, whole):
             if scenario is None:
                 return
             if scenario % 3:
-                study.writer.finish(scenario, recording, courses)
+                study.writer.record_result(scenario, recording, courses)
             else:
-                study.writer.fail(scenario, cc.SimulationError("no"))
+                study.writer.record_failure(scenario, cc.SimulationError("no"))
             until(lambda: follower.state.run + follower.state.failed == scenario)
 
         follower.grow = grow
@@ -295,7 +295,7 @@ def test_42_16_what_is_told_counts_what_was_told(tmp_path, whole):
         assert contents["live"]["run"] + contents["live"]["failed"] == len(contents["scenarios"]["id"])
         count, failed = 1, 0
         told = []
-        write = teller.write_events(Cursor.of(contents["live"]["cursor"]))
+        write = teller.event_writer(Cursor.parse(contents["live"]["cursor"]))
         # What is known of all follows seconds later.
         for _ in range(2):
             for event, data in re.findall(r"event: (\w+)\ndata: (.*)\n", "".join(write())):
@@ -319,25 +319,25 @@ def test_42_16_what_is_told_counts_what_was_told(tmp_path, whole):
 
 def test_42_16_nothing_is_told_of_scenarios_that_were_not_read_yet(tmp_path, whole):
     meta, points, values, recording, courses = parts_of(whole, 12)
-    follower = Follower(tmp_path / "s.db")
-    finder = Finder(follower)
-    teller = Teller(follower, finder)
+    follower = StudyFollower(tmp_path / "s.db")
+    finder = AnalysisWorker(follower)
+    teller = EventStream(follower, finder)
     with Study.create(tmp_path / "s.db", meta) as study:
-        study.writer.propose(1, points, values)
+        study.writer.add_pending(1, points, values)
         for scenario in range(1, 6):
-            study.writer.finish(scenario, recording, courses)
+            study.writer.record_result(scenario, recording, courses)
     # As far as it has read by now; what is known of all is found in the file.
-    follower.state, follower.changes = State("live", run=3), 1
+    follower.state, follower.n_changes = StudyProgress("live", run=3), 1
     finder.start()
 
     def event():
-        found = teller.news(Cursor(follower.epoch))
+        found = teller.next_event(Cursor(follower.epoch))
         return None if found is None else found[1]
 
     for _ in range(15):
         assert event() in (None, "state")
         time.sleep(0.1)
-    follower.state = State("live", run=5)
+    follower.state = StudyProgress("live", run=5)
     until(lambda: event() == "contents")
     finder.stop()
 
@@ -345,15 +345,15 @@ def test_42_16_nothing_is_told_of_scenarios_that_were_not_read_yet(tmp_path, who
 def test_42_16_scenarios_that_are_run_again_are_counted_once(tmp_path, whole):
     meta, points, values, recording, courses = parts_of(whole, 3)
     with followed(tmp_path / "s.db") as teller, Study.create(tmp_path / "s.db", meta) as study:
-        study.writer.propose(1, points, values)
-        study.writer.finish(1, recording, courses)
-        study.writer.fail(2, cc.SimulationError("no road"))
-        study.writer.finish(3, recording, courses)
+        study.writer.add_pending(1, points, values)
+        study.writer.record_result(1, recording, courses)
+        study.writer.record_failure(2, cc.SimulationError("no road"))
+        study.writer.record_result(3, recording, courses)
         until(lambda: teller.contents()["live"]["failed"] == 1)
-        cursor = Cursor.of(teller.contents()["live"]["cursor"])
+        cursor = Cursor.parse(teller.contents()["live"]["cursor"])
         study.writer.retry_failed()
         until(lambda: teller.follower.state.pending == 1)
-        study.writer.finish(2, recording, courses)
+        study.writer.record_result(2, recording, courses)
         until(lambda: teller.follower.state.run == 3)
         assert teller.follower.state.failed == 0
         assert sorted(teller.contents()["scenarios"]["id"]) == [1, 2, 3]
@@ -366,7 +366,7 @@ def test_42_16_scenarios_that_are_run_again_are_counted_once(tmp_path, whole):
 def test_a_cursor_that_was_made_up_asks_for_everything(whole, text):
     with followed(whole) as teller:
         until(lambda: "scenarios" in teller.contents())
-        assert news(teller, Cursor.of(text))[0][0] == "contents"
+        assert news(teller, Cursor.parse(text))[0][0] == "contents"
 
 
 def test_what_is_no_study_is_waited_for(tmp_path):

@@ -22,12 +22,12 @@ from cornercase._common.version import __version__
 from cornercase.clustering import analyze
 from cornercase.recordings import Collision, Recording
 from cornercase.reduction import reduce
-from cornercase.report import packing, put_in_words, summarize, write_report
+from cornercase.report import packing, summary_to_dict, summarize, write_report
 from cornercase.report.answers import page_answers
-from cornercase.report.blocks import pack_block, pack_record
+from cornercase.report.blocks import compress_records, encode_recording
 from cornercase.report.data import read_report_data
-from cornercase.report.study_files import name_command
-from cornercase.report.words import format_value, percent
+from cornercase.report.study_files import format_command
+from cornercase.report.words import format_value, format_percent
 from cornercase.scenario import Parameter, ParameterSpace
 from cornercase.study import Study, import_recordings
 from synthetic import SPACE, Synthetic, about, explorer, opened
@@ -50,10 +50,10 @@ def path(tmp_path_factory):
 
 def known_of(study):
     """What is known of all critical scenarios."""
-    critical = summarize(study).knowledge.critical
+    critical = summarize(study).estimates.critical
     assert critical is not None
-    assert critical.known is not None
-    return critical.known
+    assert critical.critical_set is not None
+    return critical.critical_set
 
 
 def contents_of(page):
@@ -66,7 +66,7 @@ def page_of(study, folder, **options):
 
 
 def unpacked(page, scenario):
-    """A recording of a page, read as the docstring of `pack_record` says."""
+    """A recording of a page, read as the docstring of `encode_recording` says."""
     block, offset = contents_of(page)["recordings"][str(scenario)]
     (text,) = re.findall(f'class="recordings" data-block="{block}">([^<]*)<', page)
     return read_record(zlib.decompress(base64.b64decode(text))[offset:])
@@ -90,7 +90,7 @@ def read_record(data):
 def test_each_scenario_of_the_study_is_in_the_contents(path, tmp_path):
     contents = contents_of(page_of(path, tmp_path))
     with Study.open(path, readonly=True) as study:
-        rows, table, labels = study.rows(), study.table(), study.analysis("distance", "labels")[0]["labels"]
+        rows, table, labels = study.rows(), study.table(), study.read_analysis("distance", "labels")[0]["labels"]
     columns = contents["scenarios"]
     assert columns["id"] == [row.id for row in rows]
     assert columns["round"] == [row.round for row in rows]
@@ -112,7 +112,7 @@ def test_each_scenario_of_the_study_is_in_the_contents(path, tmp_path):
 def test_the_search_is_told_round_by_round(path, tmp_path):
     told = contents_of(page_of(path, tmp_path))["search"]
     with Study.open(path, readonly=True) as study:
-        rounds, scores = [row.round for row in study.done()], study.scores("distance")
+        rounds, scores = [row.round for row in study.finished_rows()], study.scores("distance")
         known = known_of(study)
     assert told["run"] == [sum(one <= last for one in rounds) for last in sorted(set(rounds))]
     assert told["best"] == [float(f"{scores[:run].min():.5g}") for run in told["run"]]
@@ -120,7 +120,7 @@ def test_the_search_is_told_round_by_round(path, tmp_path):
     assert [one["run"] for one in told["missed"]] == sorted({one["run"] for one in told["missed"]})
     assert {one["run"] for one in told["missed"]} <= set(told["run"])
     assert told["missed"][-1]["run"] == len(scores)
-    assert told["missed"][-1]["value"] == pytest.approx(known.missed.value, rel=1e-4)
+    assert told["missed"][-1]["value"] == pytest.approx(known.missed_fraction.value, rel=1e-4)
     assert len(told["missed"]) > 1
 
 
@@ -129,16 +129,16 @@ def test_what_was_missed_at_a_round_is_as_it_would_have_been_told_then(path, tmp
     with Study.create(tmp_path / "short.db", about(SPACE, "distance", "wttc", critical=1.0, **BY_SOBOL)) as study:
         last = 10 * round(told["run"] / 9)
         explorer(study, metrics=("distance", "wttc"), optimizer="sobol", budget=last).run()
-        assert len(study.done()) == told["run"]
+        assert len(study.finished_rows()) == told["run"]
         known = known_of(study)
-    assert told["value"] == pytest.approx(known.missed.value, rel=1e-4)
+    assert told["value"] == pytest.approx(known.missed_fraction.value, rel=1e-4)
 
 
 def test_recordings_are_read_back(path, tmp_path):
     page = page_of(path, tmp_path)
     with Study.open(path, readonly=True) as study:
-        assert set(contents_of(page)["recordings"]) == {str(row.id) for row in study.done()}
-        for scenario in [row.id for row in study.done()][::7]:
+        assert set(contents_of(page)["recordings"]) == {str(row.id) for row in study.finished_rows()}
+        for scenario in [row.id for row in study.finished_rows()][::7]:
             head, found = unpacked(page, scenario)
             recording = study.recording(scenario)
             assert (head["id"], tuple(head["names"])) == (scenario, recording.names)
@@ -157,12 +157,12 @@ def test_a_recording_far_away_with_gaps_is_read_back_to_the_millimetre():
     x, heading = 5.4e6 + walk, np.cumsum(walk, axis=1) / 50.0
     x[1, 40:90] = heading[1, 40:90] = np.nan
     recording = Recording(
-        time=time, names=("Ego", "歩行者", "</script>"), kinds=("car", "pedestrian", "misc"), x=x, y=-x, heading=heading,
+        time=time, names=("Ego", "歩行者", "</script>"), object_types=("car", "pedestrian", "misc"), x=x, y=-x, heading=heading,
         speed=np.abs(walk), acceleration=walk, length=np.full(3, 4.5), width=np.full(3, 1.8), center_x=np.full(3, 1.3),
         collisions=(Collision(float(time[7]), ("Ego", "</script>")),),
     )  # fmt: skip
     course = np.where(time > 3.0, np.inf, time)
-    block, offsets = pack_block([b"", pack_record(4, recording, {"ttc": course})])
+    block, offsets = compress_records([b"", encode_recording(4, recording, {"ttc": course})])
     head, found = read_record(zlib.decompress(block)[offsets[1] :])
     for name in ("x", "y", "heading", "speed", "acceleration"):
         np.testing.assert_allclose(found[name], getattr(recording, name), atol=STEPS[name])
@@ -174,20 +174,20 @@ def test_a_recording_far_away_with_gaps_is_read_back_to_the_millimetre():
 def test_a_page_that_would_be_too_large_keeps_the_recordings_that_tell_most(path, tmp_path):
     with Study.open(path, readonly=True) as study:
         data = read_report_data(study)
-        packed = packing.pack_most(study, data, max_characters=1000, sample_characters=1000, n_most_critical=2)
+        packed = packing.encode_important_recordings(study, data, max_characters=1000, sample_characters=1000, n_most_critical=2)
         examples = {one.example for one in summarize(study).analyses["distance"].profiles if one.example is not None}
-        worst = study.done()[int(study.scores("distance").argmin())].id
-        run = len(study.done())
+        worst = study.finished_rows()[int(study.scores("distance").argmin())].id
+        run = len(study.finished_rows())
     there = {int(one) for one in packed.index}
     assert examples | {worst} <= there
     assert len(there) < run
-    assert f"{len(there)} of the {run} recordings" in packing.tell_left_out(data, packed)
+    assert f"{len(there)} of the {run} recordings" in packing.describe_left_out_recordings(data, packed)
     assert contents_of(page_of(path, tmp_path))["recordings_left_out"] == ""
 
 
 def test_each_beginning_of_an_even_order_is_spread():
     for count in (1, 2, 7, 100, 1000):
-        order = packing._spread(count)
+        order = packing._van_der_corput_order(count)
         assert sorted(order) == list(range(count))
         for some in (count // 8, count // 3):
             if some > 4:
@@ -206,10 +206,10 @@ def test_no_name_ends_a_script_or_an_attribute(tmp_path):
         tmp_path / "s.db", replace(meta, scenario="/x/<script><script>alert(1)<script>\u2028 歩行者.xosc")
     ) as study:
         points = np.random.default_rng(1).random((12, 2))
-        for row in study.writer.propose(1, points, space.values(points)):
+        for row in study.writer.add_pending(1, points, space.values(points)):
             (found,) = Synthetic().run([type("C", (), {"values": {"a": 0.5, "b": row.point[1]}})])
             course = np.full(5, 10 * abs(0.5 - row.point[1]))
-            study.writer.finish(row.id, replace(found, names=(HOSTILE, "B")), {"distance": (course, float(course[0]))})
+            study.writer.record_result(row.id, replace(found, names=(HOSTILE, "B")), {"distance": (course, float(course[0]))})
     page = page_of(tmp_path / "s.db", tmp_path, figures=True)
     contents = contents_of(page)
     assert contents["ego"] == contents["parameters"][0]["name"] == HOSTILE
@@ -241,10 +241,10 @@ def test_every_kind_of_study_has_a_page(tmp_path, kind):
         more, scores = {"repeats": 3}, {"distance": [1.0, 2.0, 3.0]}
     with Study.create(tmp_path / "s.db", about(space, "distance", "wttc", **more)) as study:
         points = np.random.default_rng(1).random((1 if kind == "one" else 30, 2))
-        for row in study.writer.propose(1, points, space.values(points)):
+        for row in study.writer.add_pending(1, points, space.values(points)):
             (found,) = Synthetic().run([type("C", (), {"values": {"a": 0.5, "b": row.point[1]}})])
             course = np.append(np.full(4, 10 * abs(0.5 - row.point[1])), np.nan)
-            study.writer.finish(row.id, found, {name: (course, float(course[0])) for name in ("distance", "wttc")}, scores)
+            study.writer.record_result(row.id, found, {name: (course, float(course[0])) for name in ("distance", "wttc")}, scores)
     page = page_of(tmp_path / "s.db", tmp_path, figures=True)
     contents = contents_of(page)
     assert len(contents["scenarios"]["id"]) == len(points)
@@ -267,11 +267,11 @@ def test_where_all_failed_the_page_says_why_and_what_is_missing(of, tmp_path):
     with opened(tmp_path / "s.db") as study:
         points = np.array([[0.9 + 0.01 * k, 0.1] for k in range(len(reasons) + 1)])
         explorer(study, metrics=("distance",), optimizer="sobol", budget=len(points))
-        rows = study.writer.propose(1, points, SPACE.values(points))
+        rows = study.writer.add_pending(1, points, SPACE.values(points))
         with pytest.raises(InputError, match="no scenario was run yet"):
             write_report(study, tmp_path / "r.html")
         for row, reason in zip(rows, reasons, strict=False):
-            study.writer.fail(row.id, SimulationError(reason))
+            study.writer.record_failure(row.id, SimulationError(reason))
     write_report(tmp_path / "s.db", tmp_path / "r.html", figures=True)
     page = (tmp_path / "r.html").read_text()
     assert sorted(one.name for one in tmp_path.iterdir()) == ["r.html", "s.db"]
@@ -292,21 +292,21 @@ def test_where_all_failed_the_page_says_why_and_what_is_missing(of, tmp_path):
 def test_answers_say_what_show_says(path, tmp_path):
     with Study.open(path, readonly=True) as study:
         data = read_report_data(study)
-    words = put_in_words(data.summary)
+    words = summary_to_dict(data.summary)
     answers = {one.name: one for one in page_answers(data)}
     share = words["critical"]["share"]
-    said = f"About {percent(share['value'])} of the space, as far as it can be run, is critical"
+    said = f"About {format_percent(share['value'])} of the space, as far as it can be run, is critical"
     assert said in answers["critical"].text
-    assert f"{percent(share['low'])} to {percent(share['high'])}" in answers["critical"].text
+    assert f"{format_percent(share['low'])} to {format_percent(share['high'])}" in answers["critical"].text
     assert f"{words['critical']['scenarios']} of the {words['run']} scenarios" in answers["critical"].text
     missed = words["critical"]["missed"]
-    assert f"About {percent(missed['value'])}" in answers["missed"].text
-    assert f"could hide {percent(words['critical']['hidden'])}" in answers["missed"].text
+    assert f"About {format_percent(missed['value'])}" in answers["missed"].text
+    assert f"could hide {format_percent(words['critical']['hidden'])}" in answers["missed"].text
     sizes = words["clusters"]["distance"]["sizes"]
     assert [int(size) for one in answers["kinds"].points for size in re.findall(r"\((\d+) scenarios\)", one)] == sizes
     first = max(words["sensitivity"]["parameters"].items(), key=lambda item: item[1]["total"])
     assert answers["parameters"].text.startswith(f"{first[0]} matters most")
-    assert percent(first[1]["total"]) in answers["parameters"].points[0]
+    assert format_percent(first[1]["total"]) in answers["parameters"].points[0]
     assert f"{words['failed']} of {words['run'] + words['failed']} scenarios" in answers["failed"].text
     reasons = {row.error for row in data.failed}
     assert {one.partition(": ")[2] for one in answers["failed"].points} <= reasons
@@ -315,12 +315,12 @@ def test_answers_say_what_show_says(path, tmp_path):
 def test_where_nothing_is_critical_a_bound_is_told_that_holds(tmp_path):
     with Study.create(tmp_path / "s.db", about(SPACE, "distance", "wttc", critical=-1.0, **BY_SOBOL)) as study:
         explorer(study, metrics=("distance", "wttc"), optimizer="sobol", budget=60).run()
-        data, high = read_report_data(study), known_of(study).share.high
+        data, high = read_report_data(study), known_of(study).critical_fraction.high
     text = next(one.text for one in page_answers(data) if one.name == "critical")
-    assert text.startswith(f"None of the {data.summary.run} scenarios that were run is critical")
+    assert text.startswith(f"None of the {data.summary.n_run} scenarios that were run is critical")
     # The rule of three.
-    assert high == pytest.approx(3.0 / data.summary.run, rel=0.1)
-    assert f"At most {percent(high)} of the space, as far as it can be run, is critical" in text
+    assert high == pytest.approx(3.0 / data.summary.n_run, rel=0.1)
+    assert f"At most {format_percent(high)} of the space, as far as it can be run, is critical" in text
 
 
 @pytest.mark.parametrize(
@@ -336,7 +336,7 @@ def test_where_nothing_is_critical_a_bound_is_told_that_holds(tmp_path):
     ],
 )
 def test_a_share_is_told_in_two_digits(share, words):
-    assert percent(share) == words
+    assert format_percent(share) == words
 
 
 def test_the_command_of_a_page_makes_the_study_again(tmp_path):
@@ -346,7 +346,7 @@ def test_the_command_of_a_page_makes_the_study_again(tmp_path):
     found = cornercase("explore", f"{x}.xosc", "--space", f"{x}.space.xosc", *options, "--critical", 0.3, "-o", made)
     assert found.returncode == 0, found.stderr
     with Study.open(made, readonly=True) as study:
-        name, *words = shlex.split(name_command(study.meta))
+        name, *words = shlex.split(format_command(study.meta))
         rows, scores = study.rows(), study.scores("wttc")
     assert (name, words[0], words[-2:]) == ("cornercase", "explore", ["-o", "study.db"])
     again = tmp_path / "again.db"
@@ -381,7 +381,7 @@ def test_a_reduced_study_tells_what_is_kept(tmp_path):
     ran = set(columns["id"])
     assert all({*edge} <= ran for edges in contents["hulls"].values() for edge in edges)
     text = next(one["text"] for one in contents["answers"] if one["name"] == "kept")
-    assert text.startswith(f"Keep {len(kept)} of the {reduced.run} scenarios")
+    assert text.startswith(f"Keep {len(kept)} of the {reduced.n_run} scenarios")
 
 
 def test_no_folder_of_the_machine_is_told(tmp_path):
@@ -402,7 +402,7 @@ def test_a_report_is_a_page(path, tmp_path):
 
 def test_what_does_not_fit_into_the_memory_is_refused(path):
     with Study.open(path, readonly=True) as study:
-        run = len(study.done())
+        run = len(study.finished_rows())
         told = f"^the contents of a report of {run} scenarios need .*, which is more than `memory` .*; give more.$"
         with pytest.raises(InputError, match=told):
             read_report_data(study, memory=MemoryLimit(400_000_001))

@@ -21,11 +21,11 @@ from conftest import EXAMPLES
 from cornercase import InputError
 from cornercase.recordings import Collision, Recording
 from cornercase.report.replays import encoding, motion
-from cornercase.report.replays.film import Film
-from cornercase.report.replays.footage import read_footage
-from cornercase.report.replays.page import fill_replay
-from cornercase.report.roads import find_roads, recorded_region
-from cornercase.scenario import Scenario
+from cornercase.report.replays.film import FrameRenderer
+from cornercase.report.replays.footage import read_replay_data
+from cornercase.report.replays.page import render_replay_page
+from cornercase.report.roads import find_road_outline, recorded_bounds
+from cornercase.scenario import ScenarioFile
 from cornercase.study import Study
 from synthetic import SPACE, about, explorer
 
@@ -131,19 +131,19 @@ def test_an_mp4_shows_one_frame_for_each_step(study, tmp_path):
 
 def test_frames_show_the_entities_where_they_were(study):
     with Study.open(study, readonly=True) as opened:
-        footage = read_footage(opened, [2])
-    drawn = footage.takes[0].recording
+        footage = read_replay_data(opened, [2])
+    drawn = footage.items[0].recording
     # A time at which the two are apart, and in view.
-    k = int(np.abs(drawn.time - footage.takes[0].critical_time(footage.metrics[0])).argmin()) - 5
-    film = Film(footage)
-    (frame,) = film.frames(drawn.time[k : k + 1])
+    k = int(np.abs(drawn.time - footage.items[0].most_critical_time(footage.metrics[0])).argmin()) - 5
+    film = FrameRenderer(footage)
+    (frame,) = film.render_frames(drawn.time[k : k + 1])
     axes = film._scenes[0]._axes
     for name, colour in (("Ego", (0, 90, 148)), ("Pedestrian", (184, 74, 0))):
-        heading = drawn.heading[drawn.index(name), k]
+        heading = drawn.heading[drawn.entity_index(name), k]
         # A place on the box behind its nose, and off the trail and the line of sight.
-        behind = -0.4 * drawn.length[drawn.index(name)] if name == "Ego" else 0.0
-        aside = 0.3 * drawn.width[drawn.index(name)] if name == "Ego" else 0.0
-        place = drawn.center(name)[k] + behind * np.array([math.cos(heading), math.sin(heading)])
+        behind = -0.4 * drawn.length[drawn.entity_index(name)] if name == "Ego" else 0.0
+        aside = 0.3 * drawn.width[drawn.entity_index(name)] if name == "Ego" else 0.0
+        place = drawn.box_center(name)[k] + behind * np.array([math.cos(heading), math.sin(heading)])
         place = place + aside * np.array([-math.sin(heading), math.cos(heading)])
         x, y = axes.transData.transform(place)
         pixel = frame[frame.shape[0] - 1 - int(y), int(x)].astype(int)
@@ -188,7 +188,7 @@ def test_an_ffmpeg_that_fails_leaves_nothing(study, tmp_path, monkeypatch):
 
 def test_a_failed_scenario_says_why(failing, tmp_path):
     with Study.open(failing, readonly=True) as opened:
-        failed, done = opened.failed()[0], opened.done()[0]
+        failed, done = opened.failed_rows()[0], opened.finished_rows()[0]
     with pytest.raises(InputError, match=f"scenario {failed.id} failed") as told:
         cc.replay(failing, failed.id, tmp_path / "run.html")
     assert str(failed.error) in str(told.value)
@@ -199,7 +199,7 @@ def test_a_failed_scenario_says_why(failing, tmp_path):
 
 def test_a_film_without_a_road_says_so_in_a_sentence(failing, tmp_path):
     with Study.open(failing, readonly=True) as opened:
-        done = opened.done()[0].id
+        done = opened.finished_rows()[0].id
     ran = cornercase("replay", failing, done, "--fps", "1", "--speed", "4", "-o", tmp_path / "run.gif")
     assert ran.returncode == 0, ran.stderr
     assert re.search(r"The road is not drawn, .*[^.]\.$", ran.stderr, re.MULTILINE)
@@ -217,8 +217,8 @@ def test_the_command_writes_what_it_says(study, tmp_path):
 
 
 def test_between_instants_entities_move_straight_and_turn_the_short_way():
-    found = motion.motion_at(recording(), np.array([0.0, 0.5, 0.75, 1.0]))
-    centers = recording().center("Ego")
+    found = motion.interpolate_motion(recording(), np.array([0.0, 0.5, 0.75, 1.0]))
+    centers = recording().box_center("Ego")
     assert np.allclose(np.stack([found.x[0], found.y[0]], axis=1)[[0, 1, 3]], centers)
     assert abs(abs(found.heading[0, 2]) - math.pi) < 1e-9
     assert np.isnan(found.x[1, 0])
@@ -226,13 +226,13 @@ def test_between_instants_entities_move_straight_and_turn_the_short_way():
 
 
 def test_who_comes_between_two_instants_is_there_from_the_middle_on():
-    found = motion.motion_at(recording(), np.array([0.2, 0.3]))
+    found = motion.interpolate_motion(recording(), np.array([0.2, 0.3]))
     assert np.isnan(found.x[1, 0])
     assert found.x[1, 1] == 20.0
 
 
 def test_boxes_touch_between_them():
-    place = motion.contact(
+    place = motion.contact_point(
         recording(
             x=np.array([[0.0, 4.0, 8.0], [20.0, 20.0, 9.0]]),
             y=np.zeros((2, 3)),
@@ -254,16 +254,16 @@ def test_the_ego_sees_past_a_box_but_not_through_it():
         np.array([[0.0, 0.0], [20.0, 20.0], [10.0, np.nan]]), np.zeros((3, 2)), **at,
         length=np.array([4.0, 4.0, 4.0]), width=np.array([2.0, 2.0, 2.0]),
     )  # fmt: skip
-    assert not motion.sees(moving, 0, 1, 0)
-    assert motion.sees(moving, 0, 2, 0)
+    assert not motion.is_visible(moving, 0, 1, 0)
+    assert motion.is_visible(moving, 0, 2, 0)
     # The third one is gone.
-    assert motion.sees(moving, 0, 1, 1)
+    assert motion.is_visible(moving, 0, 1, 1)
 
 
 def test_a_shadow_lies_behind_the_box_as_wide_as_it_is_seen():
     at = {"y": np.zeros((2, 1)), "heading": np.zeros((2, 1)), "speed": np.zeros((2, 1))}
     ahead = motion.Motion(np.array([[0.0], [11.0]]), **at, length=np.array([4.0, 2.0]), width=np.array([2.0, 4.0]))
-    area = motion.shadow(ahead, 0, 1, 0)
+    area = motion.hidden_area(ahead, 0, 1, 0)
     assert area is not None
     # The eye is at 1 m, the near corners at 10 m to both sides by 2 m.
     assert np.allclose(area[[0, 3]], [[10.0, -2.0], [10.0, 2.0]])
@@ -271,21 +271,21 @@ def test_a_shadow_lies_behind_the_box_as_wide_as_it_is_seen():
         (area[2] - [1.0, 0.0]) / np.hypot(*(area[2] - [1.0, 0.0])), np.array([9.0, 2.0]) / np.hypot(9, 2)
     )
     around = motion.Motion(np.array([[0.0], [1.5]]), **at, length=np.array([4.0, 2.0]), width=np.array([2.0, 4.0]))
-    assert motion.shadow(around, 0, 1, 0) is None
+    assert motion.hidden_area(around, 0, 1, 0) is None
 
 
 def test_the_road_is_found_beside_the_study_or_told_why_not(study, failing, tmp_path):
     with Study.open(study, readonly=True) as opened:
-        region = recorded_region([opened.recording(1)])
-        sketch, missing = find_roads(opened, region, X / "x_intersection.xosc")
+        region = recorded_bounds([opened.recording(1)])
+        sketch, missing = find_road_outline(opened, region, X / "x_intersection.xosc")
         assert sketch is not None
         assert missing == ""
-        assert find_roads(opened, None) == (None, "")
+        assert find_road_outline(opened, None) == (None, "")
         # Who has a file of that name at hand, but another one, is not shown its road.
         with pytest.raises(InputError):
-            find_roads(opened, region, EXAMPLES / "t_intersection" / "t_intersection.xosc")
+            find_road_outline(opened, region, EXAMPLES / "t_intersection" / "t_intersection.xosc")
     with Study.open(failing, readonly=True) as opened:
-        sketch, missing = find_roads(opened, (0.0, 0.0, 1.0, 1.0))
+        sketch, missing = find_road_outline(opened, (0.0, 0.0, 1.0, 1.0))
         assert sketch is None
         assert str(failing.parent) not in missing
 
@@ -298,21 +298,21 @@ def test_a_value_of_a_study_leads_to_no_other_road(study, tmp_path):
         text = text.replace('<LogicFile filepath="x_intersection.xodr"', '<LogicFile filepath="$Road"')
         (tmp_path / name).write_text(text, encoding="utf-8")
     shutil.copy(X / "x_intersection.xodr", tmp_path / "secret.xodr")
-    scenario = Scenario.read(tmp_path / "x_intersection.xosc")
+    scenario = ScenarioFile.read(tmp_path / "x_intersection.xosc")
     with Study.open(study, readonly=True) as opened:
         meta = replace(opened.meta, fingerprint=scenario.fingerprint())
     with Study.create(tmp_path / "s.db", meta) as sent:
-        sketch, missing = find_roads(sent, (0.0, 0.0, 9.0, 9.0), scenario, {"Road": "secret.xodr"})
+        sketch, missing = find_road_outline(sent, (0.0, 0.0, 9.0, 9.0), scenario, {"Road": "secret.xodr"})
         assert sketch is None
         assert missing == "The road is not drawn, as it is none of those that belong to x_intersection.xosc."
-        assert find_roads(sent, (0.0, 0.0, 9.0, 9.0), scenario, {"Road": "x_intersection.xodr"})[0] is not None
+        assert find_road_outline(sent, (0.0, 0.0, 9.0, 9.0), scenario, {"Road": "x_intersection.xodr"})[0] is not None
 
 
 @pytest.mark.parametrize("what", ["one instant", "no ego", "nobody"])
 def test_recordings_that_hold_little_are_shown_all_the_same(study, what):
     with Study.open(study, readonly=True) as opened:
-        footage = read_footage(opened, [1])
-    take = footage.takes[0]
+        footage = read_replay_data(opened, [1])
+    take = footage.items[0]
     drawn, course = take.recording, take.courses["wttc"]
     names = ("x", "y", "heading", "speed", "acceleration")
     if what == "one instant":
@@ -322,7 +322,7 @@ def test_recordings_that_hold_little_are_shown_all_the_same(study, what):
         gone = np.array([what == "nobody" or name == "Ego" for name in drawn.names])
         changes = {name: np.where(gone[:, None], np.nan, getattr(drawn, name)) for name in names}
         course = np.full(len(course), np.nan) if what == "nobody" else course
-    little = replace(footage, takes=(replace(take, recording=replace(drawn, **changes), courses={"wttc": course}),))
-    frames = list(Film(little, dots=50).frames(np.array([little.begin, little.end])))
+    little = replace(footage, items=(replace(take, recording=replace(drawn, **changes), courses={"wttc": course}),))
+    frames = list(FrameRenderer(little, dpi=50).render_frames(np.array([little.start_time, little.end_time])))
     assert [frame.shape for frame in frames] == [(360, 480, 3)] * 2
-    assert "contents" in fill_replay(little)
+    assert "contents" in render_replay_page(little)

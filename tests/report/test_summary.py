@@ -18,13 +18,13 @@ from conftest import at_night
 from cornercase._common.errors import InputError
 from cornercase.clustering import Profile, analyze
 from cornercase.evidence import Estimate
-from cornercase.report import put_in_words, summarize, write_report
-from cornercase.report.album import draw_files
-from cornercase.report.figures.examples import draw_examples
-from cornercase.report.figures.parameter_space import draw_clusters
-from cornercase.report.knowledge import CriticalKnowledge, CriticalSetKnowledge
-from cornercase.report.tables import tell_choices
-from cornercase.report.words import judge_clusters, name_cluster, name_criterion, name_kind, name_range
+from cornercase.report import summary_to_dict, summarize, write_report
+from cornercase.report.album import render_figure
+from cornercase.report.figures.examples import draw_example_scenarios
+from cornercase.report.figures.parameter_space import draw_kernel_and_parameter_space
+from cornercase.report.knowledge import CriticalEstimates, CriticalSetEstimates
+from cornercase.report.tables import render_settings
+from cornercase.report.words import describe_informativeness, format_cluster_name, format_criterion, format_cluster_title, format_range
 from cornercase.scenario import Parameter, ParameterSpace
 from cornercase.study import Study
 from meetings import PASSES, entity, recording
@@ -43,21 +43,21 @@ def path(tmp_path):
 def test_a_summary_holds_values_and_says_what_it_is(path):
     summary = summarize(path)
     with Study.open(path, readonly=True) as study:
-        assert summary.run + summary.failed == len(study.rows())
+        assert summary.n_run + summary.n_failed == len(study.rows())
         scores = study.scores("distance")
-        worst = study.done()[int(scores.argmin())]
+        worst = study.finished_rows()[int(scores.argmin())]
     one = summary.metrics["distance"]
-    assert (one.most_critical, one.scenario, one.at) == (scores.min(), worst.id, worst.values)
-    assert one.spread is None
+    assert (one.most_critical, one.most_critical_id, one.parameters) == (scores.min(), worst.id, worst.values)
+    assert one.repeat_spread is None
     assert list(summary.analyses) == ["distance"]
-    assert summary.knowledge.front is None
-    assert summary.reduced is None
-    assert f"synthetic: {summary.run} scenarios run, {summary.collisions} collisions" in repr(summary)
+    assert summary.estimates.pareto_front is None
+    assert summary.reduced_set is None
+    assert f"synthetic: {summary.n_run} scenarios run, {summary.n_collisions} collisions" in repr(summary)
     assert f"{len(summary.analyses['distance'].sizes)} clusters by distance" in repr(summary)
 
 
 def test_words_are_plain_values_in_a_fixed_order(path):
-    words = put_in_words(summarize(path))
+    words = summary_to_dict(summarize(path))
     assert list(words)[:8] == ["scenario", "ego", "other", "optimizer", "seed", "simulator", "parameters", "run"]
     assert words["parameters"] == {"a": "0 to 1", "b": "0 to 1"}
     assert words["clusters"]["distance"]["cluster_0"]["scenarios"] == words["clusters"]["distance"]["sizes"][0]
@@ -66,22 +66,22 @@ def test_words_are_plain_values_in_a_fixed_order(path):
 
 
 def test_scenarios_that_were_run_since_are_told_with_what_mends_it(path, tmp_path):
-    before = put_in_words(summarize(path))
+    before = summary_to_dict(summarize(path))
     with opened(path) as study:
         explorer(study, metrics=("distance", "wttc"), optimizer="sobol", budget=60).run()
     grown = summarize(path)
-    later = grown.run - before["run"]
+    later = grown.n_run - before["run"]
     assert later > 0
-    told = put_in_words(grown)["clusters"]["distance"]
+    told = summary_to_dict(grown)["clusters"]["distance"]
     command = "cornercase analyze STUDY.db --by distance --keep-clusters"
     assert told["run_since_in_no_cluster_yet"] == later
     assert told["they_join_with"] == command
     assert set(told) - set(before["clusters"]["distance"]) == {"run_since_in_no_cluster_yet", "they_join_with"}
     page = write_report(path, tmp_path / "r.html").read_text(encoding="utf-8")
-    assert f"{later} of {grown.run} scenarios were run since and are in no cluster yet" in page
+    assert f"{later} of {grown.n_run} scenarios were run since and are in no cluster yet" in page
     assert command in page
-    analyze(path, "distance", keep=True)
-    assert "they_join_with" not in put_in_words(summarize(path))["clusters"]["distance"]
+    analyze(path, "distance", keep_clusters=True)
+    assert "they_join_with" not in summary_to_dict(summarize(path))["clusters"]["distance"]
     assert "in no cluster yet" not in write_report(path, tmp_path / "r.html").read_text(encoding="utf-8")
 
 
@@ -91,11 +91,11 @@ def test_no_stability_is_told_where_all_are_one_group(path):
         assert found.n_clusters == 1
         # It was measured, and is 1.
         assert any(one.stability == 1.0 and one.clusters == 1 for one in found.candidates)
-        told = json.loads(json.dumps(put_in_words(summarize(study))))["clusters"]["distance"]
+        told = json.loads(json.dumps(summary_to_dict(summarize(study))))["clusters"]["distance"]
     assert told["stability"] is None
     one = next(one for one in found.candidates if one.stability == 1.0)
     two = replace(one, clusters=2, stability=0.75, eps=2.0 * one.eps)
-    table = tell_choices(replace(found, candidates=(one, two)))
+    table = render_settings(replace(found, candidates=(one, two)))
     assert "<td>0.75</td>" in table
     assert "<td>1.00</td>" not in table.replace(f"<td>{one.score:.2f}</td></tr>", "")
 
@@ -104,22 +104,22 @@ def test_a_front_is_told_by_id(tmp_path):
     meta = replace(about(SPACE, "distance", "wttc"), pareto=True)
     with Study.create(tmp_path / "s.db", meta) as study:
         explorer(study, metrics=("distance", "wttc"), optimizer="sobol").run()
-        summary, ids = summarize(study), [row.id for row in study.done()]
-    front = summary.knowledge.front
+        summary, ids = summarize(study), [row.id for row in study.finished_rows()]
+    front = summary.estimates.pareto_front
     assert front
     assert len(front) == 1
     assert set(front) <= set(ids)
-    assert (summary.knowledge.critical, summary.knowledge.sensitivity) == (None, None)
-    assert list(put_in_words(summary)["front"]) == [f"scenario {scenario}" for scenario in front]
+    assert (summary.estimates.critical, summary.estimates.sensitivity) == (None, None)
+    assert list(summary_to_dict(summary)["front"]) == [f"scenario {scenario}" for scenario in front]
     page = write_report(tmp_path / "s.db", tmp_path / "r.html")
     assert "One scenario is as critical as any other in every metric" in page.read_text(encoding="utf-8")
 
 
 def test_what_is_known_of_the_critical_set_is_told_with_its_threshold():
     share = Estimate(0.2, 0.1, 0.3)
-    known = CriticalKnowledge(1.5, False, "m/s²", 7, CriticalSetKnowledge(share, share, 0.0, 0.5, 0.01, 0.02))
-    assert name_criterion(known, "drac") == "drac >= 1.5 m/s²"
-    assert name_criterion(replace(known, lower_is_critical=True, unit=""), "ttc + 2 pet") == "ttc + 2 pet <= 1.5"
+    known = CriticalEstimates(1.5, False, "m/s²", 7, CriticalSetEstimates(share, share, 0.0, 0.5, 0.01, 0.02))
+    assert format_criterion(known, "drac") == "drac >= 1.5 m/s²"
+    assert format_criterion(replace(known, lower_is_critical=True, unit=""), "ttc + 2 pet") == "ttc + 2 pet <= 1.5"
 
 
 @pytest.mark.parametrize(
@@ -143,8 +143,8 @@ def test_a_page_says_what_predicts_whether_scenarios_are_critical(optimizer, jud
     ],
 )
 def test_a_range_is_told_with_its_unit(parameter, words):
-    assert name_range(parameter) == words
-    assert (name_cluster(-1), name_cluster(3)) == ("noise", "cluster 3")
+    assert format_range(parameter) == words
+    assert (format_cluster_name(-1), format_cluster_name(3)) == ("noise", "cluster 3")
 
 
 @pytest.mark.parametrize("figures", at_night([False, True], {True}))
@@ -182,7 +182,7 @@ def test_where_all_are_one_kind_the_page_says_so_and_draws_none(path, tmp_path):
     with Study.open(path, readonly=False) as study:
         # So wide a neighbourhood holds all.
         analyze(study, "distance", gamma=0.25, eps=10.0, min_samples=3)
-        assert judge_clusters(summarize(study).analyses["distance"]) == (
+        assert describe_informativeness(summarize(study).analyses["distance"]) == (
             "No separate kinds: by distance all scenarios are one group."
         )
         page = write_report(study, tmp_path / "r.html", figures=tmp_path / "f").read_text(encoding="utf-8")
@@ -203,17 +203,17 @@ def test_where_all_are_one_kind_the_page_says_so_and_draws_none(path, tmp_path):
 )
 def test_what_kinds_tell_is_said_in_a_sentence(path, tells, words):
     kinds = summarize(path).analyses["distance"]
-    assert judge_clusters(replace(kinds, tells=tells)) == f"The kinds by distance {words}"
-    assert "All scenarios end in the same way" in judge_clusters(replace(kinds, tells={}))
+    assert describe_informativeness(replace(kinds, fact_agreement=tells)) == f"The kinds by distance {words}"
+    assert "All scenarios end in the same way" in describe_informativeness(replace(kinds, fact_agreement={}))
     # Of a study of an early version.
-    assert judge_clusters(replace(kinds, tells={}, profiles=())) == ""
+    assert describe_informativeness(replace(kinds, fact_agreement={}, profiles=())) == ""
 
 
 def test_nothing_is_said_of_a_study_in_which_nothing_was_run(tmp_path):
     opened(tmp_path / "s.db").close()
     summary = summarize(tmp_path / "s.db")
-    assert (summary.run, dict(summary.metrics), dict(summary.analyses)) == (0, {}, {})
-    assert summary.knowledge.sensitivity is None
+    assert (summary.n_run, dict(summary.metrics), dict(summary.analyses)) == (0, {}, {})
+    assert summary.estimates.sensitivity is None
     with pytest.raises(InputError, match="no scenario was run yet"):
         write_report(tmp_path / "s.db", tmp_path / "r.html")
     assert not (tmp_path / "r.html").exists()
@@ -223,7 +223,7 @@ def test_a_name_never_hides_collisions():
     outcomes = {"Pedestrian first": 117, "Ego and Pedestrian collide": 3}
     kind = Profile(0, 120, {}, outcomes, (), "Ego passes after Pedestrian", 0.975, 0.0, 1)
     assert kind.label == "Ego passes after Pedestrian; 3 of 120 collide"
-    assert name_kind(kind) == f"cluster 0: {kind.label}"
+    assert format_cluster_title(kind) == f"cluster 0: {kind.label}"
     crash = replace(kind, size=3, outcomes={"Ego and Pedestrian collide": 3}, name="Ego collides with Pedestrian")
     assert crash.label == crash.name
 
@@ -235,11 +235,11 @@ LONG = (
 
 
 def test_no_name_of_a_kind_is_cut_in_figures():
-    figure = draw_clusters(
+    figure = draw_kernel_and_parameter_space(
         np.eye(4), np.array([0, 0, 1, 1]), np.eye(4)[:, :2], [Parameter("a", 0, 1), Parameter("b " * 40, 0, 1)], (0, 1),
         {0: f"cluster 0: {LONG}", 1: "cluster 1: Ego stands"},
     )  # fmt: skip
-    draw_files(figure)
+    render_figure(figure)
     shown = [text.get_text() for text in figure.findobj(Text)]
     assert f"cluster 0: {LONG} (2)" in [" ".join(text.split()) for text in shown]
     assert max(len(line) for text in shown for line in text.split("\n")) <= 60
@@ -251,7 +251,7 @@ def test_no_name_makes_a_huge_figure():
     for times in (1, 10_000):
         figure = Figure(figsize=(4.0, 3.0))
         figure.add_subplot().set_title("Ego yields to nobody" * times)
-        image = imread(BytesIO(draw_files(figure)["png"]))
+        image = imread(BytesIO(render_figure(figure)["png"]))
         sizes.append(image.shape)
     assert sizes[1][0] < 2 * sizes[0][0]
     assert sizes[1][1] < 2 * sizes[0][1]
@@ -262,13 +262,13 @@ def test_signs_that_the_font_lacks_are_no_reason_to_warn():
     figure.add_subplot().set_title("自车 stops for 行人")
     with warnings.catch_warnings():
         warnings.simplefilter("error")
-        assert draw_files(figure)["png"].startswith(b"\x89PNG")
+        assert render_figure(figure)["png"].startswith(b"\x89PNG")
 
 
 def test_in_a_drawn_example_both_are_to_be_seen():
     for aside in (6.0, 60.0, 300.0):
         away = recording(Ego=PASSES, P=entity(40.0, aside, 0.0, (0, 1.5)))
-        axis = draw_examples({"apart": away}, "Ego", "P").axes[0]
+        axis = draw_example_scenarios({"apart": away}, "Ego", "P").axes[0]
         for box in axis.patches:
             x, y = np.asarray(box.get_path().vertices).T
             assert axis.get_xlim()[0] < x.min() < x.max() < axis.get_xlim()[1]
@@ -281,7 +281,7 @@ def test_of_a_space_that_was_run_whole_the_page_claims_no_bound(tmp_path):
     with opened(tmp_path / "s.db", space, critical=-1.0) as study:
         logical = replace(LOGICAL, space=space)
         explorer(study, metrics=("distance", "wttc"), optimizer="sobol", logical=logical, critical=-1.0).run()
-    critical = put_in_words(summarize(tmp_path / "s.db"))["critical"]
+    critical = summary_to_dict(summarize(tmp_path / "s.db"))["critical"]
     assert critical["share"] == critical["missed"] == {"value": 0.0, "low": 0.0, "high": 0.0}
     page = write_report(tmp_path / "s.db", tmp_path / "r.html").read_text(encoding="utf-8")
     assert "These are all scenarios of the space." in page
@@ -291,6 +291,6 @@ def test_of_a_space_that_was_run_whole_the_page_claims_no_bound(tmp_path):
 def test_where_all_scores_are_the_same_it_is_said_that_they_tell_nothing(tmp_path):
     with Study.create(tmp_path / "s.db", about(SPACE, "delta-v", critical=1.0)) as study:
         explorer(study, metrics=("delta-v",), optimizer="sobol", critical=1.0).run()
-    critical = put_in_words(summarize(tmp_path / "s.db"))["critical"]
+    critical = summary_to_dict(summarize(tmp_path / "s.db"))["critical"]
     assert critical["scenarios"] == 0
     assert "too few different scores" in critical["note"]

@@ -52,18 +52,18 @@ def test_it_holds_each_telling_scenario_with_both_versions(versions, tmp_path):
     assert f"<h2>{found.verdict.capitalize()}</h2>" in page
     shown = re.findall(r"<b>(.*?)</b>: (.*?)</li>", page.partition('id="telling"')[0], re.DOTALL)
     told = [(what, re.sub(r"<[^>]*>|\n", "", scenarios)) for what, scenarios in shown]
-    assert told == [(one.what, one.name_scenarios(40)) for one in (*found.worse, *found.better)]
+    assert told == [(one.change_text, one.format_scenario_ids(40)) for one in (*found.worse, *found.better)]
     # Those that the page plays can be chosen where they are named.
-    numbers = {str(one.pair.ids[0]): str(2 * k + 1) for k, one in enumerate(found.telling)}
+    numbers = {str(one.pair.ids[0]): str(2 * k + 1) for k, one in enumerate(found.examples)}
     chosen = re.findall(r'data-old="(\d+)" data-new="\d+" title="Play scenario (\d+)"', page)
     assert chosen
     assert all(numbers[name] == old for old, name in chosen)
     contents = contents_of(page)
-    count = len(found.telling)
+    count = len(found.examples)
     assert 1 <= count <= 5
     assert contents["scenarios"]["id"] == list(range(1, 2 * count + 1))
     assert sorted(contents["recordings"], key=int) == [str(one) for one in range(1, 2 * count + 1)]
-    first = found.telling[0].pair
+    first = found.examples[0].pair
     assert contents["called"]["1"] == f"Old: scenario {first.ids[0]} of old.db"
     assert contents["called"]["2"] == f"New: scenario {first.ids[1]} of new.db"
     assert contents["scenarios"]["scores"]["wttc"][:2] == pytest.approx(list(first.scores["wttc"]), abs=1e-3)

@@ -9,20 +9,20 @@ import numpy as np
 import pytest
 
 from cornercase._common.errors import InputError
-from cornercase._common.ledger import Label, adapted
+from cornercase._common.ledger import NoticeLabel, adapted_notices
 from cornercase.roads import RoadNetwork
-from cornercase.scenario.xml import XmlFiles
-from cornercase.simulators.builtin.tracks.nurbs import nurbs_points
+from cornercase.scenario.xml import XmlFileCache
+from cornercase.simulators.builtin.tracks.nurbs import evaluate_nurbs
 from road_networks import WIDTH, lane, linked, road, write
 
 
 def read(path: Path) -> tuple[RoadNetwork, list[str]]:
     """The network of a file, and its notices."""
-    root = XmlFiles().root(path)
+    root = XmlFileCache().get_root(path)
     elements = list(root.iter())
-    network = RoadNetwork.of_xml(root, path)
-    notices = adapted(elements[0], path)
-    assert all(notice.label is Label.ADAPTED and notice.rule for notice in notices)
+    network = RoadNetwork.from_xml(root, path)
+    notices = adapted_notices(elements[0], path)
+    assert all(notice.label is NoticeLabel.ADAPTED and notice.rule for notice in notices)
     return network, [str(notice) for notice in notices]
 
 
@@ -35,8 +35,8 @@ def edited(folder: Path, old: str, new: str, *parts: str) -> Path:
 
 
 def end_of(network: RoadNetwork, name: str = "1") -> tuple[float, float]:
-    one = network.roads[network.index_of(name)]
-    x, y, _ = one.at_lane(-1, np.array([one.length]))
+    one = network.roads[network.road_index(name)]
+    x, y, _ = one.lane_pose_at(-1, np.array([one.length]))
     return float(x[0]), float(y[0])
 
 
@@ -77,7 +77,7 @@ def test_43_8_numbers_that_are_none_are_still_refused_by_their_line(tmp_path):
 )  # fmt: skip
 def test_43_8_a_lane_that_lacks_something_is_read(tmp_path, old, new, kind, said):
     network, notices = read(edited(tmp_path, old, new))
-    assert network.roads[0].sections[0][1][-1].kind == kind
+    assert network.roads[0].sections[0][1][-1].lane_type == kind
     assert notices == [said]
 
 
@@ -89,9 +89,9 @@ def test_43_8_a_road_that_is_linked_to_nothing_ends_there(tmp_path, end, contact
     assert notices == [
         f"link to the {what} '7' (road.xodr, line 1): leads to nothing that exists, so the road ends there"
     ]
-    path = network.path_of_lane(0, -1, 50.0, True)
+    path = network.lane_path_from(0, -1, 50.0, True)
     assert path is not None
-    assert path.ends
+    assert path.has_end
     assert path.x[-1] == pytest.approx(100.0)
 
 
@@ -101,11 +101,11 @@ def test_43_8_a_link_without_a_contact_point_leads_to_the_nearer_end(tmp_path):
              road("2", 50.0, at=(150.0, 0.0, np.pi), left=lane(1)))  # fmt: skip
     network, notices = read(write(tmp_path, *parts))
     assert network.roads[0].successor is not None
-    assert network.roads[0].successor.contact == "end"
+    assert network.roads[0].successor.contact_point == "end"
     assert notices == [
         "<successor> of <road> (road.xodr, line 1): has no contactPoint; the end of the road is used, which is nearer"
     ]
-    path = network.path_of_lane(0, -1, 50.0, True)
+    path = network.lane_path_from(0, -1, 50.0, True)
     assert path is not None
     assert path.x[-1] == pytest.approx(150.0)
 
@@ -115,7 +115,7 @@ def test_43_8_a_lane_that_is_linked_to_nothing_ends_there(tmp_path):
              road("2", 50.0, at=(100.0, 0.0, 0.0), right=lane(-1)))  # fmt: skip
     network, notices = read(write(tmp_path, *parts))
     assert notices == ["<successor> of <lane> (road.xodr, line 1): leads to no lane that exists, so the lane ends"]
-    path = network.path_of_lane(0, -1, 50.0, True)
+    path = network.lane_path_from(0, -1, 50.0, True)
     assert path is not None
     assert path.x[-1] == pytest.approx(100.0)
 
@@ -146,7 +146,7 @@ def test_43_8_a_reference_line_may_jump_by_two_metres(tmp_path, jump, read_so):
         if jump > 0.1
         else []
     )
-    lane_path = network.path_of_lane(0, -1, 0.0, True)
+    lane_path = network.lane_path_from(0, -1, 0.0, True)
     assert lane_path is not None
     assert lane_path.y[-1] == pytest.approx(jump - 2.0)
 
@@ -156,12 +156,12 @@ def test_43_8_a_road_that_cannot_be_used_is_left_out(tmp_path):
              road("2", 50.0, at=(100.0, 0.0, 0.0), right=lane(-1)))  # fmt: skip
     path = edited(tmp_path, '<geometry s="0" x="100.0" y="0.0" hdg="0.0" length="50.0"><line/></geometry>', "", *parts)
     network, notices = read(path)
-    assert [one.name for one in network.roads] == ["1"]
+    assert [one.road_id for one in network.roads] == ["1"]
     assert notices == ["road 2 (road.xodr, line 1): is left out: has no <geometry> in its <planView>"]
     # Using it raises an error with the reason.
     with pytest.raises(InputError, match="road 2: has no <geometry>"):
-        network.index_of("2")
-    lane_path = network.path_of_lane(0, -1, 0.0, True)
+        network.road_index("2")
+    lane_path = network.lane_path_from(0, -1, 0.0, True)
     assert lane_path is not None
     assert lane_path.x[-1] == pytest.approx(100.0)
 
@@ -177,7 +177,7 @@ def test_43_8_words_in_another_case_and_a_missing_header_are_read(tmp_path):
     path = edited(tmp_path, '<header revMajor="1" revMinor="8"/>', "")
     path.write_text(path.read_text().replace('junction="-1"', 'junction="-1" rule="lht"'))
     network, notices = read(path)
-    assert not network.roads[0].right_hand
+    assert not network.roads[0].is_right_hand_traffic
     assert notices == [
         "<header> (road.xodr, line 1): is missing, and the file is read as OpenDRIVE 1.9",
         "rule of <road> (road.xodr, line 1): is 'lht', and is read as 'LHT'",
@@ -187,7 +187,7 @@ def test_43_8_words_in_another_case_and_a_missing_header_are_read(tmp_path):
 def test_43_8_a_curve_whose_first_points_coincide_has_a_direction_from_its_begin():
     x, y = np.array([[0.0, 0.0, 0.0, 5.0, 10.0]]), np.array([[0.0, 0.0, 10.0, 15.0, 15.0]])
     knots = np.array([0.0, 0.0, 0.0, 0.0, 1.0, 2.0, 2.0, 2.0, 2.0])
-    heading = nurbs_points(x, y, np.zeros((1, 5)), np.ones(5), knots, 4)[2]
+    heading = evaluate_nurbs(x, y, np.zeros((1, 5)), np.ones(5), knots, 4)[2]
     assert heading[0, 0] == pytest.approx(0.5 * np.pi, abs=0.1)
 
 
@@ -225,7 +225,7 @@ SECOND = f'<laneSection s="{{}}">{CENTER}<right>{lane(-1, -1, -1, WIDTH.replace(
 def test_43_8_what_road_files_have_twice_or_not_is_said(tmp_path, old, new, end, said):
     network, notices = read(edited(tmp_path, old, new))
     one = network.roads[0]
-    assert one.at_lane(-1, np.array([99.0]))[1][0] == pytest.approx(end)
+    assert one.lane_pose_at(-1, np.array([99.0]))[1][0] == pytest.approx(end)
     assert any(notice.startswith(said) for notice in notices), notices
 
 
@@ -254,9 +254,9 @@ def test_43_8_a_lane_on_the_wrong_side_is_told_its_place(tmp_path, number, said)
 def test_43_8_many_lane_sections_are_read_in_a_time_that_grows_with_their_number(tmp_path):
     def seconds(count: int) -> float:
         sections = "".join(SECOND.format(k) for k in range(count))
-        root = XmlFiles().root(write(tmp_path, road("1", float(count), sections=sections)))
+        root = XmlFileCache().get_root(write(tmp_path, road("1", float(count), sections=sections)))
         begin = time.process_time()
-        RoadNetwork.of_xml(root, tmp_path / "road.xodr")
+        RoadNetwork.from_xml(root, tmp_path / "road.xodr")
         return time.process_time() - begin
 
     # The square would be 64 times as long.

@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 
 import road_networks as rn
-from cornercase.roads import RoadNetwork, road_direction, road_heading, stays_on_road
-from cornercase.roads.edges import road_margins
-from cornercase.roads.locating import SLACK, Locator
+from cornercase.roads import RoadNetwork, reference_cos_and_sin, reference_heading, stays_on_road
+from cornercase.roads.edges import road_edge_offsets
+from cornercase.roads.locating import OFF_ROAD_TOLERANCE, RoadLocator
 
 _ROOT = Path(__file__).parents[2]
 _FILES = ("examples/x_intersection/x_intersection.xodr", "tests/data/everything/road.xodr")
@@ -34,24 +34,24 @@ def _networks(folder: Path) -> list[RoadNetwork]:
 def test_edges_are_the_same_compiled(tmp_path: Path) -> None:
     for network in _networks(tmp_path):
         for k, road in enumerate(network.roads):
-            s = np.concatenate([np.linspace(-1.0, road.length + 1.0, 17), road.seams])
-            for at, right, left in zip(s, *road.margins(s), strict=True):
-                assert road_margins(network.tables.edges, k, at) == pytest.approx((right, left), rel=1e-14, abs=1e-14)
+            s = np.concatenate([np.linspace(-1.0, road.length + 1.0, 17), road.section_bounds])
+            for at, right, left in zip(s, *road.road_edge_offsets(s), strict=True):
+                assert road_edge_offsets(network.road_tables.edges, k, at) == pytest.approx((right, left), rel=1e-14, abs=1e-14)
 
 
 def test_who_stays_on_its_road_is_the_same_compiled(tmp_path: Path) -> None:
     random, stayed = np.random.default_rng(0), 0
     for network in _networks(tmp_path):
-        tables, locator = network.tables, Locator(network.roads)
+        tables, locator = network.road_tables, RoadLocator(network.roads)
         for k, road in enumerate(network.roads):
-            if not tables.plain[k]:
+            if not tables.position_known[k]:
                 assert any(piece.kind not in ("line", "arc") for piece in road.geometries)
                 continue
             s, t = random.uniform(-3.0, road.length + 3.0, 40), random.uniform(-15.0, 15.0, 40)
-            x, y, _ = road.at(np.clip(s, 0.0, road.length), t)
+            x, y, _ = road.pose_at(np.clip(s, 0.0, road.length), t)
             guess = s + random.normal(0.0, 3.0, 40)
             found = guess.copy()
-            inside = locator._holds(np.full(40, k), x, y, found, 1, SLACK)
+            inside = locator._is_on_road(np.full(40, k), x, y, found, 1, OFF_ROAD_TOLERANCE)
             for i in range(40):
                 stays, at = stays_on_road(tables, k, guess[i], x[i], y[i])
                 assert stays == inside[i]
@@ -63,21 +63,21 @@ def test_who_stays_on_its_road_is_the_same_compiled(tmp_path: Path) -> None:
 def test_a_place_between_the_inner_edges_is_on_the_road_wherever_along_it(tmp_path: Path) -> None:
     known = 0
     for network in _networks(tmp_path):
-        edges = network.tables.edges
+        edges = network.road_tables.edges
         for k, road in enumerate(network.roads):
-            right, left = road.margins(np.linspace(0.0, road.length, 200))
-            assert edges.inner[k, 0] >= right.max()
-            assert edges.inner[k, 1] <= left.min()
-            if np.isfinite(edges.inner[k, 0]):
+            right, left = road.road_edge_offsets(np.linspace(0.0, road.length, 200))
+            assert edges.always_inside[k, 0] >= right.max()
+            assert edges.always_inside[k, 1] <= left.min()
+            if np.isfinite(edges.always_inside[k, 0]):
                 known += 1
-                assert edges.inner[k] == pytest.approx((right.max(), left.min()), abs=1e-6)
+                assert edges.always_inside[k] == pytest.approx((right.max(), left.min()), abs=1e-6)
     assert known > 3
 
 
 def test_directions_are_those_of_headings(tmp_path: Path) -> None:
     for network in _networks(tmp_path):
         for k, road in enumerate(network.roads):
-            if network.tables.known[k]:
+            if network.road_tables.heading_known[k]:
                 for s in np.linspace(0.0, road.length, 7):
-                    heading = road_heading(network.tables, k, s)
-                    assert road_direction(network.tables, k, s) == (math.cos(heading), math.sin(heading))
+                    heading = reference_heading(network.road_tables, k, s)
+                    assert reference_cos_and_sin(network.road_tables, k, s) == (math.cos(heading), math.sin(heading))

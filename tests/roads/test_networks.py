@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from cornercase._common.errors import InputError
-from cornercase.roads.locating import Locator
+from cornercase.roads.locating import RoadLocator
 from road_networks import WIDTH, chain, lane, linked, network, road, virtual
 
 TURN = 2 * np.pi
@@ -34,7 +34,7 @@ def test_who_goes_straight_on_takes_no_notice_of_whole_turns_in_headings(tmp_pat
         road("north", 50.0, at=(110.0, 10.0, np.pi / 2), links=linked("predecessor", "j")),
         f'<junction id="j">{connections}</junction>',
     )
-    path = roads.path_of_lane(0, -1, 0.0, True)
+    path = roads.lane_path_from(0, -1, 0.0, True)
     assert path is not None
     assert (path.x[-1], path.y[-1]) == pytest.approx((170.0, -2.0))
 
@@ -48,11 +48,11 @@ def test_roads_that_lie_apart_are_not_bridged(tmp_path):
     gap = [road("1", 100.0, links=linked("successor", "2", "start")),
            road("2", 100.0, at=(140.0, 0.0, 0.0), links=linked("predecessor", "1", "end"))]  # fmt: skip
     roads = network(tmp_path, *gap)
-    path = roads.path_of_lane(0, -1, 0.0, True)
+    path = roads.lane_path_from(0, -1, 0.0, True)
     assert path is not None
     assert path.x[-1] == pytest.approx(100.0)
-    assert path.ends
-    assert roads.gaps() == [("1", "2", pytest.approx(40.0))]  # type: ignore[comparison-overlap]
+    assert path.has_end
+    assert roads.unconnected_links() == [("1", "2", pytest.approx(40.0))]  # type: ignore[comparison-overlap]
     assert not np.isfinite(way(roads, 0, 50.0, True, 1, 50.0))
 
 
@@ -61,24 +61,24 @@ def test_43_13_gaps_are_looked_for_only_where_somebody_comes_to_one(tmp_path):
            road("2", 100.0, at=(140.0, 0.0, 0.0), links=linked("predecessor", "1", "end")),
            road("3", 100.0, at=(0.0, 50.0, 0.0))]  # fmt: skip
     roads = network(tmp_path, *gap)
-    assert roads.path_of_lane(2, -1, 0.0, True) is not None
-    assert roads.gaps() == []
-    assert roads.path_of_lane(0, -1, 0.0, True) is not None
-    assert [names for *names, _ in roads.gaps()] == [["1", "2"]]
+    assert roads.lane_path_from(2, -1, 0.0, True) is not None
+    assert roads.unconnected_links() == []
+    assert roads.lane_path_from(0, -1, 0.0, True) is not None
+    assert [names for *names, _ in roads.unconnected_links()] == [["1", "2"]]
 
 
 def test_roads_that_nearly_meet_are_joined(tmp_path):
     roads = network(tmp_path, road("1", 100.0, links=linked("successor", "2", "start")),
                     road("2", 100.0, at=(100.3, 0.2, 0.0), links=linked("predecessor", "1", "end")))  # fmt: skip
-    path = roads.path_of_lane(0, -1, 0.0, True)
+    path = roads.lane_path_from(0, -1, 0.0, True)
     assert path is not None
     assert path.x[-1] == pytest.approx(200.3)
-    assert roads.gaps() == []
+    assert roads.unconnected_links() == []
 
 
 def test_a_road_passes_a_virtual_junction(tmp_path):
     roads = network(tmp_path, *virtual())
-    path = roads.path_of_lane(roads.index_of("main"), -1, 0.0, True)
+    path = roads.lane_path_from(roads.road_index("main"), -1, 0.0, True)
     assert path is not None
     assert (path.x[-1], path.distance[-1]) == (pytest.approx(100.0), pytest.approx(100.0))
     np.testing.assert_allclose(path.y, -2.0)
@@ -86,30 +86,30 @@ def test_a_road_passes_a_virtual_junction(tmp_path):
 
 def test_a_route_leaves_a_road_at_a_virtual_junction_and_comes_back_where_it_says(tmp_path):
     roads = network(tmp_path, *virtual())
-    main, aside = roads.index_of("main"), roads.index_of("aside")
-    path = roads.path_of_lane(main, -1, 0.0, True, ((aside, -1, 5.0), (main, -1, 80.0)))
+    main, aside = roads.road_index("main"), roads.road_index("aside")
+    path = roads.lane_path_from(main, -1, 0.0, True, ((aside, -1, 5.0), (main, -1, 80.0)))
     assert path is not None
     assert np.interp(40.0, path.x, path.y) == pytest.approx(-3.0)
     assert (path.x[-1], path.y[-1]) == (pytest.approx(100.0), pytest.approx(-2.0))
     assert path.distance[-1] == pytest.approx(100.0 + 2 * 0.9, abs=0.3)
-    onto = roads.path_of_lane(aside, -1, 10.0, True)
+    onto = roads.lane_path_from(aside, -1, 10.0, True)
     assert onto is not None
     assert onto.x[-1] == pytest.approx(100.0)
-    back = roads.path_of_lane(aside, -1, 10.0, False)
+    back = roads.lane_path_from(aside, -1, 10.0, False)
     assert back is not None
     assert back.x[-1] == pytest.approx(0.0)
 
 
 def test_a_way_that_is_longer_than_a_path_is_cut_not_ended(tmp_path):
     roads = network(tmp_path, *chain(20, 600.0))
-    path = roads.path_of_lane(0, -1, 0.0, True)
+    path = roads.lane_path_from(0, -1, 0.0, True)
     assert path is not None
-    assert not path.ends
-    assert path.begins
-    last = roads.path_of_lane(19, -1, 0.0, True)
+    assert not path.has_end
+    assert path.has_start
+    last = roads.lane_path_from(19, -1, 0.0, True)
     assert last is not None
-    assert last.ends
-    assert not last.begins
+    assert last.has_end
+    assert not last.has_start
 
 
 def test_the_way_along_roads_goes_through_all_that_connect(tmp_path):
@@ -117,15 +117,15 @@ def test_the_way_along_roads_goes_through_all_that_connect(tmp_path):
     assert way(roads, 0, 100.0, True, 19, 100.0) == pytest.approx(19 * 600.0)
     assert way(roads, 19, 100.0, True, 0, 100.0) == pytest.approx(-19 * 600.0)
     assert way(roads, 19, 100.0, False, 0, 100.0) == pytest.approx(19 * 600.0)
-    assert not np.isfinite(way(roads, 0, 100.0, True, roads.index_of("alone"), 50.0))
+    assert not np.isfinite(way(roads, 0, 100.0, True, roads.road_index("alone"), 50.0))
 
 
 def test_a_lane_that_has_widths_takes_no_notice_of_borders(tmp_path):
     both = WIDTH + '<border sOffset="0" a="-9" b="0" c="0" d="0"/>'
     roads = network(tmp_path, road("1", 100.0, right=lane(-1, inside=both)))
-    assert roads.world(0, -1, np.array([10.0]), np.zeros(1))[1] == pytest.approx(-2.0)
+    assert roads.lane_to_world(0, -1, np.array([10.0]), np.zeros(1))[1] == pytest.approx(-2.0)
     alone = network(tmp_path, road("1", 100.0, right=lane(-1, inside=both.replace(WIDTH, ""))))
-    assert alone.world(0, -1, np.array([10.0]), np.zeros(1))[1] == pytest.approx(-4.5)
+    assert alone.lane_to_world(0, -1, np.array([10.0]), np.zeros(1))[1] == pytest.approx(-4.5)
 
 
 @pytest.mark.parametrize(
@@ -139,7 +139,7 @@ def test_a_lane_number_that_is_none_is_refused(tmp_path, number, words):
 
 def test_lanes_far_out_cost_no_more_than_others(tmp_path):
     roads = network(tmp_path, road("1", 100.0, right=lane(-1) + lane(-200)))
-    assert roads.world(0, -200, np.array([10.0]), np.zeros(1))[1] == pytest.approx(-6.0)
+    assert roads.lane_to_world(0, -200, np.array([10.0]), np.zeros(1))[1] == pytest.approx(-6.0)
     assert roads.locate(np.array([50.0]), np.array([-5.0])).lane.tolist() == [-200]
 
 
@@ -147,13 +147,13 @@ def test_a_network_of_thousands_of_kilometres_is_sampled_more_coarsely_and_found
     roads = [road(str(k), 1e5, at=(0.0, 30.0 * k, 0.0), left=lane(1)) for k in range(40)]
     x, y = np.linspace(100.0, 99_900.0, 500), np.tile(np.arange(500) % 40 * 30.0, 1)
     wide = network(tmp_path, *roads)
-    locator = Locator(wide.roads, max_samples=200_000)
+    locator = RoadLocator(wide.roads, max_samples=200_000)
     right, left = locator.locate(x, y - 3.9), locator.locate(x, y + 0.1)
     assert right.road.tolist() == left.road.tolist() == (np.arange(500) % 40).tolist()
     assert set(right.lane) == {-1}
     assert set(left.lane) == {1}
     np.testing.assert_allclose(right.s, x, atol=1e-6)
-    path = wide.path_of_lane(3, -1, 50_000.0, True)
+    path = wide.lane_path_from(3, -1, 50_000.0, True)
     assert path is not None
     assert len(path.x) < 1e6
     assert path.lane_s == (50_000.0, 60_000.0)
@@ -169,19 +169,19 @@ def test_a_section_for_one_side_leaves_the_other_as_it_was(tmp_path):
              f'</right></laneSection><laneSection s="40" singleSide="true"><left>{lane(1)}{lane(2)}</left>{center}'
              "</laneSection>"),
     )  # fmt: skip
-    y = roads.world(0, -1, np.array([30.0, 60.0]), np.zeros(2))[1]
+    y = roads.lane_to_world(0, -1, np.array([30.0, 60.0]), np.zeros(2))[1]
     assert y == pytest.approx([-3.5, -5.0])
-    assert roads.world(0, 2, np.array([60.0]), np.zeros(1))[1] == pytest.approx(6.0)
-    path = roads.path_of_lane(0, -1, 0.0, True)
+    assert roads.lane_to_world(0, 2, np.array([60.0]), np.zeros(1))[1] == pytest.approx(6.0)
+    path = roads.lane_path_from(0, -1, 0.0, True)
     assert path is not None
     assert path.x[-1] == pytest.approx(100.0)
 
 
 def test_traffic_on_a_reversed_lane_runs_against_the_others(tmp_path):
     roads = network(tmp_path, road("1", 100.0, right=lane(-1) + lane(-2, more='direction="reversed"')))
-    assert roads.world(0, -1, np.array([10.0]), np.zeros(1))[2] == pytest.approx(0.0)
-    assert roads.world(0, -2, np.array([10.0]), np.zeros(1))[2] == pytest.approx(np.pi)
-    assert not roads.runs_along(0, -2, 10.0)
+    assert roads.lane_to_world(0, -1, np.array([10.0]), np.zeros(1))[2] == pytest.approx(0.0)
+    assert roads.lane_to_world(0, -2, np.array([10.0]), np.zeros(1))[2] == pytest.approx(np.pi)
+    assert not roads.is_traffic_forward(0, -2, 10.0)
 
 
 def test_a_lane_that_splits_leads_onto_both(tmp_path):
@@ -192,6 +192,6 @@ def test_a_lane_that_splits_leads_onto_both(tmp_path):
         road("1", 100.0, sections=f'<laneSection s="0">{center}<right>{split}</right></laneSection>'
              f'<laneSection s="50">{center}<right>{lane(-1)}{lane(-2)}{lane(-3)}</right></laneSection>'),
     )  # fmt: skip
-    path = roads.path_of_lane(0, -1, 0.0, True)
+    path = roads.lane_path_from(0, -1, 0.0, True)
     assert path is not None
     assert path.lane[-1] == -2

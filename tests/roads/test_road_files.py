@@ -56,7 +56,7 @@ def test_a_road_file_that_cannot_be_used_is_refused_by_the_road(tmp_path, old, n
 def test_a_straight_line_is_straight_in_every_shape(tmp_path, shape):
     roads = network(tmp_path, (LINE, shape))
     s = np.linspace(0.0, 500.0, 11)
-    x, y, heading = roads.road_world(0, s, np.full(11, -2.0))
+    x, y, heading = roads.road_to_world(0, s, np.full(11, -2.0))
     np.testing.assert_allclose(x, s, atol=1e-6)
     np.testing.assert_allclose(y, -2.0, atol=1e-9)
     np.testing.assert_allclose(heading, 0.0, atol=1e-9)
@@ -64,7 +64,7 @@ def test_a_straight_line_is_straight_in_every_shape(tmp_path, shape):
 
 def test_a_parabola_is_the_same_as_a_polynomial_of_either_kind(tmp_path):
     s = np.linspace(0.0, 100.0, 9)
-    one = network(tmp_path, (LINE, '<poly3 a="0" b="0" c="0.001" d="0"/>')).road_world(0, s, 0.0 * s)
+    one = network(tmp_path, (LINE, '<poly3 a="0" b="0" c="0.001" d="0"/>')).road_to_world(0, s, 0.0 * s)
     x, y, heading = one
     np.testing.assert_allclose(y, 0.001 * x**2, atol=1e-6)
     np.testing.assert_allclose(np.tan(heading), 0.002 * x, atol=1e-5)
@@ -77,7 +77,7 @@ def test_where_a_point_is_on_the_road(tmp_path):
     roads = network(tmp_path)
     found = roads.locate(np.array([100.0, 200.0]), np.array([-2.0, 2.5]))
     assert (found.lane.tolist(), found.s.tolist()) == ([-1, 1], pytest.approx([100.0, 200.0], abs=1e-6))
-    lane, offset = roads.lane_at(0, np.array([10.0, 10.0]), np.array([-3.0, 1.0]))
+    lane, offset = roads.find_lane(0, np.array([10.0, 10.0]), np.array([-3.0, 1.0]))
     assert (lane.tolist(), offset.tolist()) == ([-1, 1], pytest.approx([-1.0, -1.0]))
     with pytest.raises(InputError, match="has no road '7'"):
-        roads.index_of("7")
+        roads.road_index("7")

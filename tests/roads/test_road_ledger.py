@@ -16,10 +16,10 @@ from lxml import etree
 
 from conftest import EXAMPLES, car, scenario_file, speed_action, teleport
 from cornercase._common.errors import InputError
-from cornercase._common.ledger import Status
-from cornercase.roads import RoadNetwork, name_without_effect
-from cornercase.roads.ledger import LEDGER
-from cornercase.scenario.xml import XmlFiles
+from cornercase._common.ledger import SupportStatus
+from cornercase.roads import RoadNetwork, list_unsupported
+from cornercase.roads.ledger import SUPPORT_TABLE
+from cornercase.scenario.xml import XmlFileCache
 from cornercase.simulators import check
 from ledgers import gaps, page, strangers
 from road_networks import WIDTH, lane, linked, road, virtual, write
@@ -85,25 +85,25 @@ def schema(version: str) -> Path:
 
 @pytest.mark.parametrize("version", SCHEMAS)
 def test_the_ledger_knows_all_of_the_standard(version):
-    assert gaps(LEDGER, schema(version), "OpenDRIVE") == []
+    assert gaps(SUPPORT_TABLE, schema(version), "OpenDRIVE") == []
 
 
 def test_the_ledger_knows_nothing_beyond_the_standard():
-    beyond = {entry.element for entry in strangers(LEDGER, schema("1.8.0"), "OpenDRIVE") if not entry.attribute}
+    beyond = {entry.element for entry in strangers(SUPPORT_TABLE, schema("1.8.0"), "OpenDRIVE") if not entry.attribute}
     assert beyond == EARLIER
 
 
 def test_the_page_says_what_the_ledger_says():
-    assert PAGE.read_text(encoding="utf-8") == page(LEDGER, HEAD), f"run python {Path(__file__).name}"
+    assert PAGE.read_text(encoding="utf-8") == page(SUPPORT_TABLE, HEAD), f"run python {Path(__file__).name}"
 
 
 def told(path: Path) -> dict[str, str]:
-    files = XmlFiles()
-    root = files.root(path)
-    network = RoadNetwork.of_xml(root, path)
-    network.path_of_lane(0, -1, 0.0, True)
-    notices = name_without_effect(root, path, network)
-    return {", ".join(notice.what): notice.why for notice in notices}
+    files = XmlFileCache()
+    root = files.get_root(path)
+    network = RoadNetwork.from_xml(root, path)
+    network.lane_path_from(0, -1, 0.0, True)
+    notices = list_unsupported(root, path, network)
+    return {", ".join(notice.parts): notice.reason for notice in notices}
 
 
 def test_nothing_is_said_of_what_is_used(tmp_path):
@@ -171,7 +171,7 @@ def test_check_names_what_of_a_road_has_no_effect(tmp_path):
     scenario = scenario_file(tmp_path, init=INIT, entities=car("Ego"))
     write(tmp_path, road("1", 100.0), '<controller id="1"><control signalId="7"/></controller>')
     found = check(scenario)
-    assert found.good
+    assert found.is_valid
     assert [str(one) for one in found.notices if one.file.name == "road.xodr"] == [
         "<controller> (road.xodr, line 1): vehicles ignore the signs and lights of the road file"
     ]
@@ -207,9 +207,9 @@ def test_of_the_roads_of_others_all_is_used_or_named_and_nothing_unknown():
 
 
 def test_each_line_of_the_ledger_says_why():
-    for entry in LEDGER.entries:
-        assert entry.status is Status.USED or entry.note, entry
+    for entry in SUPPORT_TABLE.entries:
+        assert entry.status is SupportStatus.USED or entry.note, entry
 
 
 if __name__ == "__main__":
-    PAGE.write_text(page(LEDGER, HEAD), encoding="utf-8")
+    PAGE.write_text(page(SUPPORT_TABLE, HEAD), encoding="utf-8")

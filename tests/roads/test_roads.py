@@ -11,16 +11,16 @@ import road_networks as rn
 from conftest import EXAMPLES, ROAD, at_night, private, run, scenario_file, speed_action, teleport
 from cornercase._common.errors import InputError
 from cornercase.roads import RoadNetwork
-from cornercase.roads.lane_graph import Stretch
-from cornercase.roads.reference_line import Geometry
-from cornercase.scenario.xml import XmlFiles
+from cornercase.roads.lane_graph import DirectedLane
+from cornercase.roads.reference_line import ReferenceGeometry
+from cornercase.scenario.xml import XmlFileCache
 from cornercase.simulators import check
 
 REFERENCE = Path(__file__).parents[3] / "shared" / "reference" / "openscenario"
 
 
 def test_arc_is_a_circle():
-    x, y, heading = Geometry(0, 1, 2, 0.3, 50, "arc", (0.02,)).at(np.linspace(0, 50, 7))
+    x, y, heading = ReferenceGeometry(0, 1, 2, 0.3, 50, "arc", (0.02,)).pose_at(np.linspace(0, 50, 7))
     center = np.array([1 - 50 * np.sin(0.3), 2 + 50 * np.cos(0.3)])
     np.testing.assert_allclose(np.hypot(x - center[0], y - center[1]), 50, rtol=1e-12)
     np.testing.assert_allclose(heading, 0.3 + 0.02 * np.linspace(0, 50, 7))
@@ -30,21 +30,21 @@ def test_arc_is_a_circle():
 def test_spiral_against_numeric_integration(curvatures):
     start, end = curvatures
     length = 40.0
-    spiral = Geometry(0, 0, 0, 0.5, length, "spiral", curvatures)
+    spiral = ReferenceGeometry(0, 0, 0, 0.5, length, "spiral", curvatures)
 
     def heading(s):
         return 0.5 + start * s + 0.5 * (end - start) / length * s * s
 
     for along in (5.0, 23.0, 40.0):
-        x, y, h = spiral.at(np.array([along]))
+        x, y, h = spiral.pose_at(np.array([along]))
         assert x[0] == pytest.approx(quad(lambda s: np.cos(heading(s)), 0, along)[0], abs=1e-6)
         assert y[0] == pytest.approx(quad(lambda s: np.sin(heading(s)), 0, along)[0], abs=1e-6)
         assert h[0] == pytest.approx(heading(along))
 
 
 def test_parametric_cubic_of_a_straight_line():
-    cubic = Geometry(0, 0, 0, 0, 10, "paramPoly3", (1.0, 0, 10, 0, 0, 0, 5, 0, 0))
-    x, y, h = cubic.at(np.array([5.0]))
+    cubic = ReferenceGeometry(0, 0, 0, 0, 10, "paramPoly3", (1.0, 0, 10, 0, 0, 0, 5, 0, 0))
+    x, y, h = cubic.pose_at(np.array([5.0]))
     assert (x[0], y[0], h[0]) == pytest.approx((5.0, 2.5, np.arctan2(5, 10)))
 
 
@@ -58,7 +58,7 @@ def test_examples_are_valid_opendrive(name):
 
 def test_right_turn_is_smooth_and_ends_in_the_eastern_arm():
     network = RoadNetwork.read(EXAMPLES / "x_intersection" / "x_intersection.xodr")
-    path = network.path_of_lane(network.index_of("1"), -1, 0.0, True, ((network.index_of("2"), 1, 20.0),))
+    path = network.lane_path_from(network.road_index("1"), -1, 0.0, True, ((network.road_index("2"), 1, 20.0),))
     assert path is not None
     assert (path.x[-1], path.y[-1]) == pytest.approx((112.0, -1.75))
     assert np.hypot(np.diff(path.x), np.diff(path.y)).max() < 0.11
@@ -69,22 +69,22 @@ def test_right_turn_is_smooth_and_ends_in_the_eastern_arm():
 
 def test_between_samples_s_is_that_of_the_reference_line():
     network = RoadNetwork.read(EXAMPLES / "x_intersection" / "x_intersection.xodr")
-    path = network.path_of_lane(network.index_of("1"), -1, 0.0, True, ((network.index_of("2"), 1, 20.0),))
+    path = network.lane_path_from(network.road_index("1"), -1, 0.0, True, ((network.road_index("2"), 1, 20.0),))
     assert path is not None
     # In the middle of the turn, the lane is longer or shorter than the reference line.
     turn = np.flatnonzero(np.abs(path.curvature) > 0.1)[10:-10]
     distance = path.distance[turn][:, None] + np.array([0.0, 0.05, 0.0999])
     s = np.apply_along_axis(path.s_at, 1, distance)
     road = network.roads[int(path.road[turn[0]])]
-    x, y, _ = road.at(s.ravel(), np.interp(distance.ravel(), path.distance, path.center))
-    at_x, at_y, _, _ = path.at(distance.ravel(), np.zeros(distance.size))
+    x, y, _ = road.pose_at(s.ravel(), np.interp(distance.ravel(), path.distance, path.center_offset))
+    at_x, at_y, _, _ = path.pose_at(distance.ravel(), np.zeros(distance.size))
     np.testing.assert_allclose(np.hypot(x - at_x, y - at_y), 0.0, atol=2e-3)
-    np.testing.assert_allclose(path.ahead(distance[:, 0], s[:, 1] - s[:, 0]), distance[:, 1])
+    np.testing.assert_allclose(path.advance_along_reference(distance[:, 0], s[:, 1] - s[:, 0]), distance[:, 1])
 
 
 def test_without_a_route_the_way_goes_straight_on():
     network = RoadNetwork.read(EXAMPLES / "x_intersection" / "x_intersection.xodr")
-    path = network.path_of_lane(network.index_of("1"), -1, 0.0, True)
+    path = network.lane_path_from(network.road_index("1"), -1, 0.0, True)
     assert path is not None
     assert (path.x[-1], path.y[-1]) == pytest.approx((1.75, 112.0))
 
@@ -93,10 +93,10 @@ def test_locate_inverts_world():
     network = RoadNetwork.read(EXAMPLES / "x_intersection" / "x_intersection.xodr")
     rng = np.random.default_rng(1)
     for road in ("1", "2", "3", "4"):
-        r = network.index_of(road)
+        r = network.road_index(road)
         s, offset = rng.uniform(1, 95, 20), rng.uniform(-1.5, 1.5, 20)
         for lane in (-1, 1):
-            x, y, _ = network.world(r, lane, s, offset)
+            x, y, _ = network.lane_to_world(r, lane, s, offset)
             place = network.locate(x, y)
             assert (place.road == r).all()
             assert (place.lane == lane).all()
@@ -127,19 +127,19 @@ def test_all_lanes_of_roads_of_others_join(each):
     joins, apart = 0, []
     for file in files[::each]:
         network = RoadNetwork.read(file)
-        graph = network._graph
+        graph = network._lane_graph
         for road, one in enumerate(network.roads):
             for section, (_, lanes) in enumerate(one.sections):
                 for lane, along in ((lane, along) for lane in lanes for along in (True, False)):
-                    here = Stretch(road, section, lane, along)
-                    path = graph.piece(here)
-                    for option in graph.exits(here):
+                    here = DirectedLane(road, section, lane, along)
+                    path = graph.lane_center_path(here)
+                    for option in graph.find_exits(here):
                         joins += 1
-                        follows = graph.piece(option)
+                        follows = graph.lane_center_path(option)
                         gap = np.hypot(path.x[-1] - follows.x[0], path.y[-1] - follows.y[0])
-                        if gap > 0.05 and (one.name, lane, option.lane) not in APART.get(file.name, ()):
-                            apart.append((file.name, one.name, here, option, gap))
-        assert graph.gaps == {}, file.name
+                        if gap > 0.05 and (one.road_id, lane, option.lane) not in APART.get(file.name, ()):
+                            apart.append((file.name, one.road_id, here, option, gap))
+        assert graph.unconnected_links == {}, file.name
     assert joins > (20 if each > 1 or not REFERENCE.is_dir() else 1000)
     assert apart == []
 
@@ -174,13 +174,13 @@ def test_a_ring_of_roads_ends(tmp_path):
         ring.replace('<lane id="-1" type="driving">', '<lane id="-1" type="driving"><link><successor id="-1"/></link>')
     )
     network = RoadNetwork.read(path)
-    endless = network.path_of_lane(0, -1, 0.0, True)
+    endless = network.lane_path_from(0, -1, 0.0, True)
     assert endless is not None
     assert endless.distance[-1] < 12_000
 
 
-def _parametric(text: str, length: float, top: float) -> Geometry:
-    return Geometry(0, 0, 0, 0, length, "paramPoly3", (top, *map(float, text.split())))
+def _parametric(text: str, length: float, top: float) -> ReferenceGeometry:
+    return ReferenceGeometry(0, 0, 0, 0, length, "paramPoly3", (top, *map(float, text.split())))
 
 
 CURVES = ("0 10 0 0  0 0 5 -3", "0 1 0.4 -0.2  0 0.1 -2 1.7", "0 200 50 -30  0 10 -80 40", "0 3 20 -9  0 0 2 1")
@@ -195,27 +195,27 @@ def test_43_3_a_parametric_cubic_is_followed_by_its_length(text, top):
         return float(np.hypot(*(np.polyval(np.polyder(one[::-1]), p) for one in (u, v))))
 
     length = quad(speed, 0.0, top, epsabs=1e-12, limit=200)[0]
-    cubic = Geometry(0, 0, 0, 0, length, "paramPoly3", (top, *u, *v))
+    cubic = ReferenceGeometry(0, 0, 0, 0, length, "paramPoly3", (top, *u, *v))
     along = np.linspace(0.0, length, 41)
-    for s, p in zip(along, cubic.parameter(along), strict=True):
+    for s, p in zip(along, cubic.curve_parameter(along), strict=True):
         assert quad(speed, 0.0, p, epsabs=1e-12, limit=200)[0] == pytest.approx(s, abs=1e-5 * length)
-    x, y, _ = cubic.at(along)
+    x, y, _ = cubic.pose_at(along)
     assert (x[-1], y[-1]) == pytest.approx((np.polyval(u[::-1], top), np.polyval(v[::-1], top)))
     fine = np.linspace(0.0, length, 20_001)
-    turned = np.gradient(np.unwrap(cubic.at(fine)[2]), fine)
-    np.testing.assert_allclose(cubic.bend(fine[5:-5]), turned[5:-5], atol=2e-2 * np.abs(turned).max())
+    turned = np.gradient(np.unwrap(cubic.pose_at(fine)[2]), fine)
+    np.testing.assert_allclose(cubic.curvature_at(fine[5:-5]), turned[5:-5], atol=2e-2 * np.abs(turned).max())
     # Straight continuation beyond its ends.
-    x, y, heading = cubic.at(np.array([-7.0, 0.0, length, length + 9.0]))
+    x, y, heading = cubic.pose_at(np.array([-7.0, 0.0, length, length + 9.0]))
     assert np.hypot(np.diff(x), np.diff(y))[[0, 2]] == pytest.approx([7.0, 9.0])
     assert np.arctan2(np.diff(y), np.diff(x))[[0, 2]] == pytest.approx(heading[[0, 3]])
-    assert cubic.bend(np.array([-1.0, length + 1.0])).tolist() == [0.0, 0.0]
+    assert cubic.curvature_at(np.array([-1.0, length + 1.0])).tolist() == [0.0, 0.0]
 
 
 def test_43_3_a_parametric_cubic_of_another_length_ends_where_the_file_says():
     stretched = _parametric(CURVES[0], 12.0, 1.0)
-    x, y, _ = stretched.at(np.array([0.0, 12.0]))
+    x, y, _ = stretched.pose_at(np.array([0.0, 12.0]))
     assert (x.tolist(), y.tolist()) == ([0.0, pytest.approx(10.0)], [0.0, pytest.approx(2.0)])
-    x, y, _ = stretched.at(np.linspace(0.0, 12.0, 101))
+    x, y, _ = stretched.pose_at(np.linspace(0.0, 12.0, 101))
     steps = np.hypot(np.diff(x), np.diff(y))
     np.testing.assert_allclose(steps, steps[0], rtol=1e-3)
 
@@ -258,9 +258,9 @@ def _layered(folder, links="", old="", new=""):
 def test_43_4_only_the_permanent_lanes_are_driven_on(tmp_path):
     links = '<successor id="-1" layer="permanent"/><successor id="-2" layer="temporary"/>'
     path = _layered(tmp_path, links)
-    root = XmlFiles().root(path)
-    network = RoadNetwork.of_xml(root, path)
-    assert network.roads[0].offsets == ()
+    root = XmlFileCache().get_root(path)
+    network = RoadNetwork.from_xml(root, path)
+    assert network.roads[0].lane_offsets == ()
     assert network.roads[0].sections[0][1][-1].successors == (-1,)
     scenario = scenario_file(tmp_path, init=private("Ego", teleport("1"), speed_action("10")))
     path = _layered(tmp_path, links)

@@ -152,9 +152,9 @@ def test_43_1_somebody_at_the_end_of_a_lane_is_not_on_the_next_that_lies_beside_
         rn.road("2", 50.0, at=(50.0, 3.0, 0.0), links=rn.linked("predecessor", "1", "end")),
     )
     network = RoadNetwork.read(tmp_path / "road.xodr")
-    path = network.path_of_lane(0, -1, 25.0, True)
+    path = network.lane_path_from(0, -1, 25.0, True)
     assert path is not None
-    x, y, *_ = path.at(path.distance_at(np.array([49.97, 50.0])), np.zeros(2))
+    x, y, *_ = path.pose_at(path.distance_of_s(np.array([49.97, 50.0])), np.zeros(2))
     np.testing.assert_allclose(x, [49.97, 50.0], atol=0.03)
     np.testing.assert_allclose(y, -2.0, atol=0.5)
 
@@ -162,7 +162,7 @@ def test_43_1_somebody_at_the_end_of_a_lane_is_not_on_the_next_that_lies_beside_
 def test_43_1_of_records_at_one_place_the_last_holds(tmp_path: Path) -> None:
     widths = '<width sOffset="0" a="5" b="0" c="0" d="0"/><width sOffset="0" a="3" b="0" c="0" d="0"/>'
     network = rn.network(tmp_path, rn.road("1", 50.0, right=rn.lane(-1, inside=widths)))
-    assert network.roads[0].width(0, -1, np.array([10.0])) == pytest.approx(3.0)
+    assert network.roads[0].lane_width(0, -1, np.array([10.0])) == pytest.approx(3.0)
 
 
 def test_43_1_a_piece_of_a_length_below_0_is_refused(tmp_path: Path) -> None:
@@ -173,5 +173,5 @@ def test_43_1_a_piece_of_a_length_below_0_is_refused(tmp_path: Path) -> None:
 def test_43_1_before_the_first_offset_lanes_are_shifted_as_where_it_begins(tmp_path: Path) -> None:
     late = '<laneOffset s="25" a="0.5" b="0.1" c="0.01" d="-0.001"/>'
     road = rn.network(tmp_path, one_road(offsets=late)).roads[0]
-    np.testing.assert_allclose(road.center(0, -1, np.array([0.0, 10.0, 24.9, 25.0])), -1.5)
-    assert road.center(0, -1, np.array([27.0])) == pytest.approx(-1.5 + 0.1 * 2 + 0.01 * 4 - 0.001 * 8)
+    np.testing.assert_allclose(road.lane_center(0, -1, np.array([0.0, 10.0, 24.9, 25.0])), -1.5)
+    assert road.lane_center(0, -1, np.array([27.0])) == pytest.approx(-1.5 + 0.1 * 2 + 0.01 * 4 - 0.001 * 8)

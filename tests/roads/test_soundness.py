@@ -7,7 +7,7 @@ import pytest
 from conftest import ROAD, car, scenario_file, speed_action, teleport
 from cornercase import check, convert
 from cornercase._common.errors import InputError
-from cornercase.roads import RoadNetwork, lane_path, name_without_effect
+from cornercase.roads import RoadNetwork, lane_path, list_unsupported
 from cornercase.scenario import read_xml
 
 WIDTH = '<width sOffset="0" a="4" b="0" c="0" d="0"/>'
@@ -63,13 +63,13 @@ def test_a_road_that_contradicts_itself_is_refused(tmp_path, old, new, words):
 def test_what_is_missing_of_a_road_is_named(tmp_path, old, new, what):
     path = written(tmp_path, old, new)
     root = read_xml(path)
-    network = RoadNetwork.of_xml(root, path)
-    assert [one.what for one in name_without_effect(root, path, network, read=False)] == [(what,)]
+    network = RoadNetwork.from_xml(root, path)
+    assert [one.parts for one in list_unsupported(root, path, network, fully_read=False)] == [(what,)]
 
 
 def test_a_lane_that_swings_to_and_fro_is_sampled_more_coarsely(tmp_path, monkeypatch):
-    monkeypatch.setattr(lane_path, "_MOST_SAMPLES", 1000)
-    path = RoadNetwork.read(written(tmp_path, "<line/>", "<line/>")).path_of_lane(0, -1, 0.0, True)
+    monkeypatch.setattr(lane_path, "_MAX_SAMPLES", 1000)
+    path = RoadNetwork.read(written(tmp_path, "<line/>", "<line/>")).lane_path_from(0, -1, 0.0, True)
     assert path is not None
     assert len(path.x) == 1000
     assert path.distance[-1] == pytest.approx(500.0)
@@ -80,7 +80,7 @@ def test_an_elevation_that_is_no_number_is_refused_where_it_is_needed(tmp_path):
     path = scenario_file(tmp_path, init=init, entities=entities)
     climb = '<elevationProfile><elevation s="0" a="0" b="road" c="0" d="0"/></elevationProfile><lanes>'
     (tmp_path / "road.xodr").write_text(ROAD.replace("<lanes>", climb))
-    assert check(path).trouble == ()
+    assert check(path).run_errors == ()
     with pytest.raises(InputError, match="line 3, road 1: b of <elevation> is 'road', not a finite number"):
         convert(path, tmp_path / "out.xosc", ego="Ego")
     assert not (tmp_path / "out.xosc").exists()

@@ -10,7 +10,7 @@ from command_line import cornercase
 from conftest import car, moving, run, scenario_file
 from cornercase import check, convert
 from cornercase._common.errors import InputError
-from cornercase.scenario import Scenario, ScenarioParcel, write_concrete
+from cornercase.scenario import ScenarioFile, ScenarioBundle, write_concrete_file
 
 PROFILES = """<Profiles SchemaVersion="0.4.6"><AgentProfiles>
 <AgentProfile Name="Middle" Type="Dynamic"><DriverProfiles><DriverProfile Name="R" Probability="1.0"/></DriverProfiles>
@@ -60,26 +60,26 @@ def test_43_8_of_an_agent_profile_of_openpass_the_vehicle_model_is_read(tmp_path
     path = of_openpass(tmp_path / "s", profile)
     assert run(path, duration=1.0).length[0] == length
     found = check(path)
-    assert not found.trouble
+    assert not found.run_errors
     (notice,) = [one for one in found.notices if one.rule]
-    assert f"the agent profile '{profile}' of openPASS" in notice.why
-    assert said in notice.why
-    (whole,) = [one for one in found.notices if one.what == ("<Profiles>",)]
-    assert "drivers, sensors" in whole.why
-    assert not [one for one in found.notices if one.why == "is not known here"]
+    assert f"the agent profile '{profile}' of openPASS" in notice.reason
+    assert said in notice.reason
+    (whole,) = [one for one in found.notices if one.parts == ("<Profiles>",)]
+    assert "drivers, sensors" in whole.reason
+    assert not [one for one in found.notices if one.reason == "is not known here"]
 
 
 def test_43_8_an_agent_profile_counts_and_goes_with_the_scenario(tmp_path):
     path = of_openpass(tmp_path / "s")
-    before = Scenario(path).fingerprint()
+    before = ScenarioFile(path).fingerprint()
     (there := tmp_path / "there").mkdir()
-    other = ScenarioParcel.of(Scenario(path)).unpack(there)
+    other = ScenarioBundle.from_file(ScenarioFile(path)).unpack(there)
     assert other.fingerprint() == before
-    assert not check(other).trouble
-    write_concrete(Scenario(path), {}, tmp_path / "one" / "one.xosc")
+    assert not check(other).run_errors
+    write_concrete_file(ScenarioFile(path), {}, tmp_path / "one" / "one.xosc")
     convert(path, tmp_path / "two" / "two.xosc", ego="Ego")
     (tmp_path / "s" / "ProfilesCatalog.xml").write_text(PROFILES.replace("0.4", "0.9"))
-    assert Scenario(path).fingerprint() != before
+    assert ScenarioFile(path).fingerprint() != before
     assert run(path, duration=0.1).length[0] == 3.5
     assert run(tmp_path / "one" / "one.xosc", duration=0.1).length[0] == 5.5
     assert run(tmp_path / "two" / "two.xosc", duration=0.1).length[0] == 5.5
@@ -94,10 +94,10 @@ def test_43_8_an_agent_profile_counts_and_goes_with_the_scenario(tmp_path):
 )
 def test_43_8_an_agent_profile_without_a_vehicle_is_refused_with_the_way_out(tmp_path, profile, words):
     path = of_openpass(tmp_path / "s", profile)
-    (why,) = check(path).trouble
+    (why,) = check(path).run_errors
     assert words in why
     (tmp_path / "s" / "ProfilesCatalog.xml").unlink()
-    (why,) = check(path).trouble
+    (why,) = check(path).run_errors
     assert "is not next to the scenario; put it there, or use a vehicle" in why
 
 
@@ -147,11 +147,11 @@ def test_43_11_a_draft_of_1_4_is_read_as_1_3_and_what_it_adds_is_named(tmp_path)
     assert run(path, duration=1.0).time[-1] == pytest.approx(1.0)
     notices = check(path).notices
     (version,) = [one for one in notices if one.rule]
-    assert "read as OpenSCENARIO XML 1.3" in version.why
-    assert "revMinor" in version.what[0]
-    (unknown,) = [one for one in notices if "<WeatherModels>" in " ".join(one.what)]
-    assert "OpenSCENARIO XML 1.4 may have it, 1.3 has not" in unknown.why
-    assert not [one for one in notices if one.what == version.what and not one.rule]
+    assert "read as OpenSCENARIO XML 1.3" in version.reason
+    assert "revMinor" in version.parts[0]
+    (unknown,) = [one for one in notices if "<WeatherModels>" in " ".join(one.parts)]
+    assert "OpenSCENARIO XML 1.4 may have it, 1.3 has not" in unknown.reason
+    assert not [one for one in notices if one.parts == version.parts and not one.rule]
 
 
 def test_43_11_what_a_draft_of_1_4_needs_is_refused_as_of_1_4(tmp_path):
@@ -160,6 +160,6 @@ def test_43_11_what_a_draft_of_1_4_needs_is_refused_as_of_1_4(tmp_path):
     )
     path = scenario_file(tmp_path, init=moving(), stop=f"<ConditionGroup>{condition}</Condition></ConditionGroup>")
     path.write_text(path.read_text().replace('revMinor="2"', 'revMinor="4"'))
-    (why,) = check(path).trouble
+    (why,) = check(path).run_errors
     assert "<MoodCondition> is not supported" in why
     assert "OpenSCENARIO XML 1.4, the file's version, may have it" in why

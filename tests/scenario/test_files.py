@@ -9,7 +9,7 @@ import pytest
 from conftest import ROAD, scenario_file, teleport
 from cornercase import check
 from cornercase._common.errors import InputError
-from cornercase.scenario import LogicalScenario, Scenario, find_scenario, write_concrete
+from cornercase.scenario import LogicalScenario, ScenarioFile, find_scenario_file, write_concrete_file
 from cornercase.simulators import simulate
 
 VEHICLE = """<Vehicle name="{name}" vehicleCategory="car"><BoundingBox><Center x="1.4" y="0" z="0.7"/>
@@ -65,7 +65,7 @@ def test_catalogs_of_two_folders_of_one_name_are_both_written(tmp_path):
     catalog(tmp_path / "a" / "catalogs", "cars", "Large", ("small", 6))
     catalog(tmp_path / "b" / "catalogs", "cars", "Small", ("small", 3))
     path = from_catalogs(tmp_path, "a/catalogs", "b/catalogs", name="Small")
-    write_concrete(Scenario.read(path), {}, tmp_path / "out" / "scenario.xosc")
+    write_concrete_file(ScenarioFile.read(path), {}, tmp_path / "out" / "scenario.xosc")
     assert simulate(tmp_path / "out" / "scenario.xosc", duration=0.1).length == [3.0]
 
 
@@ -90,8 +90,8 @@ def with_roads_by_parameter(folder):
 def test_a_road_that_a_varied_parameter_names_belongs_to_the_scenario(tmp_path):
     space = with_roads_by_parameter(tmp_path)
     before = LogicalScenario.read(None, space)
-    assert find_scenario("scenario.xosc", before.fingerprint, [tmp_path], before.space) is not None
-    copy = pickle.loads(pickle.dumps(before.scenario))
+    assert find_scenario_file("scenario.xosc", before.fingerprint, [tmp_path], before.space) is not None
+    copy = pickle.loads(pickle.dumps(before.scenario_file))
     (tmp_path / "other.xodr").write_text(ROAD.replace('a="4"', 'a="3"'))
     after = LogicalScenario.read(None, space)
     assert after.fingerprint != before.fingerprint
@@ -99,7 +99,7 @@ def test_a_road_that_a_varied_parameter_names_belongs_to_the_scenario(tmp_path):
     with pytest.raises(InputError, match="has changed since it was read"):
         _ = copy.root
     # Not part of the fingerprint if the parameter does not vary.
-    assert Scenario.read(tmp_path / "scenario.xosc").fingerprint() not in (before.fingerprint, after.fingerprint)
+    assert ScenarioFile.read(tmp_path / "scenario.xosc").fingerprint() not in (before.fingerprint, after.fingerprint)
 
 
 @pytest.mark.parametrize("name", ["9" * 400, "a/" * 3000])
@@ -125,16 +125,16 @@ def test_43_only_files_that_hold_a_catalog_are_catalogs(tmp_path, other):
     """The scenario's own folder, with other scenarios in it, may be the catalog folder."""
     catalog(tmp_path, "one", "Cars", ("small", 3))
     path = from_catalogs(tmp_path, "")
-    before = Scenario(path).fingerprint(), check(path).notices
+    before = ScenarioFile(path).fingerprint(), check(path).notices
     text = path.read_text()
     (tmp_path / "other.xosc").write_text(
         {"scenario": text, "space": "<OpenSCENARIO><FileHeader/><ParameterValueDistribution/></OpenSCENARIO>"}.get(
             other, other
         )
     )
-    assert Scenario(path).catalog_files() == [tmp_path / "one.xosc"]
-    assert (Scenario(path).fingerprint(), check(path).notices) == before
+    assert ScenarioFile(path).catalog_files() == [tmp_path / "one.xosc"]
+    assert (ScenarioFile(path).fingerprint(), check(path).notices) == before
     assert simulate(path, duration=0.1).length == [3.0]
-    written = write_concrete(Scenario.read(path), {}, tmp_path / "there" / "out.xosc")
+    written = write_concrete_file(ScenarioFile.read(path), {}, tmp_path / "there" / "out.xosc")
     assert tmp_path / "there" / "other.xosc" not in written
     assert "other.xosc" not in [one.name for one in written]

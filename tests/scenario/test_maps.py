@@ -14,14 +14,14 @@ import pytest
 from command_line import cornercase
 from conftest import ROAD, car, moving, scenario_file
 from cornercase import check, convert, explore
-from cornercase import test as run_suite
+from cornercase import run_suite as run_scenarios
 from cornercase._common.errors import InputError
 from cornercase.report.data import read_report_data
-from cornercase.report.live.knowing import Surroundings
-from cornercase.scenario import ConcreteScenario, LogicalScenario, Scenario, ScenarioParcel, write_concrete
-from cornercase.scenario.maps import MAPS_VARIABLE, looking_in
+from cornercase.report.live.knowing import RoadAndRerunCache
+from cornercase.scenario import ConcreteScenario, LogicalScenario, ScenarioFile, ScenarioBundle, write_concrete_file
+from cornercase.scenario.maps import MAPS_VARIABLE, search_maps_in
 from cornercase.simulators import EsminiSimulator, WorkerSimulator, simulate
-from cornercase.study import Study, explored_scenario
+from cornercase.study import Study, find_explored_scenario
 
 pytestmark = pytest.mark.filterwarnings("ignore:adapted:UserWarning")
 
@@ -50,11 +50,11 @@ def test_43_7_a_map_is_found_by_its_name_and_a_notice_says_where(tmp_path, maps,
     path = town(tmp_path / "s", name)
     monkeypatch.setenv(MAPS_VARIABLE, os.pathsep.join([str(tmp_path), str(maps)]))
     found = check(path)
-    assert not found.trouble
+    assert not found.run_errors
     (notice,) = [one for one in found.notices if one.rule]
-    assert str(maps / "Town01.xodr") in notice.why
-    assert notice.what == ("filepath of <LogicFile>",)
-    assert Scenario(path).road_file() == maps / "Town01.xodr"
+    assert str(maps / "Town01.xodr") in notice.reason
+    assert notice.parts == ("filepath of <LogicFile>",)
+    assert ScenarioFile(path).road_path_for() == maps / "Town01.xodr"
 
 
 @pytest.mark.parametrize("place", ["OpenDrive/Town01.xodr", "Town01/OpenDrive/Town01.xodr"])
@@ -62,26 +62,26 @@ def test_43_7_a_folder_of_carla_itself_serves(tmp_path, maps, place):
     path = town(tmp_path / "s")
     (inner := maps / place).parent.mkdir(parents=True)
     (maps / "Town01.xodr").rename(inner)
-    with looking_in([maps]):
-        assert Scenario(path).road_file() == inner
+    with search_maps_in([maps]):
+        assert ScenarioFile(path).road_path_for() == inner
     assert MAPS_VARIABLE not in os.environ
 
 
 def test_43_7_a_file_that_is_named_and_there_goes_first(tmp_path, maps):
     path = town(tmp_path / "s", "Town01.xodr")
     (tmp_path / "s" / "Town01.xodr").write_text(ROAD)
-    with looking_in([maps]):
-        assert Scenario(path).road_file() == tmp_path / "s" / "Town01.xodr"
+    with search_maps_in([maps]):
+        assert ScenarioFile(path).road_path_for() == tmp_path / "s" / "Town01.xodr"
         assert not [one for one in check(path).notices if one.rule]
 
 
 def test_43_7_the_map_counts_in_the_fingerprint(tmp_path, maps):
     path = town(tmp_path / "s")
-    with looking_in([maps]):
-        before = Scenario(path).fingerprint()
+    with search_maps_in([maps]):
+        before = ScenarioFile(path).fingerprint()
         (maps / "Town01.xodr").write_text(ROAD.replace('length="500"', 'length="500.0"') + "<!-- other -->")
-        assert Scenario(path).fingerprint() != before
-    assert Scenario(path).fingerprint() != before
+        assert ScenarioFile(path).fingerprint() != before
+    assert ScenarioFile(path).fingerprint() != before
 
 
 @pytest.mark.parametrize(
@@ -101,7 +101,7 @@ def test_43_7_what_is_not_there_is_told_to_be_carlas_and_how_to_get_it(tmp_path,
 
 
 def test_43_7_of_other_roads_the_way_is_told_too(tmp_path):
-    (why,) = check(town(tmp_path / "s", "../xodr/ring.xodr")).trouble
+    (why,) = check(town(tmp_path / "s", "../xodr/ring.xodr")).run_errors
     assert "s/../xodr/ring.xodr; put it there, or name its folder by --maps" in why
     assert "CARLA" not in why
 
@@ -117,7 +117,7 @@ def test_43_7_what_is_no_folder_here_is_refused(tmp_path, monkeypatch, given, sa
     assert f"--maps {said}" in " ".join(done.stderr.split())
     monkeypatch.setenv(MAPS_VARIABLE, given)
     with pytest.raises(InputError, match=f"{MAPS_VARIABLE} {said}"):
-        Scenario(path).road_file()
+        ScenarioFile(path).road_path_for()
 
 
 def test_43_7_every_command_that_reads_scenarios_takes_folders(tmp_path, maps):
@@ -139,7 +139,7 @@ def test_43_7_every_command_that_reads_scenarios_takes_folders(tmp_path, maps):
 
 def test_43_7_workers_find_what_the_command_finds(tmp_path, maps):
     path = town(tmp_path / "s")
-    with looking_in([maps]):
+    with search_maps_in([maps]):
         one = simulate(path, {}, duration=1.0)
         asked = "from cornercase.scenario import Scenario; import sys; print(Scenario(sys.argv[1]).road_file())"
         told = subprocess.run([sys.executable, "-c", asked, str(path)], capture_output=True, text=True, check=True)
@@ -150,8 +150,8 @@ def test_43_7_workers_find_what_the_command_finds(tmp_path, maps):
 def test_43_7_a_map_that_is_lost_on_the_way_is_told_by_a_worker(tmp_path, maps):
     """The message of a worker process arrives unchanged."""
     path = town(tmp_path / "s")
-    with looking_in([maps]):
-        concrete = ConcreteScenario(path, {}, Scenario.read(path))
+    with search_maps_in([maps]):
+        concrete = ConcreteScenario(path, {}, ScenarioFile.read(path))
         with WorkerSimulator("builtin", {"duration": 1.0}) as simulator:
             assert not isinstance(next(iter(simulator.run([concrete]))), Exception)
     with (
@@ -163,20 +163,20 @@ def test_43_7_a_map_that_is_lost_on_the_way_is_told_by_a_worker(tmp_path, maps):
 
 def test_43_7_other_machines_get_the_map_with_the_scenario(tmp_path, maps):
     path = town(tmp_path / "s", "/Game/Carla/Maps/Town01")
-    with looking_in([maps]):
-        scenario = Scenario(path)
-        fingerprint, parcel = scenario.fingerprint(), ScenarioParcel.of(scenario)
+    with search_maps_in([maps]):
+        scenario = ScenarioFile(path)
+        fingerprint, parcel = scenario.fingerprint(), ScenarioBundle.from_file(scenario)
     (there := tmp_path / "there").mkdir()
     shutil.rmtree(maps)
     other = parcel.unpack(there)
     assert other.fingerprint() == fingerprint
-    assert not check(other).trouble
+    assert not check(other).run_errors
 
 
 def test_43_7_what_is_written_holds_the_map_and_a_study_says_that_it_needs_it(tmp_path, maps):
     path = town(tmp_path / "s")
     study = tmp_path / "s" / "study.db"
-    with looking_in([maps]):
+    with search_maps_in([maps]):
         logical = LogicalScenario.read(path, None, ["speed=5:30"])
         explore(
             logical, study, ego="Ego", other="B", metrics=["distance"], optimizer="grid", budget=8, duration=3.0,
@@ -184,14 +184,14 @@ def test_43_7_what_is_written_holds_the_map_and_a_study_says_that_it_needs_it(tm
         )  # fmt: skip
     with Study.open(study, readonly=True) as opened:
         with pytest.raises(InputError, match=r"differs from what .*study\.db was explored with: there is no road file 'To"):
-            explored_scenario(opened)
-        with looking_in([maps]):
-            scenario = explored_scenario(opened)
+            find_explored_scenario(opened)
+        with search_maps_in([maps]):
+            scenario = find_explored_scenario(opened)
             assert scenario is not None
-            write_concrete(scenario, {"speed": 7.0}, tmp_path / "set" / "one.xosc")
+            write_concrete_file(scenario, {"speed": 7.0}, tmp_path / "set" / "one.xosc")
     shutil.rmtree(maps)
     assert 'filepath="Town01.xodr"' in (tmp_path / "set" / "one.xosc").read_text()
-    result = run_suite(tmp_path / "set", tmp_path / "run.db", ego="Ego", other="B", duration=2.0)
+    result = run_scenarios(tmp_path / "set", tmp_path / "run.db", ego="Ego", other="B", duration=2.0)
     assert result.has_passed()
 
 
@@ -199,16 +199,16 @@ def test_43_7_esmini_refuses_a_map_that_it_would_not_find(tmp_path, maps):
     path, named = town(tmp_path / "s"), town(tmp_path / "t", "../maps/Town01.xodr")
     simulator = EsminiSimulator.__new__(EsminiSimulator)
     simulator._undriven = True
-    with looking_in([maps]):
-        simulator.require_means(Scenario.read(named))
+    with search_maps_in([maps]):
+        simulator.check_supported(ScenarioFile.read(named))
         with pytest.raises(InputError, match=r"names the road 'Town01', which was found as .*; name that file in"):
-            simulator.require_means(Scenario.read(path))
+            simulator.check_supported(ScenarioFile.read(path))
 
 
 def test_43_7_convert_leaves_the_name_of_carlas_map(tmp_path, maps):
     path = town(tmp_path / "s")
     (out := tmp_path / "out").mkdir()
-    with looking_in([maps]):
+    with search_maps_in([maps]):
         made = convert(path, out / "c.xosc", ego="Ego")
     assert 'filepath="Town01"' in made.path.read_text()
     assert not list(out.glob("*.xodr"))
@@ -234,13 +234,13 @@ def test_43_7_a_road_that_is_not_drawn_is_said_with_the_way_to_the_map(tmp_path,
 
 def test_43_7_a_page_that_is_served_says_once_that_the_map_is_missing(tmp_path, maps):
     path = town(tmp_path / "s")
-    with looking_in([maps]):
+    with search_maps_in([maps]):
         logical = LogicalScenario.read(path, None, ["speed=5:10"])
         explore(logical, tmp_path / "s" / "s.db", ego="Ego", other="B", metrics=["distance"], budget=2, duration=1.0)
-    around = Surroundings(None)
+    around = RoadAndRerunCache(None)
     with Study.open(tmp_path / "s" / "s.db", readonly=True) as study, warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always")
         data = read_report_data(study, figures=False)
         for _ in range(2):
-            assert "--maps FOLDER" in around.of(study, data)["roads_missing"]
+            assert "--maps FOLDER" in around.payload(study, data)["roads_missing"]
     assert len([one for one in caught if "--maps FOLDER" in str(one.message)]) == 1

@@ -11,7 +11,7 @@ from conftest import EXAMPLES
 from cornercase._common.errors import InputError
 from cornercase.scenario import (
     Constraint,
-    Declaration,
+    ParameterDeclaration,
     LogicalScenario,
     Parameter,
     ParameterSpace,
@@ -19,7 +19,7 @@ from cornercase.scenario import (
     read_xml,
 )
 from cornercase.scenario.distributions import Distribution
-from cornercase.scenario.expressions import evaluate
+from cornercase.scenario.expressions import evaluate_expression
 
 
 def distribution(body: str) -> str:
@@ -47,9 +47,9 @@ EVERY_KIND = ParameterSpace(
     [
         Parameter("continuous", -3.0, 7.0),
         Parameter("stepped", 0.0, 1.0, 0.1),
-        Parameter("whole", 0.0, 900.0, 1.0, whole=True),
+        Parameter("whole", 0.0, 900.0, 1.0, is_integer=True),
         Parameter("name", 0, 2, choices=("a", "b", "c")),
-        Parameter("set", 0, 1, choices=("0", "1"), sets=((("x", "1.5"), ("y", "p")), (("x", "2.5"), ("y", "q")))),
+        Parameter("set", 0, 1, choices=("0", "1"), value_sets=((("x", "1.5"), ("y", "p")), (("x", "2.5"), ("y", "q")))),
         *(
             Parameter(f"{kind}", low, 9.0, distribution=Distribution(kind, low, 9.0, numbers))
             for kind, low, numbers in (
@@ -74,15 +74,15 @@ def test_the_values_of_many_scenarios_are_those_of_each_alone():
 
 
 def test_many_scenarios_ask_a_distribution_once():
-    distributions._cut_normal.cache_clear()
-    laws = [Declaration("normal", "double", "0", ((Constraint("greaterThan", "$lognormal"),),))]
+    distributions._truncated_normal.cache_clear()
+    laws = [ParameterDeclaration("normal", "double", "0", ((Constraint("greaterThan", "$lognormal"),),))]
     space = ParameterSpace(
         [one for one in EVERY_KIND.parameters if one.name in ("normal", "lognormal")],
-        [Declaration("lognormal", "double", "0"), *laws],
+        [ParameterDeclaration("lognormal", "double", "0"), *laws],
     )
-    share = space.admits(np.random.default_rng(0).random((2000, 2))).mean()
+    share = space.is_admissible(np.random.default_rng(0).random((2000, 2))).mean()
     assert 0.2 < share < 0.8
-    calls = distributions._cut_normal.cache_info()
+    calls = distributions._truncated_normal.cache_info()
     assert calls.hits + calls.misses == 2
 
 
@@ -108,7 +108,7 @@ def test_sets_and_stochastic_distributions(tmp_path):
     values = space.values(np.array([[0.0, 0.1], [0.5, 0.9], [1.0, 0.9]]))
     assert [round(float(v["n"]), 6) for v in values] == [6.0, 10.0, 14.0]
     assert [v["p"] for v in values] == ["x", "y", "y"]
-    assert ParameterSpace.scenario_file(path) == tmp_path / "s.xosc"
+    assert ParameterSpace.read_scenario_path(path) == tmp_path / "s.xosc"
 
 
 @pytest.mark.parametrize(
@@ -145,7 +145,7 @@ def test_hostile_xml_is_refused(tmp_path):
     ],
 )  # fmt: skip
 def test_expressions(expression, value):
-    assert evaluate(expression, {"a": 2.0}) == value
+    assert evaluate_expression(expression, {"a": 2.0}) == value
 
 
 @pytest.mark.parametrize(
@@ -153,7 +153,7 @@ def test_expressions(expression, value):
 )
 def test_bad_expressions_are_refused(expression):
     with pytest.raises(InputError):
-        evaluate(expression, {"a": 1.0})
+        evaluate_expression(expression, {"a": 1.0})
 
 
 def stochastic(tmp_path, law: str) -> ParameterSpace:
@@ -265,7 +265,7 @@ def test_scenarios_elsewhere_are_refused(tmp_path, name):
     path = tmp_path / "d.xosc"
     path.write_text(distribution("").replace("s.xosc", name))
     with pytest.raises(InputError, match="local file"):
-        ParameterSpace.scenario_file(path)
+        ParameterSpace.read_scenario_path(path)
 
 
 def test_ranges_add_and_replace_and_keep_the_unit():
@@ -293,8 +293,8 @@ REFERENCE = Path(__file__).parents[3] / "shared" / "reference" / "openscenario"
 def test_published_variations_are_read(file, size):
     space = ParameterSpace.from_file(REFERENCE / file)
     assert space.size == size
-    assert len({tuple(one.items()) for one in space.values(space.lattice())}) == size
-    assert ParameterSpace.scenario_file(REFERENCE / file).is_file()
+    assert len({tuple(one.items()) for one in space.values(space.full_factorial())}) == size
+    assert ParameterSpace.read_scenario_path(REFERENCE / file).is_file()
 
 
 @pytest.mark.skipif(not Path("/dev/zero").exists(), reason="has no endless file")
@@ -344,8 +344,8 @@ def test_a_parameter_without_a_range_is_refused(given, named):
 
 def test_a_parameter_may_have_a_single_value():
     one = Parameter("a", 2.0, 2.0, 1.0)
-    assert (one.size, one.value(0.7), one.unit_place(2.0)) == (1, 2.0, 0.5)
-    assert ParameterSpace([one]).continuous().parameters == (one,)
+    assert (one.size, one.value_at(0.7), one.unit_position(2.0)) == (1, 2.0, 0.5)
+    assert ParameterSpace([one]).as_continuous().parameters == (one,)
 
 
 @pytest.mark.parametrize(

@@ -10,7 +10,7 @@ from lxml import etree
 
 from conftest import ROAD, ran, scenario_file, teleport
 from cornercase._common.errors import InputError
-from cornercase.scenario import ConcreteScenario, LogicalScenario, ParameterSpace, Scenario, write_concrete
+from cornercase.scenario import ConcreteScenario, LogicalScenario, ParameterSpace, ScenarioFile, write_concrete_file
 from cornercase.simulators import BuiltinSimulator, check, simulate
 
 
@@ -99,9 +99,9 @@ def test_a_range_of_a_text_gives_texts_without_decimals(tmp_path):
         ROAD.replace("</OpenDRIVE>", "") + ROAD[ROAD.index("<road ") :].replace('id="1" length', 'id="2" length').replace('y="0"', 'y="50"')
     )  # fmt: skip
     logical = LogicalScenario.read(path, None, ["road=1:2:1"])
-    values = logical.space.values(logical.space.lattice())
+    values = logical.space.values(logical.space.full_factorial())
     assert values == [{"road": "1"}, {"road": "2"}]
-    found = ran(BuiltinSimulator(duration=0.1), [*map(logical.concrete, values), logical.concrete({"road": 2.0})])
+    found = ran(BuiltinSimulator(duration=0.1), [*map(logical.concrete_scenario, values), logical.concrete_scenario({"road": 2.0})])
     assert [float(one.y[0, 0]) for one in found] == [-2.0, 48.0, 48.0]
     with pytest.raises(InputError, match="give a step"):
         LogicalScenario.read(path, None, ["road=1:2"])
@@ -138,7 +138,7 @@ def test_a_constraint_with_what_is_no_value_of_the_type_is_refused(tmp_path):
 )  # fmt: skip
 def test_values_are_written_as_what_they_are_declared(tmp_path, kind, value, written):
     path = file(tmp_path, ("p", kind, "1", ""))
-    write_concrete(Scenario.read(path), {"p": value}, tmp_path / "out.xosc")
+    write_concrete_file(ScenarioFile.read(path), {"p": value}, tmp_path / "out.xosc")
     (declaration,) = etree.parse(tmp_path / "out.xosc").iterfind(".//ParameterDeclaration")
     assert declaration.get("value") == written
 
@@ -146,7 +146,7 @@ def test_values_are_written_as_what_they_are_declared(tmp_path, kind, value, wri
 def test_what_is_no_value_of_the_type_is_not_written(tmp_path):
     path = file(tmp_path, ("p", "integer", "1", ""))
     with pytest.raises(InputError, match=r"the parameter p is '4\.33', which is not a whole number"):
-        write_concrete(Scenario.read(path), {"p": 4.33}, tmp_path / "out.xosc")
+        write_concrete_file(ScenarioFile.read(path), {"p": 4.33}, tmp_path / "out.xosc")
 
 
 def test_check_finds_a_scenario_within_narrow_constraints(tmp_path):
@@ -154,12 +154,12 @@ def test_check_finds_a_scenario_within_narrow_constraints(tmp_path):
     inner = "<DistributionSet>" + "".join(f'<Element value="{k}"/>' for k in range(2000)) + "</DistributionSet>"
     space = space_file(tmp_path, "p", inner)
     found = check(path, space)
-    assert found.good
+    assert found.is_valid
     assert found.space is not None
     space = space_file(
         tmp_path, "p", '<DistributionRange stepWidth="0.001"><Range lowerLimit="6" upperLimit="8"/></DistributionRange>'
     )
-    assert check(path, space).good
+    assert check(path, space).is_valid
     # Almost no point is admissible: one sentence.
     (trouble,) = check(
         path,
@@ -168,5 +168,5 @@ def test_check_finds_a_scenario_within_narrow_constraints(tmp_path):
             "p",
             '<DistributionRange stepWidth="0.00001"><Range lowerLimit="6.3" upperLimit="8"/></DistributionRange>',
         ),
-    ).trouble
+    ).run_errors
     assert "None of 2048 concrete scenarios fulfils the constraints" in trouble

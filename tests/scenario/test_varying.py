@@ -13,7 +13,7 @@ from lxml import etree
 from conftest import EXAMPLES, event, moving, private, scenario_file, speed_action, story_of, time_trigger
 from cornercase import InputError, NoticeWarning, SimulationError
 from cornercase.recordings import Recording
-from cornercase.scenario import Scenario, Variable, VariedScenario, variables, vary
+from cornercase.scenario import ScenarioFile, Variable, VariedScenario, list_variables, vary
 from cornercase.simulators import simulate
 from openpass_files import of_openpass
 
@@ -48,19 +48,19 @@ def written(folder: Path, events: str = "", parameters: str = "", init: str = ""
 
 
 def listed(path: Path) -> dict[str, Variable]:
-    found = {one.name: one for one in variables(path)}
-    assert len(found) == len(variables(path))
+    found = {one.name: one for one in list_variables(path)}
+    assert len(found) == len(list_variables(path))
     return found
 
 
 def everything_varied(path: Path, folder: Path) -> Path:
     """The scenario in another folder, with each of its numbers as a parameter."""
-    source = Scenario.read(path)
-    numbers = tuple(one for one in variables(path) if not one.fixed and not one.declared)
+    source = ScenarioFile.read(path)
+    numbers = tuple(one for one in list_variables(path) if not one.reason_fixed and not one.is_declared)
     target = folder / "deeper" / path.name
     target.parent.mkdir(parents=True)
-    target.write_bytes(VariedScenario(source, (), numbers).content(target.parent))
-    assert not numbers or len(variables(target)) > len(numbers)
+    target.write_bytes(VariedScenario(source, (), numbers).scenario_content(target.parent))
+    assert not numbers or len(list_variables(target)) > len(numbers)
     return target
 
 
@@ -78,7 +78,7 @@ def require_same_recording(path: Path, folder: Path, duration: float = 10.0) -> 
 def test_43_12_numbers_have_names_units_lines_and_proposals(tmp_path: Path) -> None:
     path = written(tmp_path, event("my brake", braking(), time_trigger("4")))
     found = listed(path)
-    assert {name: (one.text, one.unit, one.proposal) for name, one in found.items()} == {
+    assert {name: (one.value_text, one.unit, one.proposed_range) for name, one in found.items()} == {
         "Ego.initial.s": ("10", "m", "0:30"),
         "Ego.initial.lane": ("-1", "", ""),
         "Ego.initial.speed": ("10", "m/s", "7:13"),
@@ -90,9 +90,9 @@ def test_43_12_numbers_have_names_units_lines_and_proposals(tmp_path: Path) -> N
         "my_brake.speed": ("2", "m/s", "1.4:2.6"),
     }
     lines = path.read_text().splitlines()
-    assert all(one.text in lines[one.line - 1] for one in found.values())
-    assert found["Ego.initial.s"].most == 500.0
-    assert found["my_brake.duration"].parameter == "my_brake_duration"
+    assert all(one.value_text in lines[one.line - 1] for one in found.values())
+    assert found["Ego.initial.s"].maximum == 500.0
+    assert found["my_brake.duration"].parameter_name == "my_brake_duration"
 
 
 def test_43_12_a_step_takes_no_time_and_is_not_listed(tmp_path: Path) -> None:
@@ -108,7 +108,7 @@ def test_43_12_equal_names_get_different_ones(tmp_path: Path) -> None:
     found = listed(written(tmp_path, events))
     assert {"e.speed", "e_2.speed", "e.trigger.time", "e_2.trigger.time"} <= set(found)
     assert {"two.first.speed", "two.second_one.speed"} <= set(found)
-    parameters = [one.parameter for one in found.values()]
+    parameters = [one.parameter_name for one in found.values()]
     assert len(set(parameters)) == len(parameters)
     assert all(re.fullmatch(r"[A-Za-z_][A-Za-z0-9_]*", one) for one in parameters)
 
@@ -120,7 +120,7 @@ def test_43_12_a_condition_in_several_groups_varies_as_one(tmp_path: Path) -> No
     )
     path = written(tmp_path, event("e", braking(), groups))
     found = listed(path)
-    assert len(found["e.trigger.travelled"].places) == 2
+    assert len(found["e.trigger.travelled"].occurrences) == 2
     assert {"e.trigger.speed", "e.trigger.speed_2"} <= set(found)
     vary(path, ["e.trigger.travelled=10:30"], tmp_path / "out.xosc")
     assert (tmp_path / "out.xosc").read_text().count("$e_trigger_travelled") == 2
@@ -130,10 +130,10 @@ def test_43_12_what_is_a_parameter_already_is_said(tmp_path: Path) -> None:
     declared = '<ParameterDeclaration name="v" parameterType="double" value="8"/>'
     path = written(tmp_path, parameters=declared, init=moving("${2 * $v}", "$v"))
     found = listed(path)
-    assert found["v"].declared
-    assert not found["v"].fixed
-    assert found["Ego.initial.speed"].fixed == "it is $v; vary the parameter"
-    assert found["Ego.initial.s"].fixed == "it is ${2 * $v}"
+    assert found["v"].is_declared
+    assert not found["v"].reason_fixed
+    assert found["Ego.initial.speed"].reason_fixed == "it is $v; vary the parameter"
+    assert found["Ego.initial.s"].reason_fixed == "it is ${2 * $v}"
     with pytest.raises(InputError, match=r"Ego\.initial\.speed=1:2: cannot be varied: it is \$v; vary the parameter"):
         vary(path, ["Ego.initial.speed=1:2"], tmp_path / "out.xosc")
     logical = vary(path, ["v=5:20"], tmp_path / "out.xosc")
@@ -159,8 +159,8 @@ def test_43_12_a_maneuver_of_a_catalog_is_named_and_what_it_is_given_varies(tmp_
     where = '<CatalogLocations><ManeuverCatalog><Directory path="catalogs"/></ManeuverCatalog></CatalogLocations>'
     path.write_text(text.replace("<CatalogLocations/>", where))
     found = listed(path)
-    assert found["brakes.over"].text == "3"
-    assert "are in the catalog M" in found["brakes.catalog"].fixed
+    assert found["brakes.over"].value_text == "3"
+    assert "are in the catalog M" in found["brakes.catalog"].reason_fixed
     require_same_recording(path, tmp_path)
     vary(path, ["brakes.over=1:5"], tmp_path / "elsewhere" / "out.xosc")
     slow = simulate(tmp_path / "elsewhere" / "out.xosc", {"brakes_over": 5.0}, duration=10)
@@ -217,7 +217,7 @@ def test_43_12_what_is_proposed_can_be_typed_at_the_end_of_a_road(tmp_path: Path
         road = tmp_path / "road.xodr"
         assert old in road.read_text()
         road.write_text(road.read_text().replace(old, new))
-    proposed = listed(path)["Ego.initial.s"].proposal
+    proposed = listed(path)["Ego.initial.s"].proposed_range
     assert proposed == "2:22.0271"
     logical = vary(path, [f"Ego.initial.s={proposed}"], tmp_path / "out.xosc")
     assert logical.space.parameters[0].high == 22.027099999999997
@@ -230,12 +230,12 @@ def test_43_12_lanes_are_whole_numbers_of_lanes_that_are_there(tmp_path: Path) -
     path = tmp_path / "lanes.xosc"
     path.write_text(text.replace("motorway.xodr", str(CUT_IN.with_name("motorway.xodr"))), "utf-8")
     proposed = listed(path)["Ego.initial.lane"]
-    assert proposed.proposal
+    assert proposed.proposed_range
     logical = vary(path, ["Ego.initial.lane", "Ego.initial.s=90:110"], tmp_path / "out.xosc")
-    values = [point["Ego_initial_lane"] for point in logical.space.values(logical.space.samples())]
+    values = [point["Ego_initial_lane"] for point in logical.space.values(logical.space.representative_points())]
     assert all(isinstance(value, int) for value in values)
     assert 'parameterType="integer"' in (tmp_path / "out.xosc").read_text("utf-8")
-    for value in range(round(proposed.low or 0), round(proposed.high or 0) + 1):
+    for value in range(round(proposed.proposed_low or 0), round(proposed.proposed_high or 0) + 1):
         simulate(tmp_path / "out.xosc", {"Ego_initial_lane": value}, duration=0.5)
     with pytest.raises(InputError, match=r"the road has no lane -\d+ there; its lanes are"):
         vary(path, ["Ego.initial.lane=-9:-1"], tmp_path / "out.xosc")
@@ -292,7 +292,7 @@ def test_43_12_a_left_handed_file_stays_left_handed(tmp_path: Path) -> None:
     place = '<PrivateAction><TeleportAction><Position><WorldPosition x="50" y="1.75" z="0" h="0.1"/></Position></TeleportAction></PrivateAction>'
     path = written(tmp_path, init=private("Ego", place, speed_action("5")))
     path.write_text(path.read_text().replace('description="d"', 'description="CARLA:d"'))
-    assert listed(path)["Ego.initial.y"].text == "1.75"
+    assert listed(path)["Ego.initial.y"].value_text == "1.75"
     require_same_recording(path, tmp_path)
     vary(path, ["Ego.initial.y=1:3"], tmp_path / "out.xosc")
     assert simulate(tmp_path / "out.xosc", {"Ego_initial_y": 2.5}, duration=1).y[0, 0] == pytest.approx(-2.5)
@@ -308,18 +308,18 @@ def test_43_12_examples_give_the_same_recording(path: Path, tmp_path: Path) -> N
 def test_43_12_a_value_does_what_it_does_in_the_file(tmp_path: Path) -> None:
     path = X
     varied = everything_varied(path, tmp_path)
-    for one in variables(path):
-        if one.fixed or one.declared or one.low is None or one.high is None or "delay" in one.name:
+    for one in list_variables(path):
+        if one.reason_fixed or one.is_declared or one.proposed_low is None or one.proposed_high is None or "delay" in one.name:
             continue
-        value = one.low + 0.75 * (one.high - one.low)
+        value = one.proposed_low + 0.75 * (one.proposed_high - one.proposed_low)
         tree = etree.parse(str(path))
         elements = list(tree.getroot().iter("*"))
-        for number, attribute in one.places:
+        for number, attribute in one.occurrences:
             elements[number].set(attribute, repr(value))
         edited = tmp_path / "edited.xosc"
         tree.getroot().find("RoadNetwork/LogicFile").set("filepath", str(path.with_suffix(".xodr")))  # type: ignore[union-attr]
         tree.write(str(edited))
-        by_hand, by_parameter = simulate(edited, duration=2), simulate(varied, {one.parameter: value}, duration=2)
+        by_hand, by_parameter = simulate(edited, duration=2), simulate(varied, {one.parameter_name: value}, duration=2)
         assert content(by_hand, tmp_path) == content(by_parameter, tmp_path), one.name
 
 
@@ -348,12 +348,12 @@ def test_43_12_each_scenario_of_others_gives_the_same_recording(tmp_path: Path) 
 
 def test_43_no_range_is_proposed_along_a_road_that_is_missing(tmp_path: Path) -> None:
     path = written(tmp_path)
-    assert listed(path)["Ego.initial.s"].proposal
+    assert listed(path)["Ego.initial.s"].proposed_range
     (tmp_path / "road.xodr").unlink()
     with pytest.warns(NoticeWarning, match="no range is proposed for positions on roads: there is no road file"):
         found = listed(path)
-    assert not found["Ego.initial.s"].proposal
-    assert found["Ego.initial.speed"].proposal
+    assert not found["Ego.initial.s"].proposed_range
+    assert found["Ego.initial.speed"].proposed_range
     world = (
         '<PrivateAction><TeleportAction><Position><WorldPosition x="50" y="1.75"/></Position></TeleportAction>'
         "</PrivateAction>"
@@ -361,7 +361,7 @@ def test_43_no_range_is_proposed_along_a_road_that_is_missing(tmp_path: Path) ->
     written(tmp_path, init=private("Ego", world, speed_action("5")))
     (tmp_path / "road.xodr").unlink()
     with pytest.warns(NoticeWarning, match="there is no road file"):
-        assert listed(path)["Ego.initial.x"].proposal
+        assert listed(path)["Ego.initial.x"].proposed_range
 
 
 def test_43_what_is_never_true_is_not_listed(tmp_path: Path) -> None:
@@ -388,8 +388,8 @@ def test_43_rates_below_zero_get_a_range_in_the_right_order(tmp_path: Path) -> N
     def rate(value: str) -> Path:
         return written(tmp_path, event("e", speed_action("2", "linear", "rate", value), time_trigger("1")))
 
-    assert listed(rate("-4"))["e.rate"].proposal == "-5.2:-2.8"
-    assert listed(rate("0"))["e.rate"].proposal == "0:1"
+    assert listed(rate("-4"))["e.rate"].proposed_range == "-5.2:-2.8"
+    assert listed(rate("0"))["e.rate"].proposed_range == "0:1"
     vary(rate("-4"), ["e.rate"], tmp_path / "out.xosc")
 
 

@@ -39,7 +39,7 @@ def test_43_8_comments_and_declaration_may_break_the_rules_of_xml(tmp_path, befo
     with pytest.warns(UserWarning, match=f"adapted: {what} .changed.xosc, line"):
         recording = simulate(path)
     assert recording.x.tobytes() == expected.x.tobytes()
-    (notice,) = [one for one in check(path).notices if what in one.what]
+    (notice,) = [one for one in check(path).notices if what in one.parts]
     assert "XML 1.0" in notice.rule
 
 

@@ -11,13 +11,13 @@ import pytest
 from alone import REFERENCE, ROOT, differing, outcome, scenario_files, varied
 from conftest import at_night, car, event, ran, scenario_file, speed_action, story_of, teleport, time_trigger
 from cornercase._common.errors import InputError
-from cornercase.scenario import ConcreteScenario, Scenario
+from cornercase.scenario import ConcreteScenario, ScenarioFile
 from cornercase.simulators import BuiltinSimulator, simulate
 from cornercase.simulators.builtin import simulator as builtin_simulator
 from cornercase.simulators.builtin.batch import Batch
 from cornercase.simulators.builtin.prepared import PreparedScenario
 from cornercase.simulators.builtin.tracks.clothoids import ClothoidSpline
-from cornercase.simulators.builtin.tracks.nurbs import nurbs_points
+from cornercase.simulators.builtin.tracks.nurbs import evaluate_nurbs
 
 
 def declared(name: str, value: str, kind: str = "double", within: str = "") -> str:
@@ -76,9 +76,9 @@ def test_a_nurbs_is_the_same_for_one_scenario_and_for_many():
     x[4], y[4] = np.nan, np.nan
     time = np.cumsum(random.uniform(0, 3, (9, 5)), axis=1)
     weights, knots = np.array([1.0, 2.0, 1.0, 0.5, 1.0]), np.array([0.0, 0, 0, 0, 1, 2, 2, 2, 2])
-    together = nurbs_points(x, y, time, weights, knots, 4)
+    together = evaluate_nurbs(x, y, time, weights, knots, 4)
     for i in range(9):
-        alone = nurbs_points(x[i : i + 1], y[i : i + 1], time[i : i + 1], weights, knots, 4)
+        alone = evaluate_nurbs(x[i : i + 1], y[i : i + 1], time[i : i + 1], weights, knots, 4)
         for many, one in zip(together, alone, strict=True):
             assert many[i, : one.shape[1]].tobytes() == one[0].tobytes()
             assert np.array_equal(np.unique(many[i, one.shape[1] - 1 :]), one[0, -1:], equal_nan=True)
@@ -93,7 +93,7 @@ def test_a_clothoid_is_the_same_for_one_scenario_and_for_many():
         alone = ClothoidSpline(still[:1], still[:1], still[:1], start[:1], end[:1], length[i : i + 1])
         for share in (0.0, 0.1, 0.77, 1.0, 1.2):
             place = np.array([share * length[i, 0]])
-            found = together.at(place, np.zeros(1), np.array([i])), alone.at(place, np.zeros(1), np.array([0]))
+            found = together.pose_at(place, np.zeros(1), np.array([i])), alone.pose_at(place, np.zeros(1), np.array([0]))
             assert [a.tobytes() for a in found[0]] == [a.tobytes() for a in found[1]]
 
 
@@ -210,8 +210,8 @@ def test_batches_beside_each_other_give_the_same_and_each_its_errors(tmp_path, m
     # The last third name a road that does not exist; others start off the road.
     values = [{"s": 5000.0 if k == 4 else 5.0, "v": float(k), "road": "1" if k < 8 else "9"} for k in range(12)]
     one_batch = [outcome(one) for one in results(path, *values)]
-    monkeypatch.setattr(builtin_simulator, "available_cpus", lambda: 3)
-    monkeypatch.setattr(builtin_simulator, "_WORTH_A_BATCH", 4)
+    monkeypatch.setattr(builtin_simulator, "count_available_cpus", lambda: 3)
+    monkeypatch.setattr(builtin_simulator, "_MIN_SCENARIOS_PER_BATCH", 4)
     assert [outcome(one) for one in results(path, *values)] == one_batch
     assert [one == "" for one in words(path, *values)] == [k != 4 and k < 8 for k in range(12)]
 
@@ -224,8 +224,8 @@ def test_batches_that_run_already_are_formed_anew_where_a_later_one_has_to_be_sp
     )
     values = [{"v": 5.0 + k, "shape": "step" if k > 9 else "linear"} for k in range(12)]
     apart = [outcome(results(path, one)[0]) for one in values]
-    monkeypatch.setattr(builtin_simulator, "available_cpus", lambda: 3)
-    monkeypatch.setattr(builtin_simulator, "_WORTH_A_BATCH", 4)
+    monkeypatch.setattr(builtin_simulator, "count_available_cpus", lambda: 3)
+    monkeypatch.setattr(builtin_simulator, "_MIN_SCENARIOS_PER_BATCH", 4)
     formed = []
 
     def counted(prepared, values, *rest):
@@ -242,8 +242,8 @@ def test_who_stops_asking_can_ask_again(tmp_path, monkeypatch):
     path = scenario_file(
         tmp_path, init=private(teleport("0"), speed_action("$v")), parameters=declared("v", "10"), entities=car("Ego")
     )
-    monkeypatch.setattr(builtin_simulator, "available_cpus", lambda: 2)
-    monkeypatch.setattr(builtin_simulator, "_WORTH_A_BATCH", 4)
+    monkeypatch.setattr(builtin_simulator, "count_available_cpus", lambda: 2)
+    monkeypatch.setattr(builtin_simulator, "_MIN_SCENARIOS_PER_BATCH", 4)
     simulator = BuiltinSimulator(duration=1.0)
     concretes = [ConcreteScenario(path, {"v": float(k)}) for k in range(8)]
     whole = [outcome(one) for one in simulator.run(concretes)]
@@ -266,7 +266,7 @@ def test_a_trajectory_is_read_anew_only_where_a_parameter_changes_it(tmp_path):
             init=private(teleport("0"), speed_action("$v"), following(f"<Polyline>{text}</Polyline>")),
             parameters=declared("far", "40") + declared("v", "10"),
         )
-        scenario = Scenario.read(path)
+        scenario = ScenarioFile.read(path)
         simulator = BuiltinSimulator(duration=8.0)
         values = [{"far": 40.0, "v": 10.0}, {"far": 60.0, "v": 10.0}, {"far": 40.0, "v": 12.0}]
         at_once = [outcome(one) for one in ran(simulator, [ConcreteScenario(path, one, scenario) for one in values])]
@@ -340,7 +340,7 @@ def test_batches_are_cut_by_what_they_hold_and_give_the_same(tmp_path, monkeypat
     )
     values = [{"v": float(v)} for v in range(1, 13)]
     whole = [outcome(one) for one in results(path, *values)]
-    one = PreparedScenario(Scenario.read(path)).bytes_for(22, False)
+    one = PreparedScenario(ScenarioFile.read(path)).estimate_bytes(22, False)
     sizes = []
 
     def counted(prepared, values, *rest):
@@ -348,11 +348,11 @@ def test_batches_are_cut_by_what_they_hold_and_give_the_same(tmp_path, monkeypat
         return Batch(prepared, values, *rest)
 
     monkeypatch.setattr(builtin_simulator, "Batch", counted)
-    monkeypatch.setattr(builtin_simulator, "_MOST_BYTES", 5 * one)
+    monkeypatch.setattr(builtin_simulator, "_MAX_BATCH_BYTES", 5 * one)
     assert [outcome(one) for one in results(path, *values)] == whole
     assert sizes == [5, 5, 2]
     # However small the limit is, one scenario runs.
-    monkeypatch.setattr(builtin_simulator, "_MOST_BYTES", 1)
+    monkeypatch.setattr(builtin_simulator, "_MAX_BATCH_BYTES", 1)
     assert [outcome(one) for one in results(path, *values)] == whole
 
 
@@ -368,14 +368,14 @@ def test_the_vertices_of_trajectories_count_for_what_a_batch_holds(tmp_path):
             f'<Vertex time="{k}"><Position><WorldPosition x="{k}" y="0"/></Position></Vertex>' for k in range(vertices)
         )
         path = scenario_file(tmp_path, init=private(teleport("0"), following(f"<Polyline>{shape}</Polyline>")))
-        return PreparedScenario(Scenario.read(path)).bytes_for(22, False)
+        return PreparedScenario(ScenarioFile.read(path)).estimate_bytes(22, False)
 
     # About a dozen arrays, and twice as many while they are built.
     assert needed(3002) - needed(2) >= 3000 * 8 * 24
     # The storyboard, too.
     few, many = (
-        PreparedScenario(Scenario.read(scenario_file(tmp_path, init=private(teleport("0")), story=story_of(
-            "".join(event(f"e{k}", speed_action("1"), time_trigger("1")) for k in range(count)))))).bytes_for(22, False)
+        PreparedScenario(ScenarioFile.read(scenario_file(tmp_path, init=private(teleport("0")), story=story_of(
+            "".join(event(f"e{k}", speed_action("1"), time_trigger("1")) for k in range(count)))))).estimate_bytes(22, False)
         for count in (1, 1001)
     )  # fmt: skip
     assert many - few >= 1000 * 200
@@ -399,14 +399,14 @@ def test_a_catalog_trajectory_counts_as_the_longest_of_all(tmp_path):
             '<CatalogLocations><TrajectoryCatalog><Directory path="."/></TrajectoryCatalog></CatalogLocations>',
         )
     )
-    assert PreparedScenario(Scenario.read(path)).bytes_for(22, False) >= 1000 * 8 * 24
+    assert PreparedScenario(ScenarioFile.read(path)).estimate_bytes(22, False) >= 1000 * 8 * 24
 
 
 def test_a_nurbs_has_no_more_samples_than_can_be_held():
     for controls, reach in ((4, 1e9), (2000, 1e6)):
         x = np.linspace(0.0, reach, controls)[None]
         knots = np.concatenate([[0.0, 0.0], np.arange(controls - 1.0), np.full(2, controls - 2.0)])
-        found = nurbs_points(x, 0.0 * x, 0.0 * x, np.ones(controls), knots, 3)
+        found = evaluate_nurbs(x, 0.0 * x, 0.0 * x, np.ones(controls), knots, 3)
         assert found[0].shape[1] <= 40_000
         assert found[0].shape[1] * controls <= 20_000_000
         assert found[0][0, -1] == pytest.approx(reach)
@@ -448,7 +448,7 @@ def test_reference_scenarios_give_the_same_alone_and_among_others(name, most, du
     path = REFERENCE / name
     if not path.exists():
         pytest.skip("needs ../shared/reference")
-    values = varied(Scenario.read(path), most=most)
+    values = varied(ScenarioFile.read(path), most=most)
     assert [values[k] for k in differing(path, values, duration)] == []
 
 
@@ -461,7 +461,7 @@ ALIKE = [path for path in EXAMPLES if "suite" in path.parts or path.stem == "cut
 @pytest.mark.parametrize("driver", at_night([None, "normal"], {None}))
 @pytest.mark.parametrize(("most", "duration"), [FEW, pytest.param(8, 12.0, marks=pytest.mark.slow)])
 def test_examples_give_the_same_alone_and_among_others(path, driver, most, duration):
-    values = varied(Scenario.read(path), most=most)
+    values = varied(ScenarioFile.read(path), most=most)
     assert differing(path, values, duration, drivers={"Ego": driver} if driver else {}) == []
 
 

@@ -23,11 +23,11 @@ from command_line import cornercase
 from conftest import AXLES, ran
 from cornercase._common.errors import InputError, SimulationError
 from cornercase.recordings import Collision, Recording
-from cornercase.scenario import ConcreteScenario, Scenario, read_xml
+from cornercase.scenario import ConcreteScenario, ScenarioFile, read_xml
 from cornercase.simulators import CarlaSimulator, WorkerSimulator
 from cornercase.simulators.carla import dialect
-from cornercase.simulators.carla.openscenario_1_0 import Run, write_1_0
-from cornercase.simulators.hosts import address
+from cornercase.simulators.carla.openscenario_1_0 import ConversionOptions, write_openscenario_1_0
+from cornercase.simulators.hosts import worker_address
 from cornercase.study import Study
 from waiting import until
 
@@ -93,7 +93,7 @@ def test_motion_is_in_the_axes_of_the_scenario_and_collisions_go_on(scenario):
     with Served(ROAD) as server:
         found = run(server, scenario)
     assert found.names == ("Ego", "C", "Walker")
-    assert found.kinds == ("car", "car", "pedestrian")
+    assert found.object_types == ("car", "car", "pedestrian")
     assert 5.8 <= found.time[-1] <= 6.2
     np.testing.assert_allclose(np.diff(found.time), 0.05, atol=1e-12)
     still = found.x[0] < -79.9
@@ -128,7 +128,7 @@ def test_the_recorders_file_tells_the_same(scenario, tmp_path):
         one = run(server, scenario)
         other = run(server, scenario, record="recorder", folder=str(tmp_path / "kept"))
     assert other.names == one.names
-    assert other.kinds == one.kinds
+    assert other.object_types == one.object_types
     shared = min(one.time.size, other.time.size) - 5
     later = np.argmin(np.abs(one.x[0] - other.x[0][60]))
     ours, theirs = one.x[0][later : later + shared - 60], other.x[0][60:shared]
@@ -264,8 +264,8 @@ def test_the_command_explores_with_repeated_runs(scenario, tmp_path):
         done = cornercase(*command)
     assert done.returncode == 0, done.stderr
     with Study.open(tmp_path / "study.db", readonly=False) as study:
-        assert len(study.done()) == 3
-        spread = study.spread("ttc")
+        assert len(study.finished_rows()) == 3
+        spread = study.score_range("ttc")
         assert spread is not None
         assert spread.shape == (3, 2)
         # With another server, the same command resumes.
@@ -320,7 +320,7 @@ def test_42_13_an_old_scenario_runner_is_refused_before_anything_runs(
 ):
     folder = old_runner(tmp_path / "runner", "0.9.15", options=options, controller=controller)
     monkeypatch.setenv("SCENARIO_RUNNER_ROOT", str(folder))
-    missing = CarlaSimulator.availability().missing
+    missing = CarlaSimulator.availability().problem
     assert missing.startswith(f"{folder}: ScenarioRunner 0.9.15 {lacks}")
     assert "cornercase needs that of CARLA 0.9.16: get it by `git clone --branch v0.9.16" in missing
     with pytest.raises(InputError) as refused:
@@ -342,10 +342,10 @@ def test_42_13_an_old_scenario_runner_is_refused_before_anything_runs(
 def test_42_13_a_scenario_runner_that_has_all_is_taken_whatever_it_calls_itself(tmp_path, monkeypatch):
     folder = old_runner(tmp_path / "runner", "1.0.0", options=FRAME_RATE, controller=TIMES)
     monkeypatch.setenv("SCENARIO_RUNNER_ROOT", str(folder))
-    assert CarlaSimulator.availability().missing == ""
+    assert CarlaSimulator.availability().problem == ""
     (folder / "Docs" / "CHANGELOG.md").unlink()
     (folder / "scenario_runner.py").write_text("")
-    assert "ScenarioRunner lacks the option --frameRate" in CarlaSimulator.availability().missing
+    assert "ScenarioRunner lacks the option --frameRate" in CarlaSimulator.availability().problem
 
 
 def test_42_13_the_extra_is_what_the_index_has_and_pages_say_so():
@@ -372,11 +372,11 @@ def test_42_13_the_extra_is_what_the_index_has_and_pages_say_so():
 
 def test_it_is_listed_with_what_it_needs(monkeypatch):
     monkeypatch.delenv("SCENARIO_RUNNER_ROOT", raising=False)
-    assert "set SCENARIO_RUNNER_ROOT to its folder" in CarlaSimulator.availability().missing
+    assert "set SCENARIO_RUNNER_ROOT to its folder" in CarlaSimulator.availability().problem
     monkeypatch.setenv("SCENARIO_RUNNER_ROOT", str(RUNNER))
     found = CarlaSimulator.availability()
-    assert found.missing == ""
-    assert "not deterministic" in found.abilities
+    assert found.problem == ""
+    assert "not deterministic" in found.features
 
 
 @pytest.mark.parametrize(
@@ -398,8 +398,8 @@ def test_options_that_cannot_be_are_refused(given, words):
 
 
 def test_workers_share_hosts_and_ports():
-    assert [address("a", 2000, k, 4) for k in range(3)] == [("a", 2000), ("a", 2004), ("a", 2008)]
-    found = [address("a+b:3000", 2000, k, 4) for k in range(4)]
+    assert [worker_address("a", 2000, k, 4) for k in range(3)] == [("a", 2000), ("a", 2004), ("a", 2008)]
+    found = [worker_address("a+b:3000", 2000, k, 4) for k in range(4)]
     assert found == [("a", 2000), ("b", 3000), ("a", 2004), ("b", 3004)]
 
 
@@ -407,8 +407,8 @@ def test_workers_share_hosts_and_ports():
 
 
 def adapted(tmp_path, path=T, ego="Ego", behaviors=None, agent=None):
-    run = Run(dialect.Agents(behaviors or {}, agent, None))
-    write_1_0(Scenario.read(path), {}, tmp_path / "one.xosc", ego=ego, run=run)
+    run = ConversionOptions(dialect.DrivingAgents(behaviors or {}, agent, None))
+    write_openscenario_1_0(ScenarioFile.read(path), {}, tmp_path / "one.xosc", ego=ego, options=run)
     return read_xml(tmp_path / "one.xosc")
 
 
@@ -545,7 +545,7 @@ def driver(monkeypatch):
         "srunner.tools.openscenario_parser",
         OpenScenarioParser=SimpleNamespace(convert_position_to_transform=position),
     )
-    spec = importlib.util.spec_from_file_location("cornercase_driver", dialect.DRIVER)
+    spec = importlib.util.spec_from_file_location("cornercase_driver", dialect.DRIVER_FILE)
     assert spec is not None
     assert spec.loader is not None
     loaded = importlib.util.module_from_spec(spec)

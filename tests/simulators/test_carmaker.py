@@ -24,9 +24,9 @@ from conftest import ran, same_recording
 from cornercase._common.errors import InputError, NoticeWarning, SimulationError, SimulatorError
 from cornercase.scenario import ConcreteScenario
 from cornercase.simulators import CarMakerSimulator, WorkerSimulator
-from cornercase.simulators.carmaker.cmapi import CarMakerApi
-from cornercase.simulators.carmaker.port import CommandPort
-from cornercase.simulators.carmaker.port_run import PortRun
+from cornercase.simulators.carmaker.cmapi import CmapiClient
+from cornercase.simulators.carmaker.port import TclClient
+from cornercase.simulators.carmaker.port_run import TclTestRun
 from cornercase.study import Study
 
 # Entities without boxes; another test covers boxes.
@@ -156,7 +156,7 @@ def project(tmp_path):
 @pytest.fixture
 def quick(monkeypatch):
     """Short time-outs, since the awaited event never comes."""
-    monkeypatch.setattr(PortRun, "__init__", partialmethod(PortRun.__init__, waiting=0.3))
+    monkeypatch.setattr(TclTestRun, "__init__", partialmethod(TclTestRun.__init__, waiting=0.3))
     monkeypatch.setattr("cornercase.simulators.carmaker.simulator.WAITING", -59.5)
 
 
@@ -257,7 +257,7 @@ def test_boxes_and_kinds_come_from_the_scenario(project, recwarn):
     path.write_text(text.replace("</ParameterDeclarations>", declared))
     port = Port()
     found = run(project, port, {"ego_speed": 8.0, "long": 12.0})
-    assert found.kinds == ("truck", "pedestrian")
+    assert found.object_types == ("truck", "pedestrian")
     assert found.length.tolist() == [12.0, 0.5]
     assert found.width.tolist() == [2.5, 0.6]
     # The position in the file is the middle of the rear end.
@@ -318,8 +318,8 @@ def test_a_lost_licence_stops_all_and_says_so(project, course):
 
 def test_a_silent_port_is_given_up():
     port = Port(odd={"SimStatus": "silence"})
-    with CommandPort("127.0.0.1", port.number) as line, pytest.raises(SimulatorError, match=r"within 0\.2 s"):
-        line.ask("SimStatus", 0.2)
+    with TclClient("127.0.0.1", port.number) as line, pytest.raises(SimulatorError, match=r"within 0\.2 s"):
+        line.send("SimStatus", 0.2)
     port.close()
 
 
@@ -443,10 +443,10 @@ def test_42_1_a_suite_gives_ipgs_module_the_named_values_too(cmapi, project):
     )  # fmt: skip
     cc.analyze(folder / "s.db", "ego-speed")
     kept = cc.reduce(folder / "s.db", folder / "set", by="ego-speed", size=2)
-    ran = cc.test(folder / "set", folder / "run.db", simulator=simulator)
+    ran = cc.run_suite(folder / "set", folder / "run.db", simulator=simulator)
     assert all(one.difference is not None and one.difference.same for one in ran.scenarios)
     said = [json.loads(one) for one in (project / "said.txt").read_text().splitlines() if one.startswith("{")]
-    assert said[4:] == [said[one.id - 1] for one in kept.kept]
+    assert said[4:] == [said[one.id - 1] for one in kept.scenarios]
     assert said[0] == {
         "ego_speed": said[0]["ego_speed"], "gap": pytest.approx(said[0]["ego_speed"] / 3.6, abs=1e-6), "lanes": 2,
         "weather": "heavy rain", "lights": "true",
@@ -540,9 +540,9 @@ def test_ipgs_module_is_taken_where_it_is_there_and_starts_carmaker_once(cmapi, 
 )
 def test_what_goes_wrong_by_ipgs_module_is_one_sentence(cmapi, project, wrong, kind, words):
     cmapi(wrong)
-    control = CarMakerApi(project, "Crossing", 2.0)
+    control = CmapiClient(project, "Crossing", 2.0)
     with pytest.raises(kind) as caught:
-        control.run({"ego_speed": 42.5})
+        control.run_testrun({"ego_speed": 42.5})
     assert words in str(caught.value)
     assert ("stopped" in (project / "said.txt").read_text()) == (wrong == "hang")
     control.close()
@@ -550,8 +550,8 @@ def test_what_goes_wrong_by_ipgs_module_is_one_sentence(cmapi, project, wrong, k
 
 def test_a_run_of_somebody_else_is_stopped_before_ours_is_configured(cmapi, project):
     cmapi("busy")
-    control = CarMakerApi(project, "Crossing", 60.0)
-    assert control.run({"ego_speed": 7.0}).is_file()
+    control = CmapiClient(project, "Crossing", 60.0)
+    assert control.run_testrun({"ego_speed": 7.0}).is_file()
     assert (project / "said.txt").read_text().splitlines()[:2] == ["connected", "stopped"]
     control.close()
 
@@ -559,9 +559,9 @@ def test_a_run_of_somebody_else_is_stopped_before_ours_is_configured(cmapi, proj
 def test_a_carmaker_that_does_not_come_to_rest_is_left(cmapi, project, monkeypatch):
     monkeypatch.setattr("cornercase.simulators.carmaker.cmapi._ENDING", 0.3)
     cmapi("restless")
-    control = CarMakerApi(project, "Crossing", 60.0)
+    control = CmapiClient(project, "Crossing", 60.0)
     with pytest.raises(SimulatorError, match="is not idle within"):
-        control.run({"ego_speed": 7.0})
+        control.run_testrun({"ego_speed": 7.0})
     control.close()
 
 
@@ -573,20 +573,20 @@ def test_a_carmaker_that_does_not_start_by_ipgs_module_is_said_and_ended(cmapi, 
     cmapi(wrong)
     begun = _begun_processes()
     with pytest.raises(InputError, match=words):
-        CarMakerApi(project, "Crossing", 0.5 if wrong == "slow start" else 60.0)
+        CmapiClient(project, "Crossing", 0.5 if wrong == "slow start" else 60.0)
     left = [psutil.Process(one) for one in _begun_processes() - begun]
     assert not psutil.wait_procs(left, timeout=120)[1]
 
 
 def test_a_testrun_that_is_not_there_is_said(cmapi, project):
     with pytest.raises(InputError, match="no TestRun Nowhere"):
-        CarMakerApi(project, "Nowhere", 60.0)
+        CmapiClient(project, "Nowhere", 60.0)
 
 
 def test_a_carmaker_that_does_not_end_is_ended_by_force(cmapi, project, monkeypatch):
     monkeypatch.setattr("cornercase.simulators.carmaker.cmapi._ENDING", 0.3)
     cmapi("stays")
-    control = CarMakerApi(project, "Crossing", 60.0)
+    control = CmapiClient(project, "Crossing", 60.0)
     process = control._master.process
     control.close()
     assert process.wait(120) is not None

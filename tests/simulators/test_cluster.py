@@ -26,12 +26,12 @@ from cornercase._common import dask_client
 from cornercase._common.errors import InputError, NoticeWarning, SimulationError
 from cornercase._common.version import __version__
 from cornercase.drivers import Driver
-from cornercase.exploration import demonstration, explore_configuration
-from cornercase.scenario import ConcreteScenario, LogicalScenario, Scenario, ScenarioParcel
-from cornercase.simulators import SIMULATORS, ClusterSimulator, start_simulator
-from cornercase.simulators.cluster_tasks import Attempt, Job, run_job
+from cornercase.exploration import paper_experiment_config, explore_config
+from cornercase.scenario import ConcreteScenario, LogicalScenario, ScenarioFile, ScenarioBundle
+from cornercase.simulators import SIMULATORS, ClusterSimulator, create_simulator
+from cornercase.simulators.cluster_tasks import JobAttempt, SimulatorJob, run_scenarios_of_job
 from cornercase.study import Study
-from cornercase.suite import find_exposure
+from cornercase.suite import analyze_mutants
 from fake_simulators import Plan
 
 distributed = pytest.importorskip("distributed")
@@ -42,7 +42,7 @@ X = EXAMPLES / "x_intersection" / "x_intersection.xosc"
 @pytest.fixture(scope="module")
 def client():
     """Clusters are slow to start, so these tests share one."""
-    with dask_client.connected("local", 2) as made:
+    with dask_client.open_connection("local", 2) as made:
         yield made
 
 
@@ -52,7 +52,7 @@ def on_cluster(client):
 
 
 def fakes(count):
-    source = Scenario.read(X)
+    source = ScenarioFile.read(X)
     return [ConcreteScenario(X, {"k": float(k)}, source) for k in range(count)]
 
 
@@ -63,7 +63,7 @@ def places(results):
 def varied(count):
     logical = LogicalScenario.read(X, X.with_suffix(".space.xosc"))
     points = np.random.default_rng(0).random((count, logical.space.dimension))
-    return [logical.concrete(values) for values in logical.space.values(logical.space.snap(points))]
+    return [logical.concrete_scenario(values) for values in logical.space.values(logical.space.snap(points))]
 
 
 def test_recordings_are_those_of_one_process(on_cluster):
@@ -96,7 +96,7 @@ Hard.__module__ = "__main__"
 
 
 def test_42_s5_a_driver_fails_and_is_noticed_on_a_cluster_as_here(on_cluster):
-    concretes = [ConcreteScenario(X, {"ego_start": start}, Scenario.read(X)) for start in (30.0, 70.0, 40.0)]
+    concretes = [ConcreteScenario(X, {"ego_start": start}, ScenarioFile.read(X)) for start in (30.0, 70.0, 40.0)]
     options: dict[str, Any] = {"duration": 1.0, "drivers": {"Ego": Hard()}}
     with SIMULATORS.create("builtin", **options) as here, on_cluster("builtin", options) as there:
         with pytest.warns(NoticeWarning) as noticed:
@@ -171,7 +171,7 @@ def test_a_batch_that_costs_its_worker_is_run_one_by_one(on_cluster, tmp_path):
 
 @pytest.mark.slow
 def test_a_simulator_goes_to_no_others_after_the_workers_that_offer_it_were_lost(client, tmp_path, monkeypatch):
-    monkeypatch.setattr(dask_client, "_FIRST_WORKER", 1.0)
+    monkeypatch.setattr(dask_client, "_WORKER_TIMEOUT", 1.0)
     security = client.security
     for name, content in (
         ("ca", security.tls_ca_file),
@@ -204,34 +204,34 @@ def test_more_retries_are_more_workers(on_cluster, tmp_path):
 
 def test_what_the_simulator_refuses_names_the_files_of_the_user(on_cluster, tmp_path):
     (tmp_path / "roadless.xosc").write_text(X.read_text().replace("x_intersection.xodr", "gone.xodr"))
-    scenario = Scenario.read(tmp_path / "roadless.xosc")
+    scenario = ScenarioFile.read(tmp_path / "roadless.xosc")
     with on_cluster("builtin", {}) as simulator, pytest.raises(InputError) as caught:
         list(simulator.run([ConcreteScenario(scenario.path, {}, scenario)]))
     assert str(tmp_path / "gone.xodr") in str(caught.value)
 
 
 def test_a_study_and_a_suite_are_those_of_one_process(client, tmp_path):
-    configuration = replace(demonstration("x-intersection", budget=12), duration=10.0, batch=4)
-    explore_configuration(configuration, tmp_path / "here.db")
-    explore_configuration(replace(configuration, cluster=client), tmp_path / "there.db")
+    configuration = replace(paper_experiment_config("x-intersection", budget=12), duration=10.0, batch=4)
+    explore_config(configuration, tmp_path / "here.db")
+    explore_config(replace(configuration, cluster=client), tmp_path / "there.db")
     assert stored(tmp_path / "here.db") == stored(tmp_path / "there.db")
     for place in ("here", "there"):
         cc.analyze(tmp_path / f"{place}.db", ["wttc"])
         cc.reduce(tmp_path / f"{place}.db", tmp_path / place, size=3, scenario=X)
-    result = cc.test(tmp_path / "there", tmp_path / "run.db", cluster=client)
+    result = cc.run_suite(tmp_path / "there", tmp_path / "run.db", cluster=client)
     assert all(one.difference is not None and one.difference.same for one in result.scenarios)
 
 
 def test_an_analysis_and_a_reduced_set_are_those_of_one_process(client, tmp_path):
     """Compare the bytes of the study and of all output files, including mutants."""
-    configuration = replace(demonstration("x-intersection", budget=16), duration=10.0, batch=16)
+    configuration = replace(paper_experiment_config("x-intersection", budget=16), duration=10.0, batch=16)
     for place, cluster in (("here", None), ("there", client)):
         study = tmp_path / place / "study.db"
         study.parent.mkdir()
-        explore_configuration(configuration, study)
+        explore_config(configuration, study)
         cc.analyze(study, ["wttc", "ego-trajectory"], cluster=cluster)
-        exposure = find_exposure(study, 3, scenario=X, cluster=cluster)
-        cc.reduce(study, tmp_path / place / "kept", size=4, scenario=X, exposure=exposure)
+        exposure = analyze_mutants(study, 3, scenario=X, cluster=cluster)
+        cc.reduce(study, tmp_path / place / "kept", size=4, scenario=X, kill_matrix=exposure)
     found = [analysed(tmp_path / place / "study.db") for place in ("here", "there")]
     assert found[0] == found[1]
     assert sum(name == "distances" for _, name, _ in found[0]) == 2
@@ -263,7 +263,7 @@ def test_an_interrupt_waits_until_a_local_cluster_has_ended():
 
     connection: Any = Connection()
     with pytest.raises(KeyboardInterrupt):
-        dask_client.leave(connection)
+        dask_client.disconnect(connection)
     assert connection.cluster.ended
 
 
@@ -276,22 +276,22 @@ def test_a_scheduler_that_is_lost_between_two_rounds_is_told():
 
     lost: Any = Lost()
     with pytest.raises(InputError, match="the connection to its scheduler is lost"):
-        dask_client.workers_of(lost)
+        dask_client.wait_for_workers(lost)
 
 
 def test_processes_of_no_cluster_are_refused(tmp_path):
-    configuration = replace(demonstration("x-intersection", budget=2), duration=2.0)
-    explore_configuration(configuration, tmp_path / "study.db")
+    configuration = replace(paper_experiment_config("x-intersection", budget=2), duration=2.0)
+    explore_config(configuration, tmp_path / "study.db")
     with pytest.raises(InputError, match="`workers`: needs a local cluster"):
         cc.analyze(tmp_path / "study.db", workers=2)
 
 
 def stored(path):
     with Study.open(path, readonly=True) as study:
-        rows = study.done()
+        rows = study.finished_rows()
         motion = [[getattr(study.recording(row.id), name).tobytes() for name in ("x", "y", "speed")] for row in rows]
         values = [(row.id, row.state, dict(row.values)) for row in rows]
-        return values, motion, [study.scores_of(row.id) for row in rows], study.meta
+        return values, motion, [study.scenario_scores(row.id) for row in rows], study.meta
 
 
 @pytest.mark.slow
@@ -314,7 +314,7 @@ def test_a_driver_of_ones_own_is_found_in_the_current_folder(tmp_path, reduced_b
 def test_a_driver_that_a_worker_lacks_is_told():
     gone = b"cgone_module\nDriver\n."
     with pytest.raises(InputError, match=r"a worker cannot load a driver of your own .*gone_module"):
-        run_job(Job("another key", __version__, "builtin", gone, None, 1), Attempt("one", 2), {}, [])
+        run_scenarios_of_job(SimulatorJob("another key", __version__, "builtin", gone, None, 1), JobAttempt("one", 2), {}, [])
 
 
 @pytest.fixture
@@ -325,15 +325,15 @@ def reduced_by_hand(tmp_path):
 
 
 def test_no_scheduler_is_told(tmp_path, monkeypatch):
-    monkeypatch.setattr(dask_client, "_ANSWERS", 0.5)
+    monkeypatch.setattr(dask_client, "_ANSWER_TIMEOUT", 0.5)
     for given in ("tcp://127.0.0.1:9", "nowhere", str(tmp_path / "none.json")):
         with pytest.raises(InputError, match="no scheduler answers there"):
-            start_simulator("builtin", {}, cluster=given)
+            create_simulator("builtin", {}, cluster=given)
     (tmp_path / "scheduler.json").write_text("{}")
     with pytest.raises(InputError, match="no scheduler answers there"):
-        start_simulator("builtin", {}, cluster=str(tmp_path / "scheduler.json"))
+        create_simulator("builtin", {}, cluster=str(tmp_path / "scheduler.json"))
     with pytest.raises(InputError, match="`workers`: the cluster has its own"):
-        start_simulator("builtin", {}, cluster="tcp://127.0.0.1:9", workers=2)
+        create_simulator("builtin", {}, cluster="tcp://127.0.0.1:9", workers=2)
 
 
 def test_another_program_that_listens_is_no_scheduler():
@@ -348,21 +348,21 @@ def test_another_program_that_listens_is_no_scheduler():
 
         threading.Thread(target=answer, daemon=True).start()
         with pytest.raises(InputError, match="no scheduler answers there"):
-            start_simulator("builtin", {}, cluster=f"tcp://127.0.0.1:{other.getsockname()[1]}")
+            create_simulator("builtin", {}, cluster=f"tcp://127.0.0.1:{other.getsockname()[1]}")
 
 
 def test_another_program_that_listens_and_is_silent_is_no_scheduler(monkeypatch):
-    monkeypatch.setattr(dask_client, "_ANSWERS", 0.5)
+    monkeypatch.setattr(dask_client, "_ANSWER_TIMEOUT", 0.5)
     with (
         socket.create_server(("127.0.0.1", 0)) as other,
         pytest.raises(InputError, match="no scheduler answers there"),
     ):
-        start_simulator("builtin", {}, cluster=f"tcp://127.0.0.1:{other.getsockname()[1]}")
+        create_simulator("builtin", {}, cluster=f"tcp://127.0.0.1:{other.getsockname()[1]}")
 
 
 def test_a_worker_of_another_version_is_told():
     with pytest.raises(InputError, match=r"a worker has cornercase .*, this machine has 0\.0\.0"):
-        run_job(Job("key", "0.0.0", "builtin", b"", None, 1), Attempt("one", 2), {}, [])
+        run_scenarios_of_job(SimulatorJob("key", "0.0.0", "builtin", b"", None, 1), JobAttempt("one", 2), {}, [])
 
 
 def test_a_parcel_has_all_files_wherever_they_lie(tmp_path):
@@ -377,8 +377,8 @@ def test_a_parcel_has_all_files_wherever_they_lie(tmp_path):
     (tmp_path / "a" / "scenarios" / "x.xosc").write_text(text)
     (tmp_path / "a" / "roads" / "x.xodr").write_bytes(X.with_suffix(".xodr").read_bytes())
     (tmp_path / "a" / "catalogs" / "c.xosc").write_text('<OpenSCENARIO><Catalog name="c"/></OpenSCENARIO>')
-    scenario = Scenario.read(tmp_path / "a" / "scenarios" / "x.xosc")
-    parcel = ScenarioParcel.of(scenario)
+    scenario = ScenarioFile.read(tmp_path / "a" / "scenarios" / "x.xosc")
+    parcel = ScenarioBundle.from_file(scenario)
     assert "catalogs" in text
     assert set(parcel.files) == {"scenarios/x.xosc", "roads/x.xodr", "catalogs/c.xosc"}
     # Later files in that folder are ignored.
@@ -386,7 +386,7 @@ def test_a_parcel_has_all_files_wherever_they_lie(tmp_path):
     unpacked = parcel.unpack(tmp_path / "b")
     assert unpacked.root is not None
     assert unpacked.fingerprint() == scenario.fingerprint()
-    road = unpacked.road_file()
+    road = unpacked.road_path_for()
     assert road is not None
     assert road.read_bytes() == X.with_suffix(".xodr").read_bytes()
 
@@ -399,25 +399,25 @@ def test_a_file_that_other_machines_do_not_have_is_refused(tmp_path):
     file = tmp_path / "scenarios" / "x.xosc"
     file.write_text(X.read_text().replace("x_intersection.xodr", road.as_posix()))
     with pytest.raises(InputError, match=r"names .*x\.xodr by an absolute path"):
-        ScenarioParcel.of(Scenario.read(file))
+        ScenarioBundle.from_file(ScenarioFile.read(file))
 
 
 def test_the_folder_of_a_parcel_is_that_of_all_files():
-    parcel = ScenarioParcel.of(Scenario.read(X))
-    assert Path(parcel.folder) == X.parent.resolve()
-    assert parcel.main == X.name
+    parcel = ScenarioBundle.from_file(ScenarioFile.read(X))
+    assert Path(parcel.common_folder) == X.parent.resolve()
+    assert parcel.scenario_path == X.name
 
 
 @pytest.mark.slow
 def test_without_rounds_the_scenarios_are_those_of_one_process(client, tmp_path):
-    one = replace(demonstration("x-intersection", budget=9, seed=1), optimizer="sobol", duration=10.0)
-    explore_configuration(one, tmp_path / "here.db")
-    explore_configuration(replace(one, cluster=client, asynchronous=True), tmp_path / "there.db")
+    one = replace(paper_experiment_config("x-intersection", budget=9, seed=1), optimizer="sobol", duration=10.0)
+    explore_config(one, tmp_path / "here.db")
+    explore_config(replace(one, cluster=client, asynchronous=True), tmp_path / "there.db")
     with (
         Study.open(tmp_path / "here.db", readonly=True) as here,
         Study.open(tmp_path / "there.db", readonly=True) as there,
     ):
-        assert len(there.results()) == len(there.done()) == 9
+        assert len(there.result_order()) == len(there.finished_rows()) == 9
         for row, other in zip(here.rows(), there.rows(), strict=True):
             assert row.point.tobytes() == other.point.tobytes()
             assert same_recording(here.recording(row.id), there.recording(row.id))

@@ -25,7 +25,7 @@ from conftest import (
     trajectory,
 )  # fmt: skip
 from cornercase._common.errors import InputError, NoticeWarning, SimulationError
-from cornercase._common.interrupts import noted_interrupts
+from cornercase._common.interrupts import collect_interrupts
 from cornercase.drivers import Driver
 from cornercase.recordings import Recording
 from cornercase.scenario import ConcreteScenario
@@ -252,7 +252,7 @@ def test_42_s5_whatever_a_driver_raises_fails_its_scenario_alone(tmp_path, said)
             RAISED[said]()
         return np.zeros(len(situation.speed))
 
-    with noted_interrupts():
+    with collect_interrupts():
         first, lost, last = driven_by(tmp_path, decide)
     assert isinstance(lost, SimulationError)
     assert str(lost).startswith(f"{OWN} failed at t = 0.5 s: {said}")
@@ -273,7 +273,7 @@ def test_42_s5_ctrl_c_ends_a_driver_that_catches_it(tmp_path):
             raise RuntimeError("caught") from None
         return np.zeros(3)
 
-    with noted_interrupts(), pytest.raises(KeyboardInterrupt):
+    with collect_interrupts(), pytest.raises(KeyboardInterrupt):
         driven_by(tmp_path, decide)
 
 

@@ -21,7 +21,7 @@ from conftest import (
     time_trigger,
 )
 from cornercase import check, convert
-from cornercase.scenario import ConcreteScenario, Scenario, fill_concrete, read_xml, write_concrete
+from cornercase.scenario import ConcreteScenario, ScenarioFile, build_concrete_file, read_xml, write_concrete_file
 from cornercase.simulators import BuiltinSimulator
 
 NAMES = (
@@ -44,10 +44,10 @@ def test_43_6_criteria_are_never_true_and_a_notice_says_so(tmp_path: Path) -> No
     path = scenario_file(tmp_path, init=moving(), stop=criteria())
     assert run(path, duration=3.0).time[-1] == pytest.approx(3.0)
     found = check(path)
-    assert not found.trouble
+    assert not found.run_errors
     (notice,) = [one for one in found.notices if one.rule]
-    assert set(notice.what) == {f"criteria_{name}" for name in NAMES}
-    assert "never true" in notice.why
+    assert set(notice.parts) == {f"criteria_{name}" for name in NAMES}
+    assert "never true" in notice.reason
     assert "declared parameter" in notice.rule
 
 
@@ -65,13 +65,13 @@ def test_43_6_a_condition_on_no_parameter_is_never_true_whatever_its_name(tmp_pa
     path = scenario_file(tmp_path, init=moving(), stop=stop)
     assert run(path, duration=2.0).time[-1] == pytest.approx(2.0)
     (notice,) = [one for one in check(path).notices if one.rule]
-    assert notice.what == ("condition 'end_CollisionTest'",)
+    assert notice.parts == ("condition 'end_CollisionTest'",)
 
 
 def test_43_6_a_misspelt_parameter_is_refused_still(tmp_path: Path) -> None:
     stop = f"<ConditionGroup>{criterion('x', 'spede', '3').replace('criteria_', 'end_')}</ConditionGroup>"
     speed = '<ParameterDeclaration name="speed" parameterType="double" value="3"/>'
-    (why,) = check(scenario_file(tmp_path, init=moving(), stop=stop, parameters=speed)).trouble
+    (why,) = check(scenario_file(tmp_path, init=moving(), stop=stop, parameters=speed)).run_errors
     assert "there is no parameter 'spede'" in why
     assert "did you mean 'speed'" in why
 
@@ -86,7 +86,7 @@ def test_43_6_a_criterion_on_a_declared_parameter_is_a_condition_like_others(tmp
 
 def test_43_6_a_concrete_file_keeps_its_criteria(tmp_path: Path) -> None:
     path = scenario_file(tmp_path, init=moving(), stop=criteria())
-    written = fill_concrete(Scenario(path), {}, tmp_path / "one.xosc").content.decode()
+    written = build_concrete_file(ScenarioFile(path), {}, tmp_path / "one.xosc").content.decode()
     assert all(f'name="criteria_{name}"' in written for name in NAMES)
     assert 'parameterRef="distance_success" value="100"' in written
 
@@ -107,7 +107,7 @@ def test_43_6_who_is_added_relative_to_another_waits_until_that_is_placed(tmp_pa
     x = {name: recording.x[k, 0] for k, name in enumerate(recording.names)}
     assert x["B"] - x["Ego"] == pytest.approx(120.0)
     assert x["C"] - x["B"] == pytest.approx(30.0)
-    assert recording.speed[recording.index("B"), -1] == pytest.approx(5.0)
+    assert recording.speed[recording.entity_index("B"), -1] == pytest.approx(5.0)
 
 
 def test_43_6_a_driver_that_was_chosen_drives_in_the_concrete_file_too(tmp_path: Path) -> None:
@@ -117,7 +117,7 @@ def test_43_6_a_driver_that_was_chosen_drives_in_the_concrete_file_too(tmp_path:
 </PrivateAction>"""
     both = private("Ego", teleport("50"), speed_action("15"), assigned) + private("B", teleport("90"))
     path = scenario_file(tmp_path, init=both, entities=car("Ego") + car("B"))
-    write_concrete(Scenario(path), {}, tmp_path / "out" / "one.xosc", {"Ego": "normal"})
+    write_concrete_file(ScenarioFile(path), {}, tmp_path / "out" / "one.xosc", {"Ego": "normal"})
     (before,) = ran(BuiltinSimulator(duration=4.0, drivers={"Ego": "normal"}), [ConcreteScenario(path, {})])
     after = run(tmp_path / "out" / "one.xosc", duration=4.0)
     assert before.speed[0, -1] < 14.0

@@ -10,7 +10,7 @@ from cornercase._common.errors import NoticeWarning
 from cornercase._common.registry import Registry
 from cornercase.optimizers import OPTIMIZERS, create_optimizer
 from cornercase.scenario import ParameterSpace
-from cornercase.simulators import SIMULATORS, BuiltinSimulator, Simulator, start_simulator
+from cornercase.simulators import SIMULATORS, BuiltinSimulator, Simulator, create_simulator
 from fake_simulators import recording
 
 
@@ -58,7 +58,7 @@ class Needy(Swallowing):
 
 class Drifting(Swallowing):
     name = "drifting"
-    needs = ("ego",)
+    requires = ("ego",)
 
     def __init__(self):
         super().__init__()
@@ -85,7 +85,7 @@ def registered(monkeypatch):
 def test_42_7_options_that_a_simulator_does_not_declare_are_refused(name, says):
     options = {"time_step": 0.05, "duration": 60.0, "on_collision": "continue", "drivers": {}}
     with pytest.raises(InputError) as caught:
-        start_simulator(name, options)
+        create_simulator(name, options)
     assert says in str(caught.value)
 
 
@@ -93,7 +93,7 @@ def test_42_7_options_that_a_simulator_does_not_declare_are_refused(name, says):
 def test_42_7_a_simulator_without_drivers_is_not_given_any(name, x_intersection, tmp_path):
     says = f"`drivers` Ego: the simulator '{name}' supports no drivers; leave them out, or declare 'drivers'"
     with pytest.raises(InputError) as caught:
-        start_simulator(name, {"drivers": {"Ego": "normal"}})
+        create_simulator(name, {"drivers": {"Ego": "normal"}})
     assert str(caught.value).startswith(says)
     with pytest.raises(InputError, match="supports no drivers"):
         cc.explore(
@@ -102,12 +102,12 @@ def test_42_7_a_simulator_without_drivers_is_not_given_any(name, x_intersection,
         )  # fmt: skip
     assert not (tmp_path / "s.db").exists()
     with pytest.raises(InputError, match=r"`on_collision` stop: the simulator .* does not declare 'on_collision'"):
-        start_simulator(name, {"on_collision": "stop"})
+        create_simulator(name, {"on_collision": "stop"})
 
 
 def test_42_7_a_time_that_a_simulator_does_not_declare_is_named_as_without_effect():
     with pytest.warns(NoticeWarning, match=r"without effect: duration 20.0 s, since the simulator 'terse' does not"):
-        made = start_simulator("terse", {"time_step": 0.01, "duration": 20.0, "on_collision": "continue"})
+        made = create_simulator("terse", {"time_step": 0.01, "duration": 20.0, "on_collision": "continue"})
     assert isinstance(made, Terse)
     assert made.time_step == 0.01
 
@@ -115,8 +115,8 @@ def test_42_7_a_time_that_a_simulator_does_not_declare_is_named_as_without_effec
 @pytest.mark.filterwarnings("error")
 def test_42_7_what_nobody_asked_for_is_said_of_nobody():
     usual = {"time_step": 0.05, "duration": 60.0, "on_collision": "continue", "drivers": {}}
-    assert isinstance(start_simulator("terse", usual), Terse)
-    made = start_simulator("swallowing:crash=15", usual)
+    assert isinstance(create_simulator("terse", usual), Terse)
+    made = create_simulator("swallowing:crash=15", usual)
     assert isinstance(made, Swallowing)
     # A constructor with **options gets all of them.
     assert (made.settings, made.given) == ({"crash": 15.0}, usual)
@@ -124,14 +124,14 @@ def test_42_7_what_nobody_asked_for_is_said_of_nobody():
 
 @pytest.mark.filterwarnings("error")
 def test_42_7_options_of_the_base_class_count_where_they_are_handed_on():
-    made = start_simulator("longer:more=2", {"drivers": {"Ego": "normal"}, "on_collision": "stop", "duration": 9.0})
+    made = create_simulator("longer:more=2", {"drivers": {"Ego": "normal"}, "on_collision": "stop", "duration": 9.0})
     assert isinstance(made, Longer)
     assert made.more == 2.0
     assert made.settings["drivers"] == {"Ego": "normal"}
 
 
 def test_42_7_the_same_holds_of_everything_that_has_a_name(monkeypatch):
-    class Line(OPTIMIZERS.class_of("random")):  # type: ignore[misc]
+    class Line(OPTIMIZERS.get_class("random")):  # type: ignore[misc]
         def __init__(self, space, seed, **more):
             super().__init__(space, seed)
 

@@ -506,7 +506,7 @@ def test_constraints_are_kept_by_searches_and_by_the_simulator(tmp_path):
         assert len(found) > 10
         assert ((found < 12) | ((found > 18) & (found <= 20))).all()
         assert (found > 18).any()
-    (result,) = BuiltinSimulator().run([logical.concrete({"v": 15.0})])
+    (result,) = BuiltinSimulator().run([logical.concrete_scenario({"v": 15.0})])
     assert "v breaks a constraint" in str(result)
     with pytest.raises(InputError, match="constraints"):
         LogicalScenario.read(path, ranges=["v=21:25"])
@@ -528,13 +528,13 @@ def test_values_of_a_set_stay_together(tmp_path):
     logical = LogicalScenario.read(None, tmp_path / "space.xosc")
     assert logical.space.size == 2
     recordings = ran(
-        BuiltinSimulator(duration=2.0), [logical.concrete(v) for v in logical.space.values(logical.space.lattice())]
+        BuiltinSimulator(duration=2.0), [logical.concrete_scenario(v) for v in logical.space.values(logical.space.full_factorial())]
     )
     assert {(r.speed[0][1], r.speed[0][-1]) for r in recordings} == {(5.0, 6.0), (8.0, 9.0)}
     again = type(logical.space).from_json(logical.space.to_json())
-    assert again.values(again.lattice()) == logical.space.values(logical.space.lattice())
+    assert again.values(again.full_factorial()) == logical.space.values(logical.space.full_factorial())
     ranged = LogicalScenario.read(None, tmp_path / "space.xosc", ["v=1:2"])
-    assert sorted(ranged.space.assigns) == ["v", "w"]
+    assert sorted(ranged.space.assigned_names) == ["v", "w"]
     assert all(1 <= float(one["v"]) <= 2 for one in ranged.space.values(SobolOptimizer(ranged.space, 0).ask(5)))
 
 

@@ -165,7 +165,7 @@ def test_the_interface_against_a_stand_in(stub):
     simulator = EsminiSimulator(library=stub(), undriven=True)
     fast, usual = ran(simulator, [ConcreteScenario(T, {"ego_speed": 8.0}), ConcreteScenario(T, {})])
     assert fast.names == ("Ego",)
-    assert fast.kinds == ("truck",)
+    assert fast.object_types == ("truck",)
     np.testing.assert_allclose(fast.time, np.arange(11) * 0.05)
     np.testing.assert_allclose(fast.x[0], 8.0 * 0.05 * np.arange(11))
     np.testing.assert_allclose(usual.speed[0], 5.0)
@@ -194,7 +194,7 @@ def test_refuses_in_one_sentence(monkeypatch, tmp_path):
         EsminiSimulator(library=str(tmp_path / "none.so"))
     with pytest.raises(InputError, match="does not support cornercase's drivers"):
         EsminiSimulator(drivers={"Ego": "normal"})
-    assert "download esmini" in EsminiSimulator.availability().missing
+    assert "download esmini" in EsminiSimulator.availability().problem
     done = subprocess.run(
         [sys.executable, "-c", "from cornercase.cli import main; main()", "simulators"],
         capture_output=True, text=True, env={**os.environ, "CORNERCASE_ESMINI": ""}, check=True,

@@ -28,7 +28,7 @@ def drawn(name: str, count: int) -> list[ConcreteScenario]:
     base = EXAMPLES / name / name
     logical = LogicalScenario.read(f"{base}.xosc", f"{base}.space.xosc")
     points = RandomOptimizer(logical.space, 3).ask(count)
-    return [logical.concrete(values) for values in logical.space.values(points)]
+    return [logical.concrete_scenario(values) for values in logical.space.values(points)]
 
 
 def recordings(concretes: list[ConcreteScenario]) -> list[Recording | SimulationError]:
@@ -78,9 +78,9 @@ def test_any_number_of_threads_gives_the_same_bytes(monkeypatch):
     concretes = drawn("x_intersection", 70)
     found = []
     for threads, batch in ((1, 512), (2, 512), (5, 512), (2, 20), (3, 9)):
-        monkeypatch.setattr(simulator, "available_cpus", lambda threads=threads: threads)
-        monkeypatch.setattr(stepping, "_WORTH_A_THREAD", 2)
-        monkeypatch.setattr(simulator, "_WORTH_A_BATCH", batch)
+        monkeypatch.setattr(simulator, "count_available_cpus", lambda threads=threads: threads)
+        monkeypatch.setattr(stepping, "_MIN_SCENARIOS_PER_THREAD", 2)
+        monkeypatch.setattr(simulator, "_MIN_SCENARIOS_PER_BATCH", batch)
         found.append(recordings(concretes))
     for other in found[1:]:
         assert_same(other, found[0], 0.0)
@@ -92,7 +92,7 @@ def test_who_interrupts_batches_beside_each_other_does_not_wait_for_their_end(mo
     # Two batches may both be evaluated before either counts, so that neither sees the tenth evaluation.
     first = threading.Lock()
     assert waits is not None
-    plain_look, plain_halt = Storyboard.look, Batch.halt
+    plain_look, plain_halt = Storyboard.evaluate_triggers, Batch.cancel
 
     def look(self, dt: float) -> None:
         looks.append(dt)
@@ -108,9 +108,9 @@ def test_who_interrupts_batches_beside_each_other_does_not_wait_for_their_end(mo
 
     look_in_each_frame(monkeypatch)
     monkeypatch.setattr(Storyboard, "look", look)
-    monkeypatch.setattr(Batch, "halt", halt)
-    monkeypatch.setattr(simulator, "available_cpus", lambda: 2)
-    monkeypatch.setattr(simulator, "_WORTH_A_BATCH", 2)
+    monkeypatch.setattr(Batch, "cancel", halt)
+    monkeypatch.setattr(simulator, "count_available_cpus", lambda: 2)
+    monkeypatch.setattr(simulator, "_MIN_SCENARIOS_PER_BATCH", 2)
     with pytest.raises(KeyboardInterrupt):
         recordings(drawn("t_intersection", 4))
     assert len(looks) < 100
@@ -118,7 +118,7 @@ def test_who_interrupts_batches_beside_each_other_does_not_wait_for_their_end(mo
 
 def test_a_scenario_looks_only_where_something_happens(monkeypatch):
     looks = []
-    plain = Storyboard.look
+    plain = Storyboard.evaluate_triggers
 
     def look(self, dt: float) -> None:
         looks.append(int(self._world.running.sum()))

@@ -8,7 +8,7 @@ import pytest
 
 from conftest import EXAMPLES, car, same_recording, scenario_file, speed_action, teleport
 from cornercase._common.errors import InputError
-from cornercase.scenario import ConcreteScenario, Scenario
+from cornercase.scenario import ConcreteScenario, ScenarioFile
 from cornercase.simulators import BuiltinSimulator, check, convert, simulate
 
 X = EXAMPLES / "x_intersection" / "x_intersection.xosc"
@@ -17,12 +17,12 @@ SPACE = EXAMPLES / "x_intersection" / "x_intersection.space.xosc"
 
 def test_check_tells_what_a_file_holds():
     found = check(X, SPACE)
-    assert found.good
+    assert found.is_valid
     assert found.contents["ScenarioObject"] == 4
     assert found.space is not None
     assert found.space.names == ("ego_start", "pedestrian_wait", "p1_speed")
     assert repr(found).startswith("<Check of x_intersection.xosc: can be run, schema 1.2.0: valid; 4 ScenarioObject")
-    assert check(Scenario.read(X)).contents == found.contents
+    assert check(ScenarioFile.read(X)).contents == found.contents
     assert check(X).space is None
 
 
@@ -30,8 +30,8 @@ def test_check_says_why_a_file_cannot_be_run(tmp_path):
     init = f'<Private entityRef="Ego">{teleport("50", "-7")}{speed_action("10")}</Private>'
     path = scenario_file(tmp_path, init=init, story="", entities=car("Ego"))
     found = check(path)
-    assert not found.good
-    assert found.trouble[0] in repr(found)
+    assert not found.is_valid
+    assert found.run_errors[0] in repr(found)
     assert "cannot be run" in repr(found)
 
 
@@ -39,7 +39,7 @@ def test_a_space_that_does_not_fit_is_trouble_with_the_scenario():
     other = EXAMPLES / "t_intersection" / "t_intersection.space.xosc"
     found = check(X, other)
     assert found.space is None
-    assert "declares no parameter" in found.trouble[0]
+    assert "declares no parameter" in found.run_errors[0]
 
 
 def test_simulate_gives_the_recording_that_the_simulator_gives():
@@ -47,7 +47,7 @@ def test_simulate_gives_the_recording_that_the_simulator_gives():
     (expected,) = BuiltinSimulator(drivers={"Ego": "cautious"}, **options).run([ConcreteScenario(X, values)])
     recording = simulate(X, values, drivers={"Ego": "cautious"}, **options)
     assert same_recording(recording, expected)
-    assert same_recording(simulate(Scenario.read(X), values, drivers={"Ego": "cautious"}, **options), expected)
+    assert same_recording(simulate(ScenarioFile.read(X), values, drivers={"Ego": "cautious"}, **options), expected)
 
 
 @pytest.mark.parametrize(

@@ -10,7 +10,7 @@ from lxml import etree
 from conftest import ROAD, car, examples
 from cornercase._common.errors import InputError, SimulationError
 from cornercase.recordings import Recording
-from cornercase.scenario import ConcreteScenario, Scenario
+from cornercase.scenario import ConcreteScenario, ScenarioFile
 from cornercase.simulators import BuiltinSimulator
 
 # What junk is read as is said; here it only has to run, or to be refused.
@@ -156,7 +156,7 @@ def result_of(folder, content: bytes) -> object:
     path = folder / "scenario.xosc"
     path.write_bytes(content)
     try:
-        (found,) = BuiltinSimulator(duration=0.5).run([ConcreteScenario(path, {}, Scenario.read(path))])
+        (found,) = BuiltinSimulator(duration=0.5).run([ConcreteScenario(path, {}, ScenarioFile.read(path))])
     except InputError as error:
         return error
     return found

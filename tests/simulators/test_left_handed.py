@@ -22,7 +22,7 @@ from conftest import (
 from conftest import event as one_event
 from cornercase import check, convert
 from cornercase._common.errors import InputError
-from cornercase.scenario import Scenario, fill_concrete
+from cornercase.scenario import ScenarioFile, build_concrete_file
 from cornercase.simulators import BuiltinSimulator, EsminiSimulator
 
 PARAMETERS = '<ParameterDeclaration name="side" parameterType="double" value="{}"/>'
@@ -94,7 +94,7 @@ def test_43_2_a_file_of_carlas_is_named(tmp_path: Path) -> None:
     assert str(notice).startswith(
         "signs of y and headings (scenario.xosc, line 2): the description begins with 'CARLA:'"
     )
-    assert notice in BuiltinSimulator.notices(Scenario.read(turned))
+    assert notice in BuiltinSimulator.notices(ScenarioFile.read(turned))
     assert not any("left-handed" in str(one) for one in check(plain).notices)
 
 
@@ -142,7 +142,7 @@ def test_43_2_a_converted_file_of_carlas_is_in_the_axes_of_the_road(tmp_path: Pa
 
 def test_43_2_a_concrete_file_stays_in_its_axes(tmp_path: Path) -> None:
     turned = written(tmp_path / "a", "CARLA:x", -1.0)
-    made = fill_concrete(Scenario.read(turned), {"side": 2.0}, tmp_path / "one.xosc", description="score 1.2")
+    made = build_concrete_file(ScenarioFile.read(turned), {"side": 2.0}, tmp_path / "one.xosc", description="score 1.2")
     path = turned.with_name("one.xosc")
     path.write_bytes(made.content)
     assert b'description="CARLA:score 1.2"' in made.content
@@ -153,9 +153,9 @@ def test_43_2_esmini_which_does_not_know_such_axes_refuses_them(tmp_path: Path) 
     turned, plain = written(tmp_path / "a", "CARLA:x", -1.0), written(tmp_path / "b", "x", 1.0)
     simulator = EsminiSimulator.__new__(EsminiSimulator)
     simulator._undriven = True
-    simulator.require_means(Scenario.read(plain))
+    simulator.check_supported(ScenarioFile.read(plain))
     with pytest.raises(InputError, match=r"scenario\.xosc: its description begins with 'CARLA:'.*`cornercase convert`"):
-        simulator.require_means(Scenario.read(turned))
+        simulator.check_supported(ScenarioFile.read(turned))
 
 
 WILD = Path(__file__).parents[3] / "shared" / "reference" / "wild"
@@ -168,8 +168,8 @@ def test_43_2_what_others_wrote_for_carla_lies_on_its_towns() -> None:
     networks: dict[Path, RoadNetwork] = {}
     beside = []
     for path in sorted((WILD / "carla-simulator+scenario_runner").rglob("*.xosc")):
-        scenario = Scenario(path)
-        road = scenario.road_file() if scenario.root.find("Storyboard") is not None else None
+        scenario = ScenarioFile(path)
+        road = scenario.road_path_for() if scenario.root.find("Storyboard") is not None else None
         if road is None or not road.is_file() or not scenario.is_left_handed or "Town01" not in road.name:
             continue
         network = networks.setdefault(road, RoadNetwork.read(road) if road not in networks else networks[road])
@@ -179,7 +179,7 @@ def test_43_2_what_others_wrote_for_carla_lies_on_its_towns() -> None:
             except ValueError:
                 continue
             spot = network.locate(x, y)
-            half = 0.5 * network.roads[int(spot.road[0])].width(
+            half = 0.5 * network.roads[int(spot.road[0])].lane_width(
                 int(network.roads[int(spot.road[0])].section_at(spot.s)[0]), int(spot.lane[0]), spot.s
             )
             beside.append(max(abs(float(spot.offset[0])) - float(half[0]), 0.0))

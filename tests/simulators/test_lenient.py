@@ -25,11 +25,11 @@ from conftest import (
 )
 from cornercase import ConcreteScenario, InputError, LogicalScenario
 from cornercase._common.errors import NoticeWarning, SimulationError
-from cornercase._common.ledger import Label
+from cornercase._common.ledger import NoticeLabel
 from cornercase.cli import app
 from cornercase.recordings import Recording
-from cornercase.scenario import Scenario
-from cornercase.scenario.concrete_files import write_concrete
+from cornercase.scenario import ScenarioFile
+from cornercase.scenario.concrete_files import write_concrete_file
 from cornercase.simulators import BuiltinSimulator, check
 
 PARAMETERS = """<ParameterDeclaration name="speed" parameterType="double" value="10"/>
@@ -82,8 +82,8 @@ def checked(path: Path, *options: str):
 
 def test_the_scenario_that_is_broken_below_is_good(tmp_path):
     found = check(written(tmp_path), strict=True)
-    assert found.good
-    assert [notice for notice in found.notices if notice.label is Label.ADAPTED] == []
+    assert found.is_valid
+    assert [notice for notice in found.notices if notice.label is NoticeLabel.ADAPTED] == []
 
 
 # What is changed, and what is said of it; each such file gives the recording of the good one.
@@ -159,14 +159,14 @@ def test_43_8_what_means_only_one_thing_is_read_so_and_said(tmp_path, fault):
     (good,) = ran(BuiltinSimulator(duration=4.0), [ConcreteScenario(written(tmp_path))])
     path = written(tmp_path, *changes)
     found = check(path)
-    adapted = [notice for notice in found.notices if notice.label is Label.ADAPTED]
-    assert found.trouble == ()
+    adapted = [notice for notice in found.notices if notice.label is NoticeLabel.ADAPTED]
+    assert found.run_errors == ()
     assert any(said in str(notice) for notice in adapted), adapted
     assert all(notice.rule and notice.lines for notice in adapted)
     (recording,) = ran(BuiltinSimulator(duration=4.0), [ConcreteScenario(path)])
     np.testing.assert_array_equal(recording.x, good.x)
     np.testing.assert_array_equal(recording.y, good.y)
-    assert not check(path, strict=True).good
+    assert not check(path, strict=True).is_valid
 
 
 # What runs as it stands, without a word.
@@ -184,7 +184,7 @@ SILENT: dict[str, list[tuple[str, str]]] = {
 @pytest.mark.parametrize("what", SILENT)
 def test_43_8_what_breaks_no_rule_is_not_said_to_be_adapted(tmp_path, what):
     found = check(written(tmp_path, *SILENT[what]), strict=True)
-    assert (found.trouble, found.adapted) == ((), ())
+    assert (found.run_errors, found.standard_violations) == ((), ())
 
 
 # What is refused, and why: it may mean more than one thing, or nothing.
@@ -215,15 +215,15 @@ def test_43_8_what_may_mean_something_else_is_refused_by_name(tmp_path, fault):
     changes, why = REFUSED[fault]
     path = written(tmp_path, *changes)
     with pytest.raises(InputError, match=why) as refused:
-        ran(BuiltinSimulator(duration=1.0), [ConcreteScenario(Scenario.read(path).path)])
+        ran(BuiltinSimulator(duration=1.0), [ConcreteScenario(ScenarioFile.read(path).path)])
     assert str(tmp_path) in str(refused.value)
 
 
 @pytest.mark.parametrize("encoding", ["utf-8-sig", "utf-16", "cp1252"])
 def test_43_8_files_in_other_encodings_are_read(tmp_path, encoding):
     path = written(tmp_path, ('author="a"', 'author="Jürgen"'), ('"Ego"', '"Größe"'), encoding=encoding)
-    assert check(path).trouble == ()
-    assert Scenario.read(path).entities[0] == "Größe"
+    assert check(path).run_errors == ()
+    assert ScenarioFile.read(path).entities[0] == "Größe"
 
 
 @pytest.mark.parametrize(
@@ -263,8 +263,8 @@ def test_43_8_what_is_written_of_a_lenient_file_breaks_no_rule(tmp_path):
     folder = tmp_path / "out"
     folder.mkdir()
     target = folder / "one.xosc"
-    write_concrete(Scenario.read(source), {"owner": "B"}, target)
-    assert check(target, strict=True).good
+    write_concrete_file(ScenarioFile.read(source), {"owner": "B"}, target)
+    assert check(target, strict=True).is_valid
     assert 'name="owner" parameterType="string" value="B"' in target.read_text()
 
 
@@ -278,8 +278,8 @@ description="d"/><ParameterValueDistribution><ScenarioFile filepath="scenario.xo
 </ParameterValueDistribution></OpenSCENARIO>""")
     logical = LogicalScenario.read(None, space)
     assert [one.name for one in logical.space.parameters] == ["speed"]
-    (values,) = logical.space.values(logical.space.middle())
-    ran(BuiltinSimulator(duration=1.0), [ConcreteScenario(logical.scenario.path, values)])
+    (values,) = logical.space.values(logical.space.center_point())
+    ran(BuiltinSimulator(duration=1.0), [ConcreteScenario(logical.scenario_file.path, values)])
 
 
 def test_43_8_strict_refuses_with_the_rule_and_exit_code_1(tmp_path):
@@ -377,7 +377,7 @@ def test_43_8_vertices_are_passed_over_while_the_time_goes_back(tmp_path):
     when = np.searchsorted(recording.time, [1.0, 3.0, 4.5])
     # At 4 s it is at two places; from there the last of them counts, as in esmini.
     np.testing.assert_allclose(recording.x[0, when], [55.0, 65.0, 95.0], atol=1e-6)
-    adapted = [notice for notice in check(path).notices if notice.label is Label.ADAPTED]
+    adapted = [notice for notice in check(path).notices if notice.label is NoticeLabel.ADAPTED]
     assert ["time goes back to 3 s" in str(notice) for notice in adapted] == [True]
 
 
@@ -405,7 +405,7 @@ def test_43_8_a_distance_that_is_missing_is_none(tmp_path, relative, needed, at)
             warnings.simplefilter("always")
             (recording,) = ran(BuiltinSimulator(duration=0.2), [ConcreteScenario(path, {})])
         found.append(recording.x[1, 0])
-        said = [one.why for one in check(path).notices if "missing" in str(one)]
+        said = [one.reason for one in check(path).notices if "missing" in str(one)]
         assert (said == ["is read as 0"]) == (each == "")
     assert found == [at, at]
 
@@ -449,7 +449,7 @@ def test_43_3_of_two_declarations_of_a_parameter_the_later_one_counts(tmp_path, 
     assert "'on' is declared in line 5, too; the later one counts" in " ".join(map(str, check(path).notices))
     (twice,) = ran(BuiltinSimulator(duration=2.0), [ConcreteScenario(path)])
     np.testing.assert_array_equal(twice.speed, once.speed)
-    assert Scenario.read(path).parameters.count("on") == 1
+    assert ScenarioFile.read(path).parameters.count("on") == 1
 
 
 @pytest.mark.parametrize(
@@ -491,17 +491,17 @@ def test_43_8_a_document_type_is_refused_with_its_line(tmp_path, before, line):
     _, _, rest = path.read_text().partition("<OpenSCENARIO")
     path.write_text(f'<?xml version="1.0"?>\n{before}<!DOCTYPE a>\n<OpenSCENARIO{rest}')
     with pytest.raises(InputError, match=f"scenario.xosc, line {line}: has a document type declaration"):
-        Scenario.read(path)
+        ScenarioFile.read(path)
 
 
 def test_43_7_a_condition_group_of_nothing_is_true_at_once_and_said(tmp_path):
     path = written(tmp_path, (DISTANCE, "<ConditionGroup/>"))
     assert any(
-        notice.label is Label.ADAPTED and "<ConditionGroup> without a condition" in str(notice)
+        notice.label is NoticeLabel.ADAPTED and "<ConditionGroup> without a condition" in str(notice)
         for notice in check(path).notices
     )
 
 
 def test_43_7_a_start_trigger_of_nothing_breaks_no_rule(tmp_path):
     path = written(tmp_path, (DISTANCE, ""))
-    assert [str(notice) for notice in check(path).notices if notice.label is Label.ADAPTED] == []
+    assert [str(notice) for notice in check(path).notices if notice.label is NoticeLabel.ADAPTED] == []

@@ -57,7 +57,7 @@ _BEFORE: set[int] = set()
 @pytest.fixture(scope="module")
 def client():
     _BEFORE.update(one.port for one in listening())
-    with dask_client.connected("local", 2) as made:
+    with dask_client.open_connection("local", 2) as made:
         yield made
 
 

@@ -14,11 +14,11 @@ import cornercase as cc
 from command_line import cornercase
 from conftest import EXAMPLES, at_night
 from cornercase._common.errors import InputError, NoticeWarning
-from cornercase._common.ledger import Entry, Status
-from cornercase._common.recorded_xml import asked_attributes, children, was_read
-from cornercase.scenario import LogicalScenario, Scenario
-from cornercase.simulators.builtin.effect import notices
-from cornercase.simulators.builtin.openscenario import LEDGER
+from cornercase._common.ledger import SupportEntry, SupportStatus
+from cornercase._common.recorded_xml import requested_attributes, iter_children_untracked, is_read
+from cornercase.scenario import LogicalScenario, ScenarioFile
+from cornercase.simulators.builtin.effect import read_and_collect_notices
+from cornercase.simulators.builtin.openscenario import OPENSCENARIO_SUPPORT
 from ledgers import gaps, page, strangers
 from schemas import Schema
 
@@ -49,46 +49,46 @@ def schema() -> Path:
 
 
 def test_each_element_and_attribute_of_the_schema_has_its_line():
-    assert gaps(LEDGER, schema(), "OpenSCENARIO") == []
+    assert gaps(OPENSCENARIO_SUPPORT, schema(), "OpenSCENARIO") == []
 
 
 def test_each_line_names_something_of_the_schema():
-    assert strangers(LEDGER, schema(), "OpenSCENARIO") == []
+    assert strangers(OPENSCENARIO_SUPPORT, schema(), "OpenSCENARIO") == []
 
 
 def test_what_is_refused_or_without_effect_says_why():
-    silent = [entry for entry in LEDGER.entries if entry.status is not Status.USED and not entry.note]
+    silent = [entry for entry in OPENSCENARIO_SUPPORT.entries if entry.status is not SupportStatus.USED and not entry.note]
     assert silent == []
 
 
 def test_no_line_stands_twice():
-    names = [(entry.element, entry.attribute) for entry in LEDGER.entries]
+    names = [(entry.element, entry.attribute) for entry in OPENSCENARIO_SUPPORT.entries]
     assert len(set(names)) == len(names)
 
 
 def test_the_page_is_in_step_with_the_ledger():
-    assert PAGE.read_text(encoding="utf-8") == page(LEDGER, HEAD)
+    assert PAGE.read_text(encoding="utf-8") == page(OPENSCENARIO_SUPPORT, HEAD)
 
 
-def reading(*files: Scenario) -> dict[Entry, bool]:
+def reading(*files: ScenarioFile) -> dict[SupportEntry, bool]:
     """Whether each line of the ledger that files have something for was read in one of them."""
-    found: dict[Entry, bool] = {}
+    found: dict[SupportEntry, bool] = {}
 
     def look(element, path: tuple[str, ...]) -> None:
-        entry = LEDGER.entry(path)
-        if entry is None or entry.status is not Status.USED:
+        entry = OPENSCENARIO_SUPPORT.find_entry(path)
+        if entry is None or entry.status is not SupportStatus.USED:
             return
-        asked, read = asked_attributes(element) or (), was_read(element)
-        found[entry] = found.get(entry, False) or read or len(list(children(element))) > 0
+        asked, read = requested_attributes(element) or (), is_read(element)
+        found[entry] = found.get(entry, False) or read or len(list(iter_children_untracked(element))) > 0
         for name in element.keys():  # noqa: SIM118 - an element is no mapping
-            of = LEDGER.entry(path, name)
+            of = OPENSCENARIO_SUPPORT.find_entry(path, name)
             if of is not None:
                 found[of] = found.get(of, False) or name in asked
-        for child in children(element):
+        for child in iter_children_untracked(element):
             look(child, (*path, child.tag))
 
     for file in files:
-        for _, part in file.read_parts():
+        for _, part in file.used_elements():
             if not part.tag.endswith("OpenDRIVE"):
                 above = ("OpenSCENARIO", "Catalog") if part.tag != "OpenSCENARIO" else ()
                 look(part, (*above, part.tag))
@@ -99,12 +99,12 @@ def test_what_is_said_to_be_used_is_read():
     files = []
     for space in sorted(EVERYTHING.glob("*.space.xosc")):
         logical = LogicalScenario.read(None, space)
-        for notice in notices(logical.scenario):
-            assert not any("nothing reads" in why or "not known" in why for why in (notice.why,)), notice
-        files.append(logical.scenario)
+        for notice in read_and_collect_notices(logical.scenario_file):
+            assert not any("nothing reads" in why or "not known" in why for why in (notice.reason,)), notice
+        files.append(logical.scenario_file)
     found = reading(*files)
     # What may go unread says so by a star.
-    used = [entry for entry in LEDGER.entries if entry.status is Status.USED and entry.unless != ("*",)]
+    used = [entry for entry in OPENSCENARIO_SUPPORT.entries if entry.status is SupportStatus.USED and entry.ignored_values != ("*",)]
     catalog = [entry for entry in used if entry.element in ("Catalog", "OpenSCENARIO")]
     assert [entry for entry in used if entry not in found and entry not in catalog] == []
     assert [entry for entry in used if not found.get(entry, True)] == []
@@ -152,8 +152,8 @@ WITHOUT_EFFECT = {
 
 @pytest.mark.parametrize("what", WITHOUT_EFFECT)
 def test_what_has_no_effect_is_named_once(tmp_path, what):
-    before = [name for notice in notices(Scenario.read(EVERYTHING / "everything.xosc")) for name in notice.what]
-    after = [name for notice in notices(Scenario.read(changed(tmp_path, WITHOUT_EFFECT[what]))) for name in notice.what]
+    before = [name for notice in read_and_collect_notices(ScenarioFile.read(EVERYTHING / "everything.xosc")) for name in notice.parts]
+    after = [name for notice in read_and_collect_notices(ScenarioFile.read(changed(tmp_path, WITHOUT_EFFECT[what]))) for name in notice.parts]
     assert what not in before
     assert after.count(what) == 1
 
@@ -173,40 +173,40 @@ def test_what_cannot_be_used_is_refused_by_name(tmp_path, what):
     path = changed(tmp_path, REFUSED[what])
     with pytest.raises(InputError, match=rf"everything\.xosc.*<?{what}>?.*; "):
         cc.simulate(path, duration=0.1)
-    assert any(what in trouble for trouble in cc.check(path).trouble)
+    assert any(what in trouble for trouble in cc.check(path).run_errors)
 
 
 def test_each_line_that_refuses_is_tried():
-    refusing = {entry.element.split("/")[-1] for entry in LEDGER.entries if entry.status is Status.REFUSED}
+    refusing = {entry.element.split("/")[-1] for entry in OPENSCENARIO_SUPPORT.entries if entry.status is SupportStatus.REFUSED}
     assert refusing <= {*REFUSED, "UserDefinedDistribution"}
 
 
 def test_a_word_that_the_schema_does_not_know_is_refused():
-    root = Scenario.read(EVERYTHING / "everything.xosc").root
+    root = ScenarioFile.read(EVERYTHING / "everything.xosc").root
     tried = set()
     for element in root.iter(etree.Element):
         path = tuple(reversed([element.tag, *(above.tag for above in element.iterancestors())]))
         for name, value in [(str(a), str(b)) for a, b in element.items()]:
-            entry = LEDGER.entry(path, name)
-            if entry is not None and entry.values:
+            entry = OPENSCENARIO_SUPPORT.find_entry(path, name)
+            if entry is not None and entry.allowed_values:
                 element.set(name, "xyzzy")
                 with pytest.raises(InputError, match=f"{name} 'xyzzy' of <{element.tag}> cannot be used; known are: "):
-                    LEDGER.refuse(root, "a.xosc")
+                    OPENSCENARIO_SUPPORT.check_supported(root, "a.xosc")
                 element.set(name, value)
                 tried.add(entry)
-    LEDGER.refuse(root, "a.xosc")
+    OPENSCENARIO_SUPPORT.check_supported(root, "a.xosc")
     # Of the catalog, and what older files have.
-    left = {(entry.element, entry.attribute) for entry in LEDGER.entries if entry.values and entry not in tried}
+    left = {(entry.element, entry.attribute) for entry in OPENSCENARIO_SUPPORT.entries if entry.allowed_values and entry not in tried}
     assert left <= {("ParameterDeclaration", "parameterType")}
 
 
 def test_the_words_of_an_attribute_are_those_of_the_schema():
     known = Schema(schema()).words("OpenSCENARIO")
-    for entry in LEDGER.entries:
-        if entry.status is Status.USED and entry.attribute:
+    for entry in OPENSCENARIO_SUPPORT.entries:
+        if entry.status is SupportStatus.USED and entry.attribute:
             words = known.get((entry.element.split("/")[-1], entry.attribute), set())
-            assert bool(words) == bool(entry.values), entry
-            assert set(entry.values) <= words, entry
+            assert bool(words) == bool(entry.allowed_values), entry
+            assert set(entry.allowed_values) <= words, entry
 
 
 def test_a_user_defined_distribution_is_refused(tmp_path):
@@ -224,7 +224,7 @@ def test_a_user_defined_distribution_is_refused(tmp_path):
 
 def test_the_seed_and_number_of_a_stochastic_space_are_named(tmp_path):
     found = cc.check(EVERYTHING / "everything.xosc", EVERYTHING / "stochastic.space.xosc")
-    whats = {name for notice in found.notices for name in notice.what}
+    whats = {name for notice in found.notices for name in notice.parts}
     assert {"numberOfTestRuns of <Stochastic>", "randomSeed of <Stochastic>"} <= whats
 
 
@@ -234,25 +234,25 @@ def test_a_used_catalog_entry_counts_and_others_do_not(tmp_path):
     text = catalog.read_text(encoding="utf-8")
     unused = '<Pedestrian name="other"><Wormhole/></Pedestrian>'
     catalog.write_text(text.replace("</Catalog>", f"{unused}</Catalog>"), encoding="utf-8")
-    assert not any("Wormhole" in name for one in notices(Scenario.read(path)) for name in one.what)
+    assert not any("Wormhole" in name for one in read_and_collect_notices(ScenarioFile.read(path)) for name in one.parts)
     catalog.write_text(
         text.replace('<Pedestrian name="walker" mass="80"', '<Pedestrian name="walker" wings="2"'), encoding="utf-8"
     )
-    assert any("wings of <Pedestrian>" in one.what for one in notices(Scenario.read(path)))
+    assert any("wings of <Pedestrian>" in one.parts for one in read_and_collect_notices(ScenarioFile.read(path)))
 
 
 def test_a_controller_of_a_catalog_names_a_driver(tmp_path):
-    assert Scenario.read(EVERYTHING / "everything.xosc").drivers["Lead"] == "normal"
+    assert ScenarioFile.read(EVERYTHING / "everything.xosc").drivers["Lead"] == "normal"
     path = changed(tmp_path)
     catalog = path.parent / "catalogs" / "everything.xosc"
     text = catalog.read_text(encoding="utf-8")
     catalog.write_text(text.replace("cornercase.driver", "another.driver"), encoding="utf-8")
-    scenario = Scenario.read(path)
+    scenario = ScenarioFile.read(path)
     assert "Lead" not in scenario.drivers
     assert any(
         "<CatalogReference> in <ObjectController>" in n or "<ObjectController> in <ScenarioObject>" in n
-        for one in notices(scenario)
-        for n in one.what
+        for one in read_and_collect_notices(scenario)
+        for n in one.parts
     )
 
 
@@ -307,17 +307,17 @@ def test_every_reference_file_has_its_notices(each):
     named, files = 0, sorted(REFERENCE.glob("**/*.xosc"))[::each]
     for file in files:
         try:
-            scenario = Scenario.read(file)
+            scenario = ScenarioFile.read(file)
         except InputError:
             continue  # a catalog or a space
-        found = notices(scenario)
+        found = read_and_collect_notices(scenario)
         named += len(found)
-        assert not any("is not known here" in one.why for one in found), (file, found)
+        assert not any("is not known here" in one.reason for one in found), (file, found)
         there = {element.tag for element in scenario.root.iter()}
         for what in ("EnvironmentAction", "AppearanceAction", "SceneGraphFile"):
-            assert (what in there) == any(f"<{what}>" in one.what for one in found if one.file == file), file
+            assert (what in there) == any(f"<{what}>" in one.parts for one in found if one.file == file), file
     assert named > len(files) / 2
 
 
 if __name__ == "__main__":
-    PAGE.write_text(page(LEDGER, HEAD), encoding="utf-8")
+    PAGE.write_text(page(OPENSCENARIO_SUPPORT, HEAD), encoding="utf-8")

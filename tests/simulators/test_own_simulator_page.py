@@ -14,7 +14,7 @@ from command_line import cornercase
 from conftest import EXAMPLES
 from cornercase import InputError, SimulationError, SimulatorError
 from cornercase.scenario import ConcreteScenario
-from cornercase.simulators import SIMULATORS, WorkerSimulator, checked_settings
+from cornercase.simulators import SIMULATORS, WorkerSimulator, check_settings
 from cornercase.study import Study
 from test_documentation import ROOT, blocks_of
 
@@ -43,7 +43,7 @@ def test_42_11_the_page_runs_and_its_example_is_right(names):
     with Study.open("braking.db") as study:
         assert study.meta.settings == {"time_step": 0.05, "braking": 4.0}
         assert study.meta.repeatability["same"]
-        collided = [bool(study.recording(row.id).collisions) for row in study.done()]
+        collided = [bool(study.recording(row.id).collisions) for row in study.finished_rows()]
         gaps = study.scores("clearance")
     # A collision occurs exactly if the boxes touch.
     assert 0 < sum(collided) < len(collided)
@@ -83,7 +83,7 @@ def test_42_11_ranges_alone_are_told_what_they_need(tmp_path):
 
 
 def test_42_11_what_the_page_says_of_options_holds(names):
-    assert list(checked_settings(0.05, 60.0, "continue", None)) == ["time_step", "duration", "on_collision", "drivers"]
+    assert list(check_settings(0.05, 60.0, "continue", None)) == ["time_step", "duration", "on_collision", "drivers"]
     with pytest.raises(InputError, match="supports no drivers"):
         cc.simulate("braking.xosc", {"ego_start": 3.0}, simulator="braking", drivers={"Ego": "normal"})
     with pytest.warns(UserWarning, match=r"without effect: duration 20\.0 s"):

@@ -56,7 +56,7 @@ def read(folder: Path) -> LogicalScenario:
 
 def a_round(logical: LogicalScenario, number: int) -> list[ConcreteScenario]:
     places = np.array([[(3 * number + k) / 12, 0.5, 0.5] for k in range(3)])
-    return [logical.concrete(values) for values in logical.space.values(places)]
+    return [logical.concrete_scenario(values) for values in logical.space.values(places)]
 
 
 def elsewhere(concretes):

@@ -13,9 +13,9 @@ import pytest
 
 from alone import REFERENCE
 from carla_served import Served
-from cornercase.scenario import ConcreteScenario, Scenario
+from cornercase.scenario import ConcreteScenario, ScenarioFile
 from cornercase.simulators import CarlaSimulator, simulate
-from cornercase.simulators.carla.openscenario_1_0 import Run, write_1_0
+from cornercase.simulators.carla.openscenario_1_0 import ConversionOptions, write_openscenario_1_0
 
 FOLDER = os.environ.get("CORNERCASE_SCENARIO_RUNNER", "")
 pytestmark = pytest.mark.skipif(not FOLDER or not REFERENCE.is_dir(), reason="CORNERCASE_SCENARIO_RUNNER is not set")
@@ -51,12 +51,12 @@ def apart(one, other):
 
 @pytest.mark.parametrize("file", protocols(), ids=lambda file: file.stem)
 def test_the_real_tree_of_each_protocol_is_built_and_moves_as_the_scenario_says(file, tmp_path):
-    scenario = Scenario.read(file)
-    notes = write_1_0(scenario, {}, tmp_path / "one.xosc", ego="Ego", run=Run(duration=DURATION))
+    scenario = ScenarioFile.read(file)
+    notes = write_openscenario_1_0(scenario, {}, tmp_path / "one.xosc", ego="Ego", options=ConversionOptions(duration=DURATION))
     assert (tmp_path / "one.xosc").exists()
     sampled = {note.partition(" moves along")[0] for note in notes if " moves along a trajectory" in note}
     expected = simulate(scenario, duration=DURATION)
-    with Served(scenario.road_file({})) as server:
+    with Served(scenario.road_path_for({})) as server:
         simulator = CarlaSimulator(
             hosts=server.host, port=server.port, scenario_runner=FOLDER, ego="Ego", duration=DURATION, patience=20.0
         )

@@ -150,11 +150,11 @@ def test_43_5_a_recording_says_whether_it_was_cut_off_and_its_file_keeps_its_byt
     init = f'<Private entityRef="Ego">{teleport("10")}{speed_action("1")}</Private>'
     path = scenario_file(tmp_path, init=init, story="", stop=time_trigger("2.1"), entities=car("Ego"))
     run = cc.simulate(path, duration=2.0)
-    assert run.cut_off is True
-    assert cc.simulate(path, duration=3.0).cut_off is False
+    assert run.is_truncated is True
+    assert cc.simulate(path, duration=3.0).is_truncated is False
     run.to_csv(tmp_path / "r.csv")
     assert "cut" not in (tmp_path / "r.csv").read_text(encoding="utf-8")
-    assert cc.recordings.read_recording(tmp_path / "r.csv").cut_off is None
+    assert cc.recordings.read_recording(tmp_path / "r.csv").is_truncated is None
 
 
 def test_43_5_a_study_in_which_nobody_drives_the_ego_says_so(tmp_path):

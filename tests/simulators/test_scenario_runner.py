@@ -217,7 +217,7 @@ class Eight(float):
 def test_numbers_are_written_plainly_with_every_version_of_numpy(tmp_path, monkeypatch):
     from cornercase.scenario import attributes
 
-    monkeypatch.setattr(attributes, "rounded", lambda value: Eight(value) if isinstance(value, float) else value)
+    monkeypatch.setattr(attributes, "round_result", lambda value: Eight(value) if isinstance(value, float) else value)
     scenario = changed(
         tmp_path, ('<SimulationTimeCondition value="', '<SimulationTimeCondition value="${8.33 * 2}" was="')
     )

@@ -14,11 +14,11 @@ import pytest
 
 from conftest import AXLES, at_night
 from cornercase._common.errors import InputError
-from cornercase.scenario import Scenario, read_xml
+from cornercase.scenario import ScenarioFile, read_xml
 from cornercase.simulators import CarlaSimulator, convert, simulate
-from cornercase.simulators.carla.dialect import TRAJECTORY, Agents
-from cornercase.simulators.carla.openscenario_1_0 import Run, write_1_0
-from cornercase.simulators.carla.table import Status, row_of, table
+from cornercase.simulators.carla.dialect import TRAJECTORY_FILE, DrivingAgents
+from cornercase.simulators.carla.openscenario_1_0 import ConversionOptions, write_openscenario_1_0
+from cornercase.simulators.carla.table import HandlingStatus, find_row, load_support_table
 from schemas import Schema
 
 pytest.importorskip("qc_openscenario", reason="the schema comes with the extra 'validate'")
@@ -30,26 +30,26 @@ LIMITS = (0.25, 0.05, 0.25, 0.15)
 
 def test_the_table_knows_every_element_and_attribute_of_the_schema():
     def ends(path):
-        row = row_of(path)
-        return row is not None and row.status not in (Status.EXECUTED, Status.APPROXIMATE)
+        row = find_row(path)
+        return row is not None and row.status not in (HandlingStatus.EXECUTED, HandlingStatus.APPROXIMATE)
 
     with resources.as_file(resources.files("qc_openscenario") / "schema" / "1.3.0" / "OpenSCENARIO.xsd") as schema:
         places = Schema(schema).places("OpenSCENARIO", ends=ends)
-    gaps = [path for path in places if row_of(path) is None]
+    gaps = [path for path in places if find_row(path) is None]
     gaps += [
         (*path, name)
         for path, attributes in places.items()
         for name in attributes
-        if not ends(path) and row_of(path, name, "any other value") is None
+        if not ends(path) and find_row(path, name, "any other value") is None
     ]
     assert gaps == []
     assert len(places) > 200
 
 
 def test_the_table_says_why():
-    rows = [row for of in table().values() for row in of]
+    rows = [row for of in load_support_table().values() for row in of]
     assert len(rows) > 200
-    assert [row for row in rows if not row.note and row.status is not Status.EXECUTED] == []
+    assert [row for row in rows if not row.note and row.status is not HandlingStatus.EXECUTED] == []
 
 
 def car(name):
@@ -326,10 +326,10 @@ def test_who_would_have_to_react_to_an_agent_and_cannot_is_refused_before_the_ru
     init = f"<PrivateAction>{ROUTE}</PrivateAction>"
     path = write(action=OFFSET, condition=by_entity(NEAR.format("cartesianDistance", "false")))
     path.write_text(path.read_text().replace("</Private>", f"{init}</Private>", 1))
-    closed, open_loop = (Run(Agents({"Ego": "normal"}), open_loop=given) for given in (False, True))
+    closed, open_loop = (ConversionOptions(DrivingAgents({"Ego": "normal"}), open_loop=given) for given in (False, True))
     with pytest.raises(InputError, match=r"'Other' has to react to Ego.*carla:open_loop=true"):
-        write_1_0(Scenario.read(path), {}, tmp_path / "one.xosc", ego="Ego", run=closed)
-    write_1_0(Scenario.read(path), {}, tmp_path / "one.xosc", ego="Ego", run=open_loop)
+        write_openscenario_1_0(ScenarioFile.read(path), {}, tmp_path / "one.xosc", ego="Ego", options=closed)
+    write_openscenario_1_0(ScenarioFile.read(path), {}, tmp_path / "one.xosc", ego="Ego", options=open_loop)
     modules = [one.get("value") for one in read_xml(tmp_path / "one.xosc").findall(".//Property[@name='module']")]
     assert modules == ["cornercase_driver.py", "cornercase_trajectory.py"]
 
@@ -391,9 +391,9 @@ def test_entities_begin_at_the_height_of_their_road(write, tmp_path):
 
 def test_the_simulator_names_what_is_done_otherwise(write):
     names = {
-        what: notice.why
-        for notice in CarlaSimulator.notices(Scenario.read(write(action=OFFSET)))
-        for what in notice.what
+        what: notice.reason
+        for notice in CarlaSimulator.notices(ScenarioFile.read(write(action=OFFSET)))
+        for what in notice.parts
     }
     assert "moves along a trajectory" in names["<LaneOffsetAction>"]
     assert "models" in names["<Axles>"]
@@ -495,7 +495,7 @@ def control_of(monkeypatch, clock):
     )  # fmt: skip
     module("srunner.scenariomanager.actorcontrols.basic_control", BasicControl=Basic)
     module("srunner.scenariomanager.timer", GameTime=SimpleNamespace(get_time=lambda: clock.now))
-    spec = importlib.util.spec_from_file_location("cornercase_trajectory", TRAJECTORY)
+    spec = importlib.util.spec_from_file_location("cornercase_trajectory", TRAJECTORY_FILE)
     assert spec is not None
     assert spec.loader is not None
     loaded = importlib.util.module_from_spec(spec)

@@ -23,7 +23,7 @@ STARTS = (20, 31.5, 40)
 class Interrupted(BuiltinSimulator):
     """Is interrupted in its third scenario."""
 
-    takes_batches = False
+    batched = False
 
     def run(self, concretes):
         for place, outcome in enumerate(super().run(concretes)):
@@ -52,7 +52,7 @@ def contents(folder):
 
 def test_each_line_of_a_table_gives_the_recording_that_it_gives_alone(table, tmp_path):
     result = cc.simulate_many(X, tmp_path / "runs", table=table, values={"truck_speed": 6}, **QUICK)
-    assert (result.done, result.failed, result.ran_before) == (3, 0, 0)
+    assert (result.done, result.failed, result.n_existing) == (3, 0, 0)
     files = sorted((tmp_path / "runs").glob("x_*.csv"))
     assert [file.name for file in files] == [f"x_intersection-0000{k}.csv" for k in (1, 2, 3)]
     for file, start in zip(files, STARTS, strict=True):
@@ -93,7 +93,7 @@ def test_what_was_interrupted_goes_on_with_what_is_missing(table, tmp_path, monk
             cc.simulate_many(X, folder, table=table, **QUICK)
     made = {name: (folder / name).stat().st_mtime_ns for name in contents(folder) if name.startswith("x_")}
     assert len(made) == 2
-    assert cc.simulate_many(X, folder, table=table, **QUICK).ran_before == 2
+    assert cc.simulate_many(X, folder, table=table, **QUICK).n_existing == 2
     assert contents(folder) == contents(whole.folder)
     (folder / "x_intersection-00001.csv").unlink()
     cc.simulate_many(X, folder, table=table, **QUICK)
@@ -106,7 +106,7 @@ def test_a_longer_table_goes_on(table, tmp_path):
     cc.simulate_many(X, tmp_path / "runs", table=table, **QUICK)
     table.write_text(table.read_text() + "44,7\n")
     result = cc.simulate_many(X, tmp_path / "runs", table=table, **QUICK)
-    assert (result.done, result.ran_before) == (4, 3)
+    assert (result.done, result.n_existing) == (4, 3)
 
 
 def test_nothing_is_taken_for_the_recording_of_something_else(table, tmp_path):

@@ -16,7 +16,7 @@ from conftest import (
 )  # fmt: skip
 from cornercase._common.errors import InputError, SimulationError
 from cornercase.recordings import Recording
-from cornercase.scenario import ConcreteScenario, Scenario, write_concrete
+from cornercase.scenario import ConcreteScenario, ScenarioFile, write_concrete_file
 from cornercase.simulators import BuiltinSimulator
 
 PRIVATE = '<Private entityRef="Ego">{}</Private>'
@@ -175,7 +175,7 @@ def test_a_written_concrete_scenario_runs_by_itself(x_intersection, builtin, tmp
     values = x_intersection.space.values(np.array([[0.3, 0.6, 0.2]]))[0]
     (original,) = builtin.run([x_intersection.concrete(values)])
     target = tmp_path / "kept" / "one.xosc"
-    write_concrete(Scenario.read(x_intersection.path), values, target, drivers={"Ego": "normal"})
+    write_concrete_file(ScenarioFile.read(x_intersection.path), values, target, drivers={"Ego": "normal"})
     (again,) = builtin.run([ConcreteScenario(target)])
     assert same_recording(original, again)
 

@@ -13,7 +13,7 @@ SECTION = '<laneSection s="0"><right>{}</right></laneSection>'
 
 
 def track(folder, *parts: str) -> LaneTrack:
-    path = network(folder, *parts).path_of_lane(0, -1, 0.0, True)
+    path = network(folder, *parts).lane_path_from(0, -1, 0.0, True)
     assert path is not None
     return LaneTrack(path)
 
@@ -25,7 +25,7 @@ def driven(lane_track: LaneTrack, offset: float = 0.0):
     after = lane_track.advance(distance, aside, np.full(len(distance), WAY))
     share = np.linspace(0.0, 1.0, 51)
     places = (distance[:, None] + (after - distance)[:, None] * share).ravel()
-    x, y, _ = lane_track.at(places, np.full(len(places), offset), np.zeros(len(places), dtype=np.int64))
+    x, y, _ = lane_track.pose_at(places, np.full(len(places), offset), np.zeros(len(places), dtype=np.int64))
     x, y = x.reshape(-1, 51), y.reshape(-1, 51)
     return np.hypot(np.diff(x), np.diff(y)).sum(axis=1)
 
@@ -61,6 +61,6 @@ def test_43_a_jump_aside_takes_no_time(tmp_path):
     lane_track = track(tmp_path, road("1", 60.0, sections=SECTION.format(lane(-1, inside=WIDTH + narrow))))
     path = lane_track.path
     # The lane jumps by 1 m to the left, and the entity gets on along the road as if it did not.
-    start = np.interp([29.8], path.reference, path.distance)
+    start = np.interp([29.8], path.reference_distance, path.distance)
     after = lane_track.advance(start, np.zeros(1), np.full(1, WAY))
-    assert np.interp(after, path.distance, path.reference) == pytest.approx([30.3], abs=1e-6)
+    assert np.interp(after, path.distance, path.reference_distance) == pytest.approx([30.3], abs=1e-6)

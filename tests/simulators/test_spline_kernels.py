@@ -31,34 +31,34 @@ def _splines(draw: st.DrawFn) -> ClothoidSpline:
     return ClothoidSpline(x, y, heading, start, end, length, clock)
 
 
-def _check(tracks: pool.Tracks, spline: ClothoidSpline, offset: float) -> None:
+def _check(tracks: pool.TrackTable, spline: ClothoidSpline, offset: float) -> None:
     rows = np.arange(len(spline.lengths))
-    ends = [spline.chord * k + d for k in (0, 1, 2) for d in (-1e-9, 0.0)]
+    ends = [spline.chord_length * k + d for k in (0, 1, 2) for d in (-1e-9, 0.0)]
     for distance in [share * spline.lengths for share in (-0.2, 0.0, 0.31, 0.77, 1.0, 1.1)] + ends:
-        same = np.stack(spline.at(distance, np.full(len(rows), offset), rows), axis=1)
+        same = np.stack(spline.pose_at(distance, np.full(len(rows), offset), rows), axis=1)
         for n in rows.tolist():
-            place = kernels.place_on(tracks, 0, n, distance[n], offset)
+            place = kernels.pose_on_track(tracks, 0, n, distance[n], offset)
             np.testing.assert_allclose(place, same[n], rtol=1e-12, atol=1e-12)
-            direction = spline.direction(distance[n : n + 1], rows[n : n + 1])[0]
+            direction = spline.direction_at(distance[n : n + 1], rows[n : n + 1])[0]
             assert kernels.trajectory_direction(tracks, 0, n, distance[n]) == pytest.approx(direction, abs=1e-12)
-            assert not kernels.trajectory_oriented(tracks, 0, n, distance[n])
+            assert not kernels.trajectory_has_heading(tracks, 0, n, distance[n])
     for n in rows.tolist():
         assert kernels.trajectory_length(tracks, 0, n) == spline.lengths[n]
-    if spline.time is None:
+    if spline.times is None:
         return
-    for time in [spline.time[:, k] + d for k in range(spline.time.shape[1]) for d in (-0.3, 0.0, 0.3)]:
-        there = spline.distance_at(time)
+    for time in [spline.times[:, k] + d for k in range(spline.times.shape[1]) for d in (-0.3, 0.0, 0.3)]:
+        there = spline.distance_at_time(time)
         for n in rows.tolist():
-            assert kernels.trajectory_end(tracks, 0, n) == spline.time[n, -1]
-            assert kernels.trajectory_distance_at(tracks, 0, n, time[n]) == there[n]
+            assert kernels.trajectory_end_time(tracks, 0, n) == spline.times[n, -1]
+            assert kernels.trajectory_distance_at_time(tracks, 0, n, time[n]) == there[n]
 
 
 @given(_splines(), st.sampled_from([0.0, 1.5, -3.0]))
 @settings(max_examples=examples(60), deadline=None)
 def test_splines_are_the_same_compiled(spline: ClothoidSpline, offset: float) -> None:
-    tracks = pool.TrackPool().gather([[spline]])
-    assert tracks.kind.tolist() == [pool.CHORDS]
-    assert tracks.timed.tolist() == [spline.time is not None]
+    tracks = pool.TrackPool().update([[spline]])
+    assert tracks.kind.tolist() == [pool.CLOTHOID_TRACK]
+    assert tracks.has_times.tolist() == [spline.times is not None]
     _check(tracks, spline, offset)
 
 
@@ -68,8 +68,8 @@ def test_a_spline_that_is_started_again_shows_at_once() -> None:
         return ClothoidSpline(zero, zero, zero, 0.0 * lengths, 0.0 * lengths + 0.02, lengths)
 
     one, held = spline(3.0), pool.TrackPool()
-    held.gather([[one]])
-    one.adopt(spline(40.0), np.array([False, True]))
-    tracks = held.gather([[one]])
-    assert [chord_kernels.chords_length(tracks, 0, n) for n in range(2)] == [3.0, 40.0]
+    held.update([[one]])
+    one.copy_rows_from(spline(40.0), np.array([False, True]))
+    tracks = held.update([[one]])
+    assert [chord_kernels.spline_length(tracks, 0, n) for n in range(2)] == [3.0, 40.0]
     _check(tracks, one, 1.0)

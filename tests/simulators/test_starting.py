@@ -10,14 +10,14 @@ import fake_simulators  # noqa: F401 - makes its simulators known
 from command_line import X
 from cornercase._common.errors import InputError
 from cornercase._common.registry import Registry
-from cornercase.scenario import Scenario
+from cornercase.scenario import ScenarioFile
 from cornercase.simulators import (
     SIMULATORS,
     BuiltinSimulator,
     Simulator,
     WorkerSimulator,
-    availabilities,
-    start_simulator,
+    list_simulators,
+    create_simulator,
 )
 
 
@@ -46,13 +46,13 @@ class Duck:
 
 
 def test_the_least_simulator_refuses_nothing_and_has_nothing_to_close():
-    scenario = Scenario.read(X)
+    scenario = ScenarioFile.read(X)
     with Least() as simulator:
-        simulator.require_means(scenario)
+        simulator.check_supported(scenario)
         assert simulator.notices(scenario) == ()
         assert list(simulator.run([])) == []
-    assert Least.availability().missing == ""
-    assert (Least.in_process, Least.takes_batches, Least.needs) == (False, False, ())
+    assert Least.availability().problem == ""
+    assert (Least.in_process, Least.batched, Least.requires) == (False, False, ())
 
 
 def test_a_simulator_that_cannot_run_is_none():
@@ -67,7 +67,7 @@ def test_a_simulator_that_cannot_run_is_none():
 def test_what_subclasses_nothing_is_refused_in_one_sentence(what):
     registry: Registry[Simulator] = Registry("simulator", "cornercase.none", Simulator)
     registry.register("duck", what)
-    for ask in (registry.create, registry.class_of):
+    for ask in (registry.create, registry.get_class):
         with pytest.raises(
             InputError, match=r"'duck' is .*not a subclass of cornercase\.simulators\.Simulator; derive it"
         ):
@@ -76,9 +76,9 @@ def test_what_subclasses_nothing_is_refused_in_one_sentence(what):
 
 def test_one_that_cannot_be_loaded_is_not_available(monkeypatch):
     monkeypatch.setitem(SIMULATORS._factories, "duck", (Duck, {}))
-    found = availabilities()
-    assert "not a subclass" in found["duck"].missing
-    assert found["builtin"].missing == ""
+    found = list_simulators()
+    assert "not a subclass" in found["duck"].problem
+    assert found["builtin"].problem == ""
 
 
 @pytest.mark.parametrize(
@@ -91,19 +91,19 @@ def test_one_that_cannot_be_loaded_is_not_available(monkeypatch):
     ],
 )
 def test_who_may_runs_in_this_process_where_nothing_can_be_gained(name, options, kind):
-    with start_simulator(name, {}, **options) as simulator:
+    with create_simulator(name, {}, **options) as simulator:
         assert isinstance(simulator, kind)
 
 
 def test_a_simulator_is_given_what_it_says_it_needs(monkeypatch):
     class Needy(Least):
-        needs = ("ego",)
+        requires = ("ego",)
         in_process = True
 
     monkeypatch.setitem(SIMULATORS._factories, "needy", (Needy, {}))
     monkeypatch.setitem(SIMULATORS._factories, "plain", (type("Plain", (Least,), {"in_process": True}), {}))
-    needy: Any = start_simulator("needy", {"duration": 60.0}, ego="Hero")
-    plain: Any = start_simulator("plain", ego="Hero")
+    needy: Any = create_simulator("needy", {"duration": 60.0}, ego="Hero")
+    plain: Any = create_simulator("plain", ego="Hero")
     assert needy.options == {"duration": 60.0, "ego": "Hero"}
     assert plain.options == {}
 
@@ -111,4 +111,4 @@ def test_a_simulator_is_given_what_it_says_it_needs(monkeypatch):
 @pytest.mark.parametrize("options", [{"timeout": 0.0}, {"timeout": float("inf")}, {"workers": 0}, {"retries": -1}])
 def test_numbers_out_of_range_are_refused(options):
     with pytest.raises(InputError, match=f"`{next(iter(options))}`"):
-        start_simulator("builtin", **options)
+        create_simulator("builtin", **options)

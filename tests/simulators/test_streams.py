@@ -12,7 +12,7 @@ import pytest
 
 from cornercase._common.errors import InputError, SimulationError
 from cornercase.scenario import ConcreteScenario
-from cornercase.simulators import Simulator, SimulatorStream, WorkerSimulator, outcomes_of, streams
+from cornercase.simulators import Simulator, SimulatorStream, WorkerSimulator, run_scenarios, streams
 from fake_simulators import FailingSimulator, Plan
 from waiting import lives, until
 
@@ -22,7 +22,7 @@ def concretes(count):
 
 
 def runs(scenario, simulator):
-    return list(outcomes_of(simulator, [scenario]))
+    return list(run_scenarios(simulator, [scenario]))
 
 
 def taken(stream, count):
@@ -37,9 +37,9 @@ def test_processes_crash_hang_and_are_tried_again_as_in_rounds(tmp_path):
     plan = Plan(tmp_path, {1: ["crash", "well"], 2: ["hang"], 4: ["fail"], 5: ["nap"]})
     with WorkerSimulator("failing", {"plan": plan}, workers=3, timeout=2.0) as simulator:
         stream = SimulatorStream({"": simulator})
-        assert stream.places() == 3
+        assert stream.count_parallel() == 3
         for k, one in enumerate(concretes(9)):
-            stream.give(k, partial(runs, one))
+            stream.submit(k, partial(runs, one))
         found = taken(stream, 9)
         stream.close()
     assert found.pop(2) == "the simulator did not end within 2 s, tried 2 times"
@@ -53,7 +53,7 @@ def test_what_is_fast_does_not_wait_for_what_is_slow(tmp_path):
     with WorkerSimulator("failing", {"plan": Plan(tmp_path, {0: ["hang"]})}, workers=2) as simulator:
         stream = SimulatorStream({"": simulator})
         for k, one in enumerate(concretes(6)):
-            stream.give(k, partial(runs, one))
+            stream.submit(k, partial(runs, one))
         assert taken(stream, 5) == {k: k for k in range(1, 6)}
         stream.close()
 
@@ -63,7 +63,7 @@ def test_a_stream_that_is_closed_ends_what_hangs(tmp_path):
     with WorkerSimulator("failing", {"plan": Plan(tmp_path, {0: ["hang"], 1: ["child"]})}, workers=2) as simulator:
         stream = SimulatorStream({"": simulator})
         for k, one in enumerate(concretes(4)):
-            stream.give(k, partial(runs, one))
+            stream.submit(k, partial(runs, one))
         until((tmp_path / "children").exists)
         stream.close()
     assert {one for one in psutil.Process().children(recursive=True) if one.is_running()} <= children
@@ -79,7 +79,7 @@ def test_a_simulator_that_gives_nothing_any_more_is_at_fault_whoever_runs_it(tmp
     with WorkerSimulator("failing", {"plan": plan}, workers=2, retries=0) as simulator:
         stream = SimulatorStream({"": simulator})
         for k, one in enumerate(concretes(9)):
-            stream.give(k, partial(runs, one))
+            stream.submit(k, partial(runs, one))
         with pytest.raises(InputError, match="no result in 5 scenarios in a row"):
             taken(stream, 9)
         stream.close()
@@ -87,9 +87,9 @@ def test_a_simulator_that_gives_nothing_any_more_is_at_fault_whoever_runs_it(tmp
 
 def test_one_of_this_process_runs_when_its_result_is_taken(tmp_path):
     stream = SimulatorStream({"": FailingSimulator(plan=Plan(tmp_path))})
-    assert stream.places() == 1
+    assert stream.count_parallel() == 1
     for k, one in enumerate(concretes(3)):
-        stream.give(k, partial(runs, one))
+        stream.submit(k, partial(runs, one))
     assert not (tmp_path / "tries-0").exists()
     assert taken(stream, 1) == {0: 0}
     assert not (tmp_path / "tries-1").exists()
@@ -104,13 +104,13 @@ def test_what_never_ends_is_waited_for_no_longer(monkeypatch):
         def run(self, concretes):
             return iter(())
 
-        def beside(self):
+        def parallel_instances(self):
             return [self]
 
     ends = threading.Event()
-    monkeypatch.setattr(streams, "_ENDS", 0.2)
+    monkeypatch.setattr(streams, "_CANCEL_TIMEOUT", 0.2)
     stream = SimulatorStream({"": Deaf()})
-    stream.give(1, lambda _: ends.wait(60.0))
+    stream.submit(1, lambda _: ends.wait(60.0))
     begun = time.monotonic()
     stream.close()
     assert time.monotonic() - begun < 10.0

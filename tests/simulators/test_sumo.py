@@ -16,12 +16,12 @@ import cornercase as cc
 from command_line import cornercase
 from conftest import ran, same_recording
 from cornercase._common.errors import InputError
-from cornercase.exploration import demonstration
+from cornercase.exploration import paper_experiment_config
 from cornercase.recordings import read_recording
-from cornercase.report.rerun import tell_rerun
-from cornercase.scenario import ConcreteScenario, Scenario
-from cornercase.simulators import SIMULATORS, BuiltinSimulator, SumoSimulator, availabilities, start_simulator
-from cornercase.simulators.sumo.network import sumo_network
+from cornercase.report.rerun import rerun_payload
+from cornercase.scenario import ConcreteScenario, ScenarioFile
+from cornercase.simulators import SIMULATORS, BuiltinSimulator, SumoSimulator, list_simulators, create_simulator
+from cornercase.simulators.sumo.network import find_or_convert_network
 from cornercase.study import Study
 from waiting import until
 
@@ -72,7 +72,7 @@ def test_all_others_move_as_in_the_builtin_simulator():
         for key in ("x", "y", "heading", "speed"):
             np.testing.assert_array_equal(of(ours, name)[key][:shared], of(theirs, name)[key][:shared])
     assert ours.names == theirs.names
-    assert ours.kinds == theirs.kinds
+    assert ours.object_types == theirs.object_types
 
 
 def test_the_ego_stops_for_a_pedestrian_in_its_lane_and_not_for_one_beside_the_road():
@@ -101,7 +101,7 @@ def test_the_same_gives_the_same_whatever_ran_before():
 
 
 def test_a_crash_ends_the_run_or_does_not():
-    space = demonstration("t-intersection").logical.space
+    space = paper_experiment_config("t-intersection").logical.space
     rng = np.random.default_rng(0)
     for values in space.values(space.snap(rng.random((40, space.dimension)))):
         ended = run(T, values, on_collision="stop")
@@ -115,20 +115,20 @@ def test_a_road_file_that_is_not_there_is_said(tmp_path):
     path = tmp_path / "t.xosc"
     path.write_text(T.read_text())
     with pytest.raises(InputError, match=r"t_intersection.xodr: cannot be read \(No such file or directory\)"):
-        sumo_network(Scenario.read(path))
+        find_or_convert_network(ScenarioFile.read(path))
 
 
 def test_the_network_is_the_scenarios(tmp_path, monkeypatch):
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
-    first = sumo_network(Scenario.read(T))
+    first = find_or_convert_network(ScenarioFile.read(T))
     assert first.name.endswith(".net.xml")
     assert first.is_relative_to(tmp_path)
     stamp = first.stat().st_mtime_ns
-    assert sumo_network(Scenario.read(T)) == first
+    assert find_or_convert_network(ScenarioFile.read(T)) == first
     assert first.stat().st_mtime_ns == stamp
     given = tmp_path / "own.net.xml"
     given.write_bytes(first.read_bytes())
-    assert sumo_network(Scenario.read(T), str(given)) == given
+    assert find_or_convert_network(ScenarioFile.read(T), str(given)) == given
     a, b = run(T, {}, network=str(given)), run(T, {})
     np.testing.assert_array_equal(a.x, b.x)
 
@@ -165,8 +165,8 @@ def test_refuses_in_one_sentence(tmp_path, monkeypatch):
 
 
 def test_the_list_says_what_is_here():
-    found = availabilities()
-    assert found["builtin"].missing == found["sumo"].missing == ""
+    found = list_simulators()
+    assert found["builtin"].problem == found["sumo"].problem == ""
     assert found["sumo"].version
     shown = cornercase("simulators")
     assert shown.returncode == 0
@@ -177,7 +177,7 @@ def test_the_list_says_what_is_here():
 @pytest.mark.slow
 def test_one_scenario_is_recorded_as_in_an_exploration(tmp_path):
     recording = cc.simulate(T, simulator="sumo", duration=5.0)
-    with start_simulator("sumo", {"duration": 5.0}) as simulator:
+    with create_simulator("sumo", {"duration": 5.0}) as simulator:
         (expected,) = simulator.run([ConcreteScenario(T, {})])
     assert same_recording(recording, expected)
     ended = cornercase("simulate", T, "--simulator", "sumo", "--duration", "5", "-o", tmp_path / "r.csv")
@@ -196,7 +196,7 @@ def test_the_command_of_the_report_records_a_scenario_again(tmp_path):
         cornercase("explore", T, *COMMON, "--budget", "2", "--duration", "5", "-o", tmp_path / "s.db").returncode == 0
     )
     with Study.open(tmp_path / "s.db") as study:
-        command = tell_rerun(study, T)["command"]
+        command = rerun_payload(study, T)["command"]
         row, explored = study.rows()[0], study.recording(1)
     assert command["before"] == ["cornercase", "simulate", T.name]
     values = [f"--set={name}={value!r}" for name, value in row.values.items()]
@@ -209,7 +209,7 @@ def test_the_command_of_the_report_records_a_scenario_again(tmp_path):
 def one_is_done(path):
     try:
         with Study.open(path, readonly=True) as study:
-            return bool(study.done())
+            return bool(study.finished_rows())
     except InputError:
         return False
 
@@ -245,8 +245,8 @@ def test_a_killed_worker_changes_nothing(tmp_path):
         _, errors = process.communicate(timeout=120)
     assert process.returncode == 0, errors
     with Study.open(quiet, readonly=True) as one, Study.open(killed, readonly=True) as other:
-        assert [row.id for row in other.done()] == list(range(1, 13))
-        assert other.failed() == []
+        assert [row.id for row in other.finished_rows()] == list(range(1, 13))
+        assert other.failed_rows() == []
         np.testing.assert_array_equal(one.scores("ttc"), other.scores("ttc"))
         np.testing.assert_array_equal(one.recording(5).x, other.recording(5).x)
 
@@ -259,8 +259,8 @@ def test_the_t_intersection_from_end_to_end(tmp_path, budget):
     assert done.returncode == 0, done.stderr
     assert (tmp_path / "report.html").exists()
     with Study.open(tmp_path / "study.db", readonly=True) as study:
-        assert len(study.done()) == budget
-        info = study.analysis("ego-trajectory", "labels")[1]
+        assert len(study.finished_rows()) == budget
+        info = study.read_analysis("ego-trajectory", "labels")[1]
     if budget < 60:
         return
     crashed = "Ego and C collide"
@@ -277,6 +277,6 @@ def test_the_x_intersection_from_end_to_end(tmp_path):
     )
     assert done.returncode == 0, done.stderr
     with Study.open(tmp_path / "study.db", readonly=True) as study:
-        assert len(study.done()) == 30
+        assert len(study.finished_rows()) == 30
         assert study.meta.settings["sumo"]
     assert len(list((tmp_path / "reduced").glob("*.xosc"))) == 3

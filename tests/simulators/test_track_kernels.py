@@ -12,14 +12,14 @@ from hypothesis import strategies as st
 import road_networks as rn
 from conftest import examples
 from cornercase._common.typing import FloatArray
-from cornercase.roads import LanePath, RoadNetwork, road_heading, road_tables
+from cornercase.roads import LanePath, RoadNetwork, reference_heading, build_road_tables
 from cornercase.simulators.builtin.tracks import columns, lane_kernels, line_kernels, pool
 from cornercase.simulators.builtin.tracks.lane import LaneTrack
-from cornercase.simulators.builtin.tracks.place_kernels import place_on
+from cornercase.simulators.builtin.tracks.place_kernels import pose_on_track
 from cornercase.simulators.builtin.tracks.polyline import Polyline
-from cornercase.simulators.builtin.tracks.track import ALONG_LEGS, AT_CORNERS, AT_VERTICES
+from cornercase.simulators.builtin.tracks.track import ALONG_SEGMENTS, AT_CORNERS, AT_VERTICES
 
-_coordinate = st.one_of(st.integers(-5, 5).map(float), st.floats(-200.0, 200.0))
+_coordinate = st.require_one_of(st.integers(-5, 5).map(float), st.floats(-200.0, 200.0))
 
 
 @st.composite
@@ -31,11 +31,11 @@ def _lines(draw: st.DrawFn) -> Polyline:
             scenarios, vertices
         )
 
-    time = np.sort(table(st.one_of(st.integers(0, 4).map(float), st.floats(0.0, 20.0))), axis=1)
-    heading = table(st.one_of(st.just(np.nan), st.floats(-7.0, 7.0)))
+    time = np.sort(table(st.require_one_of(st.integers(0, 4).map(float), st.floats(0.0, 20.0))), axis=1)
+    heading = table(st.require_one_of(st.just(np.nan), st.floats(-7.0, 7.0)))
     begin = np.full(scenarios, draw(st.floats(0.0, 20.0))) if draw(st.booleans()) else None
     timed = draw(st.booleans())
-    turning = draw(st.sampled_from([ALONG_LEGS, AT_CORNERS, AT_VERTICES]))
+    turning = draw(st.sampled_from([ALONG_SEGMENTS, AT_CORNERS, AT_VERTICES]))
     closed = not timed and draw(st.booleans())
     return Polyline(table(_coordinate), table(_coordinate), heading, time if timed else None, closed, turning, begin)
 
@@ -43,30 +43,30 @@ def _lines(draw: st.DrawFn) -> Polyline:
 @given(_lines(), st.lists(st.floats(-0.5, 1.5), min_size=1, max_size=8), st.sampled_from([0.0, 1.5, -3.0]))
 @settings(max_examples=examples(200), deadline=None)
 def test_lines_are_the_same_compiled(line: Polyline, shares: list[float], offset: float) -> None:
-    tracks = pool.TrackPool().gather([[line]])
-    assert tracks.kind.tolist() == [pool.LINE]
+    tracks = pool.TrackPool().update([[line]])
+    assert tracks.kind.tolist() == [pool.POLYLINE_TRACK]
     rows = np.arange(len(line.x))
     length = line.distance[:, -1]
     vertices = [line.distance[:, k] + d for k in range(line.x.shape[1]) for d in (-1e-6, 0.0, 5e-7, 1e-6, 3.0)]
     for distance in [*(share * length for share in shares), *vertices]:
         offsets = np.full(len(rows), offset)
-        same = np.stack(line.at(distance, offsets, rows), axis=1)
-        direction, oriented = line.direction(distance, rows), line.oriented(distance, rows)
+        same = np.stack(line.pose_at(distance, offsets, rows), axis=1)
+        direction, oriented = line.direction_at(distance, rows), line.has_heading_at(distance, rows)
         for n in rows.tolist():
-            place = place_on(tracks, 0, n, distance[n], offset)
+            place = pose_on_track(tracks, 0, n, distance[n], offset)
             np.testing.assert_allclose(place, same[n], rtol=1e-12, atol=1e-12)
-            assert line_kernels.direction_on(tracks, 0, n, distance[n]) == direction[n]
-            assert line_kernels.oriented_on(tracks, 0, n, distance[n]) == oriented[n]
+            assert line_kernels.polyline_direction(tracks, 0, n, distance[n]) == direction[n]
+            assert line_kernels.polyline_has_heading(tracks, 0, n, distance[n]) == oriented[n]
     for n in rows.tolist():
-        assert line_kernels.line_length(tracks, 0, n) == line.lengths[n]
-    if line.time is None:
+        assert line_kernels.polyline_length(tracks, 0, n) == line.lengths[n]
+    if line.times is None:
         return
-    instants = [line.time[:, k] + d for k in range(line.x.shape[1]) for d in (-0.3, 0.0, 0.3)]
+    instants = [line.times[:, k] + d for k in range(line.x.shape[1]) for d in (-0.3, 0.0, 0.3)]
     for time in [*instants, *(share * 20.0 + 0.0 * length for share in shares)]:
-        there = line.distance_at(time)
+        there = line.distance_at_time(time)
         for n in rows.tolist():
-            assert line_kernels.last_time(tracks, 0, n) == line.time[n, -1]
-            found = line_kernels.distance_at(tracks, 0, n, time[n])
+            assert line_kernels.polyline_end_time(tracks, 0, n) == line.times[n, -1]
+            found = line_kernels.polyline_distance_at_time(tracks, 0, n, time[n])
             assert found == pytest.approx(there[n], rel=1e-12, abs=1e-12)
 
 
@@ -79,7 +79,7 @@ _CURVE = '<paramPoly3 pRange="{}" aU="0" bU="{}" cU="1e-3" dU="-1e-5" aV="0" bV=
 def _tracks_of(network: RoadNetwork) -> list[LaneTrack]:
     """A track along each lane in both directions."""
     found = [
-        LaneTrack.of_lane(network, k, lane, start + 1e-3, along, ())
+        LaneTrack.from_lane(network, k, lane, start + 1e-3, along, ())
         for k, road in enumerate(network.roads)
         for start, lanes in road.sections
         for lane in lanes
@@ -88,30 +88,30 @@ def _tracks_of(network: RoadNetwork) -> list[LaneTrack]:
     return [track for track in found if track is not None]
 
 
-def _check_lane(tracks: pool.Tracks, g: int, track: LaneTrack, random: np.random.Generator) -> None:
+def _check_lane(tracks: pool.TrackTable, g: int, track: LaneTrack, random: np.random.Generator) -> None:
     path, length = track.path, track.length
     near = path.distance[random.integers(0, path.distance.size, 20)]
     distance = np.concatenate([random.uniform(-10.0, length + 10.0, 60), near, [0.0, length, -0.0, -5.0, length + 5.0]])
     offset, way = random.uniform(-8.0, 8.0, distance.size), random.normal(0.0, 3.0, distance.size)
     offset[::3], way[::4] = 0.0, 0.0
     rows = np.arange(distance.size)
-    x, y, heading = track.at(distance, offset, rows)
+    x, y, heading = track.pose_at(distance, offset, rows)
     onward = track.advance(distance, offset, way)
-    sample, s = path.sample_at(distance), path.s_at(distance)
+    sample, s = path.sample_index(distance), path.s_at(distance)
     for i, (d, off, w) in enumerate(zip(distance, offset, way, strict=True)):
-        place = place_on(tracks, g, 0, d, off)
+        place = pose_on_track(tracks, g, 0, d, off)
         np.testing.assert_allclose(place, (x[i], y[i], heading[i]), rtol=1e-12, atol=1e-12)
-        assert lane_kernels.advance_lane(tracks, g, d, off, w) == onward[i]
-        where = (path.road[sample[i]], path.lane[sample[i]], s[i], path.along[sample[i]])
-        assert lane_kernels.lane_place(tracks, g, d) == where
-        assert lane_kernels.goes_over(tracks, g, d) == (d < track.span[0] or d > track.span[1])
+        assert lane_kernels.advance_on_lane(tracks, g, d, off, w) == onward[i]
+        where = (path.road[sample[i]], path.lane[sample[i]], s[i], path.forward[sample[i]])
+        assert lane_kernels.road_position_on_lane(tracks, g, d) == where
+        assert lane_kernels.needs_next_lane(tracks, g, d) == (d < track.span[0] or d > track.span[1])
     assert tracks.length[g] == track.length
 
 
 @pytest.mark.parametrize("file", _FILES)
 def test_lanes_are_the_same_compiled(file: str) -> None:
     lanes = _tracks_of(RoadNetwork.read(_ROOT / file))
-    tracks = pool.TrackPool().gather([lanes])
+    tracks = pool.TrackPool().update([lanes])
     random = np.random.default_rng(1)
     for g in range(0, len(lanes), max(len(lanes) // 12, 1)):
         _check_lane(tracks, g, lanes[g], random)
@@ -121,7 +121,7 @@ def test_lanes_inside_of_narrow_bends_are_the_same_compiled(tmp_path: Path) -> N
     for shape in ('<arc curvature="0.2"/>', _SPIRAL):
         network = rn.network(tmp_path, rn.road("bend", 25.0, shape=shape, left=rn.lane(1), right=rn.lane(-1)))
         lanes = _tracks_of(network)
-        tracks = pool.TrackPool().gather([lanes])
+        tracks = pool.TrackPool().update([lanes])
         for g, lane in enumerate(lanes):
             _check_lane(tracks, g, lane, np.random.default_rng(g))
 
@@ -134,14 +134,14 @@ def test_directions_of_roads_are_the_same_compiled(tmp_path: Path) -> None:
     }  # fmt: skip
     roads = rn.network(tmp_path, *(rn.road(str(k), 30.0, shape=shape) for k, shape in enumerate(shapes))).roads
     several = [road for file in _FILES for road in RoadNetwork.read(_ROOT / file).roads]
-    tables = road_tables([*roads, *several])
-    assert tables.known[: len(roads)].tolist() == list(shapes.values())
+    tables = build_road_tables([*roads, *several])
+    assert tables.heading_known[: len(roads)].tolist() == list(shapes.values())
     for k, road in enumerate([*roads, *several]):
         seams = [geometry.s for geometry in road.geometries]
         s = np.concatenate([np.linspace(-3.0, road.length + 3.0, 15), seams])
-        for at, heading in zip(s, road.reference(s)[2], strict=True):
-            if tables.known[k]:
-                assert road_heading(tables, k, at) == pytest.approx(heading, rel=1e-14, abs=1e-15)
+        for at, heading in zip(s, road.reference_pose(s)[2], strict=True):
+            if tables.heading_known[k]:
+                assert reference_heading(tables, k, at) == pytest.approx(heading, rel=1e-14, abs=1e-15)
 
 
 def test_tables_follow_what_comes_and_changes() -> None:
@@ -150,27 +150,27 @@ def test_tables_follow_what_comes_and_changes() -> None:
 
     one, two = line(0.0), line(5.0)
     held = pool.TrackPool()
-    tracks = held.gather([[one], []])
-    assert tracks.row.tolist() == [[0], [-1]]
-    assert held.gather([[one], []]) is tracks
-    tracks = held.gather([[one], [two, one]])
-    assert tracks.row.tolist() == [[0, -1], [1, 0]]
-    one.adopt(line(3.0), np.array([False, True]))
-    tracks = held.gather([[one], [two, one]])
-    assert [place_on(tracks, 0, n, 4.0, 0.0)[:2] for n in range(2)] == [(4.0, 0.0), (4.0, 3.0)]
-    assert place_on(tracks, 1, 1, 4.0, 1.0)[:2] == (4.0, 6.0)
+    tracks = held.update([[one], []])
+    assert tracks.rows.tolist() == [[0], [-1]]
+    assert held.update([[one], []]) is tracks
+    tracks = held.update([[one], [two, one]])
+    assert tracks.rows.tolist() == [[0, -1], [1, 0]]
+    one.copy_rows_from(line(3.0), np.array([False, True]))
+    tracks = held.update([[one], [two, one]])
+    assert [pose_on_track(tracks, 0, n, 4.0, 0.0)[:2] for n in range(2)] == [(4.0, 0.0), (4.0, 3.0)]
+    assert pose_on_track(tracks, 1, 1, 4.0, 1.0)[:2] == (4.0, 6.0)
 
 
 def test_the_columns_of_a_path_are_where_kernels_look_for_them(tmp_path: Path) -> None:
     path = _tracks_of(rn.network(tmp_path, rn.road("one", 30.0)))[0].path
     named = {
         columns.DISTANCE: "distance", columns.X: "x", columns.Y: "y", columns.HEADING: "heading", columns.CURVATURE: "curvature",
-        columns.S: "s", columns.ROAD: "road", columns.NUMBER: "lane", columns.ALONG: "along", columns.REFERENCE: "reference",
-        columns.CENTER: "center", columns.BEND_AT: "bend_at", columns.BEND: "bend",
+        columns.S: "s", columns.ROAD: "road", columns.LANE_NUMBER: "lane", columns.RUNS_ALONG_S: "along", columns.REFERENCE_DISTANCE: "reference",
+        columns.CENTER_OFFSET: "center", columns.CURVATURE_DISTANCE: "bend_at", columns.REFERENCE_CURVATURE: "bend",
     }  # fmt: skip
-    assert len(path.columns) == pool.TrackPool().tracks.address.shape[1]
+    assert len(path.arrays) == pool.TrackPool().tracks.addresses.shape[1]
     for column, name in named.items():
-        assert path.columns[column] is getattr(path, name)
+        assert path.arrays[column] is getattr(path, name)
 
 
 def _nearest(path: LanePath, x: float, y: float, after: float) -> float:
@@ -185,7 +185,7 @@ def _nearest(path: LanePath, x: float, y: float, after: float) -> float:
     at = path.distance[samples]
     distance = at[at < at.min() + 16 * path.distance[1]][0]
     place = np.array([distance])
-    at_x, at_y, heading, _ = (float(part[0]) for part in path.at(place, np.zeros(1)))
+    at_x, at_y, heading, _ = (float(part[0]) for part in path.pose_at(place, np.zeros(1)))
     beyond = (x - at_x) * np.cos(heading) + (y - at_y) * np.sin(heading)
     return float(distance + np.clip(beyond, -path.distance[1], path.distance[1]))
 
@@ -194,14 +194,14 @@ def test_the_nearest_points_of_lanes_are_found_without_looking_at_all_samples(tm
     links = rn.linked("predecessor", "ring", "end") + rn.linked("successor", "ring", "start")
     ring = rn.network(tmp_path, rn.road("ring", 40 * np.pi, shape='<arc curvature="0.05"/>', links=links))
     lanes = [*_tracks_of(ring), *_tracks_of(RoadNetwork.read(_ROOT / _FILES[0]))[::9]]
-    assert lanes[0].path.passed.size > 2 * 400 * np.pi
+    assert lanes[0].path.goals_passed.size > 2 * 400 * np.pi
     random = np.random.default_rng(3)
     for lane in lanes:
         distance = random.uniform(-20.0, lane.length + 20.0, 60)
         offset = random.normal(0.0, 1.0, 60) * random.choice([0.0, 0.5, 5.0, 50.0], 60)
-        x, y, _ = lane.at(distance, offset, np.arange(60))
+        x, y, _ = lane.pose_at(distance, offset, np.arange(60))
         x[0], y[1], x[2:10] = np.nan, 1e15, x[2:10] + random.normal(0.0, 30.0, 8)
         after = np.where(random.random(60) < 0.3, -np.inf, distance + random.normal(0.0, 20.0, 60))
-        found = lane.nearest(x, y, np.arange(60), after)
+        found = lane.nearest_distance(x, y, np.arange(60), after)
         for i in range(60):
             assert found[i] == pytest.approx(_nearest(lane.path, x[i], y[i], after[i]), abs=1e-9)

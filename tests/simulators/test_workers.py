@@ -12,9 +12,9 @@ import pytest
 
 from conftest import at_night, moving, ran, same_recording, scenario_file
 from cornercase._common.errors import InputError, SimulationError
-from cornercase.drivers import load_driver
+from cornercase.drivers import load_user_driver
 from cornercase.scenario import ConcreteScenario
-from cornercase.simulators import BuiltinSimulator, WorkerSimulator, outcomes_of
+from cornercase.simulators import BuiltinSimulator, WorkerSimulator, run_scenarios
 from fake_simulators import BatchSimulator, FailingSimulator, Plan
 from waiting import lives, until
 
@@ -118,7 +118,7 @@ def test_the_rest_is_stopped_when_nobody_wants_it(tmp_path):
     found: Any = simulator.run(concretes(3))
     next(found)
     found.close()
-    assert not any(worker.waiting for worker in simulator._workers)
+    assert not any(worker.remaining for worker in simulator._workers)
     assert list(places(simulator.run(concretes(1)))) == [0]
     simulator.close()
 
@@ -196,7 +196,7 @@ def test_builtin_batches_give_the_same_bytes_in_any_number_of_workers(x_intersec
 @pytest.mark.parametrize("made", [FailingSimulator, BatchSimulator])
 def test_in_the_same_process_what_is_no_recording_costs_itself_alone_as_well(tmp_path, made, does, words):
     simulator = made(plan=Plan(tmp_path, {2: [does], 5: [does]}))
-    assert list(places(outcomes_of(simulator, concretes(6)))) == [0, 1, words, 3, 4, words]
+    assert list(places(run_scenarios(simulator, concretes(6)))) == [0, 1, words, 3, 4, words]
 
 
 @pytest.mark.parametrize("does", at_night(["end", "none", "junk"], {"end", "none"}))
@@ -225,7 +225,7 @@ def test_a_driver_of_ones_own_in_the_current_folder_drives_in_a_worker_too(tmp_p
     )
     path = scenario_file(tmp_path, init=moving())
     monkeypatch.chdir(tmp_path)
-    options: dict[str, Any] = {"duration": 2.0, "drivers": {"Ego": load_driver("driver_of_workers:Braking")}}
+    options: dict[str, Any] = {"duration": 2.0, "drivers": {"Ego": load_user_driver("driver_of_workers:Braking")}}
     with WorkerSimulator("builtin", options) as simulator:
         (found,) = ran(simulator, [ConcreteScenario(path)])
     assert found.speed[0, -1] == pytest.approx(7.0)

@@ -31,7 +31,7 @@ def exported(tmp_path_factory):
     runs = folder / "runs"
     runs.mkdir()
     with Study.open(study, readonly=True) as opened:
-        rows = opened.done()
+        rows = opened.finished_rows()
         names = list(rows[0].values)
         lines = [",".join(["file", *names, "kind"])]
         for row in rows:
@@ -80,11 +80,11 @@ def test_a_broken_disk_fails_the_import_and_not_the_recording(exported, tmp_path
     command = ("import", exported / "runs", *EXPLORED, "-o", study)
     assert cornercase(*command).returncode == 2
     with Study.open(study, readonly=True) as opened:
-        assert 0 < len(opened.done()) < 40
-        assert not opened.failed()
+        assert 0 < len(opened.finished_rows()) < 40
+        assert not opened.failed_rows()
     assert cornercase(*command).returncode == 0
     with Study.open(study, readonly=True) as opened:
-        assert (len(opened.done()), len(opened.failed())) == (40, 0)
+        assert (len(opened.finished_rows()), len(opened.failed_rows())) == (40, 0)
 
 
 def test_the_same_again_goes_on_and_something_else_is_refused(exported, tmp_path):
@@ -93,7 +93,7 @@ def test_the_same_again_goes_on_and_something_else_is_refused(exported, tmp_path
     before = study.read_bytes()
     assert cornercase("import", exported / "runs", *EXPLORED, "-o", study).returncode == 0
     with Study.open(study, readonly=True) as opened:
-        assert len(opened.done()) == 40
+        assert len(opened.finished_rows()) == 40
     done = cornercase("import", exported / "runs", *EXPLORED[:-1], "ttc", "-o", study)
     assert done.returncode == 2
     assert "belongs to other metrics; name another study with -o" in done.stderr
@@ -118,7 +118,7 @@ def test_files_of_all_kinds_and_one_that_cannot_be_read(tmp_path):
     assert "The recording has no entity 'Other'" in said
     with Study.open(tmp_path / "s.db", readonly=True) as study:
         assert [row.state for row in study.rows()] == ["done", "failed", "failed", "failed"]
-        errors = [str(row.error) for row in study.failed()]
+        errors = [str(row.error) for row in study.failed_rows()]
     assert "Other" in errors[0]
     assert "cut in the middle of record 41" in errors[2]
 
@@ -196,7 +196,7 @@ def test_recordings_may_lack_some_of_several_others(tmp_path):
     assert import_recordings(tmp_path, tmp_path / "s.db", other="*", **given).done == 5
     with Study.open(tmp_path / "s.db", readonly=False) as study:
         assert study.meta.others == ("A", "B")
-        assert list(study.against("clearance").values()) == ["A", "B", "A", "B", "A"]
+        assert list(study.score_sources("clearance").values()) == ["A", "B", "A", "B", "A"]
         np.testing.assert_allclose(study.scores("clearance"), [16.0, 15.0, 14.0, 13.0, 12.0])
         analyze(study)
         # The main other is the one that most scores are against.

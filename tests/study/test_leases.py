@@ -16,7 +16,7 @@ import pytest
 
 from cornercase import SimulationError
 from cornercase._common.errors import InputError, StudyLostError
-from cornercase.study import Study, begun_study, write_note
+from cornercase.study import Study, open_or_create_study, write_note
 from synthetic import SPACE, about
 
 POINTS = np.array([[0.25, 0.5], [0.5, 0.25]])
@@ -25,7 +25,7 @@ POINTS = np.array([[0.25, 0.5], [0.5, 0.25]])
 @pytest.fixture
 def path(tmp_path):
     with Study.create(tmp_path / "s.db", about(SPACE, "distance")) as study:
-        study.writer.propose(1, POINTS, SPACE.values(POINTS))
+        study.writer.add_pending(1, POINTS, SPACE.values(POINTS))
     return tmp_path / "s.db"
 
 
@@ -55,7 +55,7 @@ def test_a_file_of_several_names_is_not_written(path):
         os.link(path, path.with_name("another.db"))
         with pytest.raises(InputError, match=r"another\.db: has 2 hard links"):
             Study.open(path.with_name("another.db"), readonly=False)
-        study.writer.fail(1, SimulationError("as before"))
+        study.writer.record_failure(1, SimulationError("as before"))
     with pytest.raises(InputError, match="has 2 hard links"):
         Study.open(path, readonly=False)
     path.with_name("another.db").unlink()
@@ -94,10 +94,10 @@ def test_one_on_another_machine_counts_as_dead_when_it_has_not_been_heard_of(pat
         Study.open(path, readonly=False)
     set_holder(path, beat=time.time() - 600.0)
     with Study.open(path, readonly=False) as taken:
-        taken.writer.fail(1, SimulationError("of the new one"))
+        taken.writer.record_failure(1, SimulationError("of the new one"))
         # The first one had only been asleep: it notices before it writes.
         with pytest.raises(StudyLostError, match="took over this study"):
-            study.writer.fail(2, SimulationError("of the old one"))
+            study.writer.record_failure(2, SimulationError("of the old one"))
         assert [row.state for row in taken.rows()] == ["failed", "pending"]
     study.close()
 
@@ -120,14 +120,14 @@ def test_a_study_that_is_gone_or_another_one_ends_what_writes_to_it(path):
     study = Study.open(path, readonly=False)
     path.unlink()
     with pytest.raises(StudyLostError, match="was removed while this command was writing to it"):
-        study.writer.fail(1, SimulationError("nowhere"))
+        study.writer.record_failure(1, SimulationError("nowhere"))
     assert [one.name for one in path.parent.iterdir()] == ["other.db"]
     shutil.copy(other, path)
     study = Study.open(path, readonly=False)
-    study.writer.fail(1, SimulationError("here"))
+    study.writer.record_failure(1, SimulationError("here"))
     os.replace(shutil.copy(other, path.with_name("third.db")), path)
     with pytest.raises(StudyLostError, match="was replaced by another file"):
-        study.writer.fail(2, SimulationError("elsewhere"))
+        study.writer.record_failure(2, SimulationError("elsewhere"))
     # What was written to the one that is gone is not taken for the log of the one that is there.
     assert path.read_bytes() == other.read_bytes() == before
     with Study.open(path) as there:
@@ -137,10 +137,10 @@ def test_a_study_that_is_gone_or_another_one_ends_what_writes_to_it(path):
 @pytest.mark.skipif(sys.platform == "win32", reason="files that are open stay there")
 def test_a_study_that_is_moved_takes_all_with_it_that_was_stored(path):
     study = Study.open(path, readonly=False)
-    study.writer.fail(1, SimulationError("here"))
+    study.writer.record_failure(1, SimulationError("here"))
     moved = path.rename(path.with_name("moved.db"))
     with pytest.raises(StudyLostError, match="was removed while this command was writing to it"):
-        study.writer.fail(2, SimulationError("there"))
+        study.writer.record_failure(2, SimulationError("there"))
     # Later calls get the same error.
     with pytest.raises(StudyLostError, match="was removed while this command was writing to it"):
         study.rows()
@@ -154,12 +154,12 @@ def test_a_study_that_is_moved_takes_all_with_it_that_was_stored(path):
 def test_a_study_that_is_copied_over_ends_what_writes_to_it_and_stays_as_it_is(path, closes):
     other = path.with_name("other.db")
     with Study.create(other, about(SPACE, "distance")) as made:
-        made.writer.propose(1, POINTS[:1], SPACE.values(POINTS[:1]))
+        made.writer.add_pending(1, POINTS[:1], SPACE.values(POINTS[:1]))
     study = Study.open(path, readonly=False)
-    study.writer.fail(1, SimulationError("stays in the log"))
+    study.writer.record_failure(1, SimulationError("stays in the log"))
     # The same file under the same name, as `cp` leaves it.
     path.write_bytes(other.read_bytes())
-    end = study.close if closes else partial(study.writer.fail, 2, SimulationError("nowhere"))
+    end = study.close if closes else partial(study.writer.record_failure, 2, SimulationError("nowhere"))
     with pytest.raises(StudyLostError, match="it was overwritten or truncated"):
         end()
     assert path.read_bytes() == other.read_bytes()
@@ -173,7 +173,7 @@ def test_a_study_that_is_cut_ends_what_writes_to_it(path):
     study = Study.open(path, readonly=False)
     os.truncate(path, 0)
     with pytest.raises(StudyLostError, match="overwritten or truncated"):
-        study.writer.fail(1, SimulationError("nowhere"))
+        study.writer.record_failure(1, SimulationError("nowhere"))
     assert path.read_bytes() == b""
     with pytest.raises(InputError, match="is empty, and not a study"):
         Study.open(path)
@@ -185,7 +185,7 @@ def test_others_may_write_their_notes_and_read_while_one_writes(path):
             write_note(path, number, "seen")
             with closing(sqlite3.connect(path)) as connection:
                 connection.execute("PRAGMA wal_checkpoint(TRUNCATE)").fetchall()
-            study.writer.fail(number, SimulationError("told"))
+            study.writer.record_failure(number, SimulationError("told"))
     with Study.open(path) as study:
         assert [row.state for row in study.rows()] == ["failed", "failed"]
         assert study.notes() == {1: "seen", 2: "seen"}
@@ -196,8 +196,8 @@ def test_42_s3_a_new_study_is_not_removed_with_a_note_that_somebody_wrote(tmp_pa
     path = tmp_path / "new.db"
 
     def begin():
-        with begun_study(path, about(SPACE, "distance")) as study:
-            study.writer.propose(1, POINTS, SPACE.values(POINTS))
+        with open_or_create_study(path, about(SPACE, "distance")) as study:
+            study.writer.add_pending(1, POINTS, SPACE.values(POINTS))
             if noted:
                 write_note(path, 1, "looked at")
             raise InputError("as before")

@@ -41,22 +41,22 @@ def test_what_was_written_is_read_back(meta):
 )
 def test_a_study_of_something_else_is_refused(change, words):
     with pytest.raises(InputError, match=f"s.db: belongs to {words}"):
-        FULL.require_same(replace(FULL, **change), Path("s.db"))
+        FULL.require_resumable(replace(FULL, **change), Path("s.db"))
 
 
 def test_a_range_without_a_unit_is_the_same_range():
     """A range given as an option has no unit; `show --config` writes such options, also for files with units."""
     in_metres = ParameterSpace((replace(SPACE.parameters[0], unit="m"), SPACE.parameters[1]))
     for mine, given in ((in_metres, SPACE), (SPACE, in_metres)):
-        replace(FULL, space=mine).require_same(replace(FULL, space=given), Path("s.db"))
+        replace(FULL, space=mine).require_resumable(replace(FULL, space=given), Path("s.db"))
     in_seconds = ParameterSpace((replace(SPACE.parameters[0], unit="s"), SPACE.parameters[1]))
     with pytest.raises(InputError, match="other parameter ranges"):
-        replace(FULL, space=in_metres).require_same(replace(FULL, space=in_seconds), Path("s.db"))
+        replace(FULL, space=in_metres).require_resumable(replace(FULL, space=in_seconds), Path("s.db"))
 
 
 def test_the_budget_may_grow_and_the_simulator_run_elsewhere():
     more = replace(FULL, budget=500, simulator="synthetic:host=a", version="0.0.1")
-    FULL.require_same(more, Path("s.db"))
-    replace(FULL, critical=None).require_same(more, Path("s.db"))
+    FULL.require_resumable(more, Path("s.db"))
+    replace(FULL, critical=None).require_resumable(more, Path("s.db"))
     with pytest.raises(InputError, match="a budget of 0 scenarios; give the same `budget`"):
-        FULL.require_same(more, Path("s.db"), same_budget=True)
+        FULL.require_resumable(more, Path("s.db"), same_budget=True)

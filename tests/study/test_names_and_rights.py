@@ -24,8 +24,8 @@ NO_TEXT = os.fsdecode(b"\xff\xfe.db")
 
 def made(path):
     with Study.create(path, about(SPACE, "distance")) as study:
-        study.writer.propose(1, POINTS, SPACE.values(POINTS))
-        study.writer.fail(1, SimulationError("told"))
+        study.writer.add_pending(1, POINTS, SPACE.values(POINTS))
+        study.writer.record_failure(1, SimulationError("told"))
     return path
 
 

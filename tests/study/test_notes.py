@@ -14,7 +14,7 @@ from cornercase._common.errors import InputError
 from cornercase.recordings import read_recording
 from cornercase.scenario import ParameterSpace
 from cornercase.study import Study, write_note
-from cornercase.study.notes import LONGEST_NOTE
+from cornercase.study.notes import MAX_NOTE_LENGTH
 from strangers import change
 from synthetic import about
 
@@ -26,7 +26,7 @@ def explored(tmp_path):
     """A study that an explorer has open, with ten scenarios that were not run yet."""
     points = np.linspace(0.0, 1.0, 10)[:, None]
     with Study.create(tmp_path / "study.db", about(SPACE, "distance")) as study:
-        study.writer.propose(1, points, SPACE.values(points))
+        study.writer.add_pending(1, points, SPACE.values(points))
         yield study
 
 
@@ -57,7 +57,7 @@ def test_a_note_is_kept_changed_and_removed(explored):
         (-1, "x", "`scenario`"),
         (2**63, "x", "`scenario`"),
         (True, "x", "`scenario`"),
-        (1, "x" * (LONGEST_NOTE + 1), "the limit is 2000"),
+        (1, "x" * (MAX_NOTE_LENGTH + 1), "the limit is 2000"),
         (1, "half a character: \ud800", "cannot be encoded"),
         (1, "a\0b", "null character"),
         (1, 7, "not a text"),
@@ -87,9 +87,9 @@ def test_notes_and_the_scenarios_of_an_explorer_do_not_disturb_each_other(explor
         for scenario in range(1, 11):
             change_of = {"distance": (course * rounds, float(rounds))}
             if rounds == 0:
-                explored.writer.finish(scenario, small_recording, change_of)
+                explored.writer.record_result(scenario, small_recording, change_of)
             else:
-                explored.writer.add_elapsed("simulate", 0.0)
+                explored.writer.add_elapsed_time("simulate", 0.0)
         rounds += 1
     taking.join()
     assert not failures
@@ -106,14 +106,14 @@ def small_recording(tmp_path):
 
 
 def test_a_writer_that_does_not_end_is_not_waited_for_forever(explored, monkeypatch):
-    monkeypatch.setattr("cornercase.study.database._PATIENCE_BESIDE", 0.1)
+    monkeypatch.setattr("cornercase.study.database._NOTE_TIMEOUT", 0.1)
     with closing(sqlite3.connect(explored.path, isolation_level=None)) as stuck:
         stuck.execute("BEGIN IMMEDIATE")
         with pytest.raises(InputError, match="locked"):
             write_note(explored.path, 1, "x")
 
 
-@pytest.mark.parametrize("value", ["zeroblob(5)", f"printf('%.{LONGEST_NOTE + 1}c', 'x')"])
+@pytest.mark.parametrize("value", ["zeroblob(5)", f"printf('%.{MAX_NOTE_LENGTH + 1}c', 'x')"])
 def test_notes_of_a_stranger_that_are_none_are_refused(explored, value):
     change(explored.path, f"INSERT INTO notes VALUES (1, {value}, 0)")
     with pytest.raises(InputError, match="the note on the scenario 1"):

@@ -19,9 +19,9 @@ import pytest
 
 from command_line import SPACE, X, cornercase
 from cornercase import SimulationError
-from cornercase._common.texts import without_folders
+from cornercase._common.texts import remove_folders
 from cornercase.study import Study, stored_path
-from cornercase.study.stored_paths import file_named
+from cornercase.study.stored_paths import resolve_stored_path
 from sealed import changed
 
 MEASURED = ("--ego", "Ego", "--other", "Pedestrian", "--metric", "wttc")
@@ -109,7 +109,7 @@ def test_42_s6_nothing_that_is_written_shows_where_its_author_keeps_it(written):
     # What is looked for would be found.
     with Study.open(written / "imported.db") as imported:
         assert imported.meta.settings["table"] == "runs/table.csv"
-        (failed,) = imported.failed()
+        (failed,) = imported.failed_rows()
         assert failed.error is not None
         assert failed.error.startswith("2.csv")
     assert "studies/s.db" in holding(written, X.stem)
@@ -164,7 +164,7 @@ def test_42_s6_a_way_that_tells_how_somebodys_folders_lie_is_left_out(tmp_path, 
         there.parent.mkdir(parents=True, exist_ok=True)
         there.write_text("<a/>")
         (tmp_path / study).parent.mkdir(parents=True, exist_ok=True)
-        named = file_named(stored, tmp_path / study)
+        named = resolve_stored_path(stored, tmp_path / study)
         assert (named == there) == ("/" in stored or there.parent == (tmp_path / study).parent)
 
 
@@ -176,11 +176,11 @@ def test_42_s6_messages_are_stored_without_folders(tmp_path, written):
     shutil.copy(written / "studies" / "s.db", tmp_path / "s.db")
     (tmp_path / "secret name").mkdir()
     with Study.open(tmp_path / "s.db", readonly=False) as study:
-        study.writer.fail(1, SimulationError(f"{tmp_path}/secret name/x.xosc, line 5: no lane at 3 m/s, see {tmp_path}/a.log"))
-        assert study.failed()[0].error == "x.xosc, line 5: no lane at 3 m/s, see a.log"
+        study.writer.record_failure(1, SimulationError(f"{tmp_path}/secret name/x.xosc, line 5: no lane at 3 m/s, see {tmp_path}/a.log"))
+        assert study.failed_rows()[0].error == "x.xosc, line 5: no lane at 3 m/s, see a.log"
     for text in ("1 / 2 m/s", "https://a.b/c/d", "a/b/c", "/", "carmaker:project=acc"):
-        assert without_folders(text) == text
-    assert without_folders(f"carmaker:project={tmp_path}/acc,port=1") == "carmaker:project=acc,port=1"
+        assert remove_folders(text) == text
+    assert remove_folders(f"carmaker:project={tmp_path}/acc,port=1") == "carmaker:project=acc,port=1"
 
 
 @pytest.fixture
@@ -249,8 +249,8 @@ def test_42_10_a_study_leads_to_no_other_file(tmp_path, stored):
     (near / "folder.xosc").mkdir()
     if hasattr(os, "mkfifo"):
         os.mkfifo(near / "pipe.xosc")
-    assert file_named(stored, study) is None
-    assert file_named("../x.xosc", study) == near / "x.xosc"
+    assert resolve_stored_path(stored, study) is None
+    assert resolve_stored_path("../x.xosc", study) == near / "x.xosc"
 
 
 def test_42_10_only_who_asks_for_what_needs_the_scenario_reads_it_there(apart, tmp_path, monkeypatch):
@@ -258,9 +258,9 @@ def test_42_10_only_who_asks_for_what_needs_the_scenario_reads_it_there(apart, t
 
     def noted(stored, study):
         read.append(stored)
-        return file_named(stored, study)
+        return resolve_stored_path(stored, study)
 
-    monkeypatch.setattr("cornercase.study.explored.file_named", noted)
+    monkeypatch.setattr("cornercase.study.explored.resolve_stored_path", noted)
     for command in (
         ("show", apart),
         ("show", apart, "--config"),

@@ -45,7 +45,7 @@ sys.addaudithook(_watch)
 @pytest.fixture
 def opened_files(monkeypatch):
     _OPENED.clear()
-    monkeypatch.setattr(sys.modules[__name__], "_watching", True)
+    monkeypatch.setattr(sys.modules[__name__], "_n_watch_blocks", True)
     return _OPENED
 
 
@@ -337,7 +337,7 @@ def test_names_that_xml_cannot_hold_are_refused_or_written_out(whole, sent, valu
 )
 def test_an_analysis_that_was_made_up_is_refused(sent, name, made_up, words):
     with Study.open(sent, readonly=True) as study:
-        info = study.reduction() if name == "reduction" else study.analysis(name)[1]
+        info = study.read_reduction() if name == "reduction" else study.read_analysis(name)[1]
     made_up(info)
     change(sent, ("UPDATE analyses SET info = ? WHERE name = ?", (json.dumps(info), name)))
     result = cornercase("report", sent, "-o", sent.parent / "r.html")
@@ -371,8 +371,8 @@ def test_a_view_in_place_of_a_table_is_refused(sent):
 
 def test_what_a_file_says_of_itself_is_not_trusted(sent):
     with Study.open(sent, readonly=True) as study:
-        assert study._database.found("PRAGMA trusted_schema") == [(0,)]
-        assert study._database.found("PRAGMA query_only") == [(1,)]
+        assert study._database.query("PRAGMA trusted_schema") == [(0,)]
+        assert study._database.query("PRAGMA query_only") == [(1,)]
 
 
 ODD = (
@@ -401,17 +401,17 @@ def oddly_named(tmp_path_factory):
     rng = np.random.default_rng(1)
     with Study.create(path, about_it) as study:
         points = rng.random((12, 2))
-        rows = study.writer.propose(1, points, space.values(points))
+        rows = study.writer.add_pending(1, points, space.values(points))
         for row in rows[:-1]:
             x = np.stack([np.zeros(5), 20 * row.point[0] + np.arange(5.0)])
             still = np.zeros((2, 5))
             recording = cc.Recording(
-                time=np.arange(5.0), names=(names["ego"], names["other"]), kinds=(ODD[4], "-1+1"), x=x, y=still, heading=still,
+                time=np.arange(5.0), names=(names["ego"], names["other"]), object_types=(ODD[4], "-1+1"), x=x, y=still, heading=still,
                 speed=still, acceleration=still, length=np.full(2, 4.0), width=np.full(2, 2.0), center_x=np.zeros(2),
                 collisions=(cc.recordings.Collision(1.0, (names["ego"], names["other"])),),
             )  # fmt: skip
-            study.writer.finish(row.id, recording, {"distance": (x[1], float(x[1].min()))})
-        study.writer.fail(rows[-1].id, cc.SimulationError("".join(ODD)))
+            study.writer.record_result(row.id, recording, {"distance": (x[1], float(x[1].min()))})
+        study.writer.record_failure(rows[-1].id, cc.SimulationError("".join(ODD)))
     cc.analyze(path)
     return path
 
@@ -455,8 +455,8 @@ def test_names_are_no_formulas_in_tables(oddly_named, tmp_path):
     # Undo it.
     with Study.open(oddly_named, readonly=True) as study:
         first, again = study.recording(1), read_recording(tmp_path / "recordings" / "00001.csv")
-        assert (first.names, first.kinds, first.collisions) == (again.names, again.kinds, again.collisions)
-        table, read = study.table(), pd.read_csv(tmp_path / "scenarios.csv")
+        assert (first.names, first.object_types, first.collisions) == (again.names, again.object_types, again.collisions)
+        table, read = study.table(), pd.read_recording_csv(tmp_path / "scenarios.csv")
     assert read["distance"].dtype == np.float64
     assert list(read["id"]) == list(table["id"])
     assert read["round"].dtype.kind == "i"

@@ -16,8 +16,8 @@ from scipy.spatial.distance import cdist, squareform
 from conftest import same_recording
 from cornercase._common.errors import InputError, SimulationError
 from cornercase._common.typing import FloatArray
-from cornercase.recordings import MOTION, Collision, Recording, read_recording
-from cornercase.scenario import Constraint, Declaration, ParameterSpace
+from cornercase.recordings import MOTION_ARRAYS, Collision, Recording, read_recording
+from cornercase.scenario import Constraint, ParameterDeclaration, ParameterSpace
 from cornercase.study import Study
 from cornercase.study import arrays as stored_arrays
 from sealed import reseal
@@ -35,8 +35,8 @@ def recording(seed: int = 0) -> Recording:
     return Recording(
         time=np.arange(40) * 0.05,
         names=("Ego", "Übergang"),
-        kinds=("car", "pedestrian"),
-        **dict(zip(MOTION, motion, strict=True)),
+        object_types=("car", "pedestrian"),
+        **dict(zip(MOTION_ARRAYS, motion, strict=True)),
         length=np.array([4.5, 0.5]),
         width=np.array([2.0, 0.6]),
         center_x=np.array([1.4, 0.0]),
@@ -53,9 +53,9 @@ def courses(seed: int = 0) -> dict[str, tuple[FloatArray, float]]:
 @pytest.fixture
 def study(tmp_path):
     with Study.create(tmp_path / "study.db", META) as made:
-        made.writer.propose(1, POINTS, SPACE.values(POINTS))
-        made.writer.finish(1, recording(), courses())
-        made.writer.fail(2, SimulationError("the road ends"))
+        made.writer.add_pending(1, POINTS, SPACE.values(POINTS))
+        made.writer.record_result(1, recording(), courses())
+        made.writer.record_failure(2, SimulationError("the road ends"))
         yield made
 
 
@@ -80,17 +80,17 @@ def test_what_is_put_in_comes_out(study):
 
 
 def test_who_collides_is_read_without_the_rest_of_the_recordings(study):
-    study.writer.finish(3, replace(recording(1), collisions=()), courses(1))
+    study.writer.record_result(3, replace(recording(1), collisions=()), courses(1))
     assert study.collisions() == {1: recording().collisions, 3: ()}
 
 
 def test_a_reader_sees_each_scenario_as_soon_as_it_has_ended(study):
     with Study.open(study.path, readonly=True) as reader:
-        assert len(reader.done()) == 1
-        study.writer.finish(3, recording(1), courses(1))
-        assert [row.id for row in reader.done()] == [1, 3]
+        assert len(reader.finished_rows()) == 1
+        study.writer.record_result(3, recording(1), courses(1))
+        assert [row.id for row in reader.finished_rows()] == [1, 3]
         with pytest.raises(InputError, match="opened for reading"):
-            reader.writer.fail(3, SimulationError("a reader must not write"))
+            reader.writer.record_failure(3, SimulationError("a reader must not write"))
 
 
 def test_the_disk_is_waited_for_once_a_second(study):
@@ -99,12 +99,12 @@ def test_the_disk_is_waited_for_once_a_second(study):
 
     full, normal = 2, 1
     study._database._forced = -np.inf
-    study.writer.add_elapsed("simulate", 1.0)
+    study.writer.add_elapsed_time("simulate", 1.0)
     assert level() == full
-    study.writer.add_elapsed("simulate", 1.0)
+    study.writer.add_elapsed_time("simulate", 1.0)
     assert level() == normal
     study._database._forced -= 2.0
-    study.writer.add_elapsed("simulate", 1.0)
+    study.writer.add_elapsed_time("simulate", 1.0)
     assert level() == full
 
 
@@ -112,18 +112,18 @@ def test_a_transaction_that_an_interrupt_left_open_does_not_end_the_study(study)
     before = len(study.done())
     # As where Ctrl-C comes between the begin of a transaction and its block.
     study._database.connection.execute("BEGIN IMMEDIATE")
-    study.writer.finish(3, recording(1), courses(1))
+    study.writer.record_result(3, recording(1), courses(1))
     assert len(study.done()) == before + 1
     with Study.open(study.path, readonly=True) as reader:
-        assert len(reader.done()) == before + 1
+        assert len(reader.finished_rows()) == before + 1
 
 
 def test_the_same_content_gives_the_same_bytes(tmp_path):
     blobs = []
     for name in "ab":
         with Study.create(tmp_path / name, META) as made:
-            made.writer.propose(1, POINTS, SPACE.values(POINTS))
-            made.writer.finish(1, recording(), courses())
+            made.writer.add_pending(1, POINTS, SPACE.values(POINTS))
+            made.writer.record_result(1, recording(), courses())
             made.writer.save_analysis("wttc", {"ids": np.arange(3)}, {"gamma": 1.0})
         with sqlite3.connect(tmp_path / name) as connection:
             blobs.append(
@@ -156,23 +156,23 @@ def test_no_value_in_the_file_grows_with_the_number_of_pairs(tmp_path):
     distances = cdist(points, points)
     arrays = {"ids": np.arange(1, 301), "distances": distances, "embedding": rng.random((300, 40))}
     with Study.create(tmp_path / "s.db", META) as study:
-        study.writer.propose(1, points, SPACE.values(points))
+        study.writer.add_pending(1, points, SPACE.values(points))
         # As SQLite's limit of 1e9 bytes, for 300 scenarios instead of 11,500.
         study._database.connection.setlimit(sqlite3.SQLITE_LIMIT_LENGTH, 50_000)
         study.writer.save_analysis("wttc", arrays, {})
-        again = study.analysis("wttc")[0]
+        again = study.read_analysis("wttc")[0]
         for name, array in arrays.items():
             np.testing.assert_array_equal(again[name], array)
         study.writer.save_analysis("wttc", {"ids": np.arange(1, 3), "distances": distances[:2, :2]}, {})
-        assert study.analysis("wttc", "distances")[0]["distances"].shape == (2, 2)
+        assert study.read_analysis("wttc", "distances")[0]["distances"].shape == (2, 2)
         # Nothing of the larger one is left.
-        assert study._database.found("SELECT COUNT(*) FROM arrays") == [(2,)]
+        assert study._database.query("SELECT COUNT(*) FROM arrays") == [(2,)]
 
 
 @pytest.mark.parametrize("count", [1, 2, 255, 256, 257, 700])
 @pytest.mark.parametrize("kind", ["<f8", "<f4"])
 def test_half_of_the_distances_gives_back_all(study, count, kind, monkeypatch):
-    monkeypatch.setattr(stored_arrays, "_PIECE", 10_000)
+    monkeypatch.setattr(stored_arrays, "_PIECE_BYTES", 10_000)
     points = np.random.default_rng(count).random((count, 2))
     study.writer.propose(2, points, SPACE.values(points))
     distances = cdist(points, points).astype(kind)
@@ -186,9 +186,9 @@ def test_half_of_the_distances_gives_back_all(study, count, kind, monkeypatch):
 
 
 def test_time_spent_adds_up(study):
-    study.writer.add_elapsed("simulate", 1.5)
-    study.writer.add_elapsed("simulate", 0.25)
-    study.writer.add_elapsed("optimize", 1.0)
+    study.writer.add_elapsed_time("simulate", 1.5)
+    study.writer.add_elapsed_time("simulate", 0.25)
+    study.writer.add_elapsed_time("optimize", 1.0)
     assert study.elapsed() == {"optimize": 1.0, "simulate": 1.75}
 
 
@@ -222,7 +222,7 @@ def test_a_new_study_holds_nothing_of_one_that_was_removed(study):
         assert study.path.with_name(study.path.name + "-wal").exists()
         with Study.create(study.path, META) as anew:
             assert anew.rows() == []
-            anew.writer.propose(1, POINTS[:1], SPACE.values(POINTS[:1]))
+            anew.writer.add_pending(1, POINTS[:1], SPACE.values(POINTS[:1]))
         with Study.open(study.path, readonly=True) as reader:
             assert [row.state for row in reader.rows()] == ["pending"]
 
@@ -252,7 +252,7 @@ def test_a_full_disk_is_said_and_harms_nothing(study):
     (pages,) = connection.execute("PRAGMA page_count").fetchone()
     connection.execute(f"PRAGMA max_page_count = {pages}")
     with pytest.raises(InputError, match=r"study\.db.*full"):
-        study.writer.finish(3, recording(1), {"distance": (np.random.default_rng(0).random(100_000), 0.0)})
+        study.writer.record_result(3, recording(1), {"distance": (np.random.default_rng(0).random(100_000), 0.0)})
     study.close()
     with Study.open(study.path, readonly=False) as again:
         assert [row.state for row in again.rows()] == ["done", "failed", "pending"]
@@ -276,7 +276,7 @@ def test_a_study_in_a_folder_that_cannot_be_written_is_read(study, monkeypatch):
 
 
 def test_tables_hold_everything(study, tmp_path):
-    study.writer.finish(3, recording(1), courses(1))
+    study.writer.record_result(3, recording(1), courses(1))
     study.writer.save_analysis("wttc", {"ids": np.array([1, 3]), "labels": np.array([0, -1])}, {})
     study.export(tmp_path / "tables")
     with open(tmp_path / "tables" / "scenarios.csv", newline="", encoding="utf-8") as file:
@@ -293,7 +293,7 @@ def test_tables_hold_everything(study, tmp_path):
 
 
 def test_a_damaged_study_leaves_nothing_of_an_export(study, tmp_path):
-    study.writer.finish(3, recording(1), courses(1))
+    study.writer.record_result(3, recording(1), courses(1))
     path = study.path
     study.close()
     with closing(sqlite3.connect(path)) as connection, connection:
@@ -304,14 +304,14 @@ def test_a_damaged_study_leaves_nothing_of_an_export(study, tmp_path):
 
 
 def test_recordings_of_two_studies_are_unpacked_once_where_they_are_the_same(study, tmp_path):
-    study.writer.finish(3, recording(1), courses(1))
-    one, other = study.recordings_beside(1, study, 3)
+    study.writer.record_result(3, recording(1), courses(1))
+    one, other = study.read_recording_pair(1, study, 3)
     assert same_recording(one, study.recording(1))
     assert same_recording(other, study.recording(3))
-    one, other = study.recordings_beside(3, study, 3)
+    one, other = study.read_recording_pair(3, study, 3)
     assert one is other
     with pytest.raises(InputError, match="the scenario 2 was not run"):
-        study.recordings_beside(1, study, 2)
+        study.read_recording_pair(1, study, 2)
 
 
 def test_parquet_without_its_package_names_the_extra(study, tmp_path, monkeypatch):
@@ -321,7 +321,7 @@ def test_parquet_without_its_package_names_the_extra(study, tmp_path, monkeypatc
 
 
 def test_a_row_of_the_table_is_a_scenario(study):
-    study.writer.finish(3, recording(1), courses(1))
+    study.writer.record_result(3, recording(1), courses(1))
     study.writer.save_analyses({"wttc": ({"ids": np.array([1, 3]), "labels": np.array([0, -1])}, {})}, {1: "Ego first"})
     table = study.table()
     assert list(table) == [
@@ -338,7 +338,7 @@ def test_a_row_of_the_table_is_a_scenario(study):
 def test_a_table_reads_no_distances(study):
     arrays = {"ids": np.array([1]), "labels": np.array([0]), "distances": np.zeros((1, 1))}
     study.writer.save_analysis("wttc", arrays, {})
-    with study._database.writing() as connection:
+    with study._database.transaction() as connection:
         connection.execute("UPDATE arrays SET data = x'00' WHERE name = 'distances'")
     assert study.table()["cluster by wttc"].tolist() == [0, pd.NA, pd.NA]
     with pytest.raises(InputError, match=r"is damaged: .* 'distances', part '0'; `verify` lists"):
@@ -349,8 +349,8 @@ def test_a_parameter_that_is_called_like_a_metric_has_a_column_of_its_own(tmp_pa
     space = ParameterSpace.from_ranges(["distance=0:1", "state=0:1"])
     points = np.array([[0.25, 0.75]])
     with Study.create(tmp_path / "s.db", about(space, "distance")) as study:
-        study.writer.propose(1, points, space.values(points))
-        study.writer.finish(1, recording(), {"distance": courses()["distance"]})
+        study.writer.add_pending(1, points, space.values(points))
+        study.writer.record_result(1, recording(), {"distance": courses()["distance"]})
         table = study.table()
     (row,) = table.to_dict("records")
     assert (row["parameter distance"], row["parameter state"], row["state"]) == (0.25, 0.75, "done")
@@ -361,20 +361,20 @@ def test_what_is_read_together_is_of_one_moment(study):
     with Study.open(study.path, readonly=True) as reader:
         with reader.snapshot():
             assert len(reader.scores("wttc")) == 1
-            study.writer.finish(3, recording(1), courses(1))
-            assert len(reader.scores("wttc")) == len(reader.done()) == 1
-        assert len(reader.scores("wttc")) == len(reader.done()) == 2
+            study.writer.record_result(3, recording(1), courses(1))
+            assert len(reader.scores("wttc")) == len(reader.finished_rows()) == 1
+        assert len(reader.scores("wttc")) == len(reader.finished_rows()) == 2
 
 
 def test_a_study_says_what_it_is_and_escapes_names(tmp_path, monkeypatch):
     # Without the page that a notebook shows.
-    monkeypatch.setattr("cornercase.report.inline.show_study", lambda path: None)
+    monkeypatch.setattr("cornercase.report.inline.render_notebook_report", lambda path: None)
     space = ParameterSpace.from_ranges(["<b>=0:1"])
     points = np.array([[0.25], [0.75]])
     with Study.create(tmp_path / "s.db", about(space, "distance", ego="<i>Ego</i>")) as study:
-        study.writer.propose(1, points, space.values(points))
+        study.writer.add_pending(1, points, space.values(points))
         for number, score in enumerate((3.0, 1.25), 1):
-            study.writer.finish(number, recording(), {"distance": (courses()["distance"][0], score)})
+            study.writer.record_result(number, recording(), {"distance": (courses()["distance"][0], score)})
         text, page = repr(study), study._repr_html_()
     assert "s.db" in text
     assert "2 scenarios run, 0 failed, 0 pending" in text
@@ -397,18 +397,18 @@ def test_a_study_with_damaged_facts_is_refused_in_a_sentence(study):
 
 
 def test_what_an_earlier_version_did_not_write_is_noted_when_the_search_goes_on(study):
-    limit = Declaration("a", "double", "0", ((Constraint("lessThan", "5"),),))
-    declared = [limit, Declaration("b", "double", "0")]
+    limit = ParameterDeclaration("a", "double", "0", ((Constraint("lessThan", "5"),),))
+    declared = [limit, ParameterDeclaration("b", "double", "0")]
     known = replace(META, space=ParameterSpace(SPACE.parameters, declared), critical=0.5)
-    study.writer.continue_with(known)
+    study.writer.resume(known)
     study.close()
     with Study.open(study.path, readonly=False) as again:
         assert again.meta == known
-        assert again.space.admits(POINTS).tolist() == [True, True, True]
-        assert not again.space.admits(np.array([[0.9, 0.5]])).any()
+        assert again.space.is_admissible(POINTS).tolist() == [True, True, True]
+        assert not again.space.is_admissible(np.array([[0.9, 0.5]])).any()
         # A search that does not know them does not take them away.
         with pytest.raises(InputError, match=r"the threshold 0.5"):
-            again.writer.continue_with(META)
+            again.writer.resume(META)
         assert again.meta == known
 
 

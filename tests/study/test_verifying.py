@@ -19,8 +19,8 @@ POINTS = np.array([[0.25, 0.5], [0.5, 0.25]])
 @pytest.fixture
 def path(tmp_path):
     with Study.create(tmp_path / "s.db", about(SPACE, "distance")) as study:
-        study.writer.propose(1, POINTS, SPACE.values(POINTS))
-        study.writer.fail(1, SimulationError("told"))
+        study.writer.add_pending(1, POINTS, SPACE.values(POINTS))
+        study.writer.record_failure(1, SimulationError("told"))
     return tmp_path / "s.db"
 
 

@@ -7,17 +7,17 @@ import shutil
 import pytest
 
 import cornercase as cc
-from cornercase.exploration import demonstration, explore_configuration
+from cornercase.exploration import paper_experiment_config, explore_config
 
 
 @pytest.fixture(scope="session")
 def explored(tmp_path_factory):
     """A study of the T-intersection with a daring ego, and its reduced set below it."""
     folder = tmp_path_factory.mktemp("suite")
-    configuration = demonstration("t-intersection", budget=30, driver="aggressive")
-    explore_configuration(configuration, folder / "study.db")
+    configuration = paper_experiment_config("t-intersection", budget=30, driver="aggressive")
+    explore_config(configuration, folder / "study.db")
     cc.analyze(folder / "study.db", ["ttc"])
-    cc.reduce(folder / "study.db", folder / "reduced", size=6, scenario=configuration.logical.scenario)
+    cc.reduce(folder / "study.db", folder / "reduced", size=6, scenario=configuration.logical.scenario_file)
     return folder
 
 
@@ -30,4 +30,4 @@ def reduced(explored, tmp_path):
 
 @pytest.fixture(scope="session")
 def ran(explored):
-    return cc.test(explored / "reduced", explored / "run.db", require=["no collision"])
+    return cc.run_suite(explored / "reduced", explored / "run.db", require=["no collision"])

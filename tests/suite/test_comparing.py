@@ -18,11 +18,11 @@ from cornercase.optimizers import SobolOptimizer
 from cornercase.recordings import Collision, Recording
 from cornercase.scenario import ParameterSpace
 from cornercase.study import Study
-from cornercase.suite import Pair, find_difference, tell_comparison
+from cornercase.suite import ScenarioPair, compare_recording_pair, describe_comparison
 from cornercase.suite.comparing_pairs import compare_recordings
-from cornercase.suite.comparing_telling import choose_telling
-from cornercase.suite.comparing_tests import correct, discordant, moved_by, signed_ranks
-from cornercase.suite.comparing_tests import tests_of_pairs as changes_of
+from cornercase.suite.comparing_telling import choose_examples
+from cornercase.suite.comparing_tests import holm_correct, mcnemar_p_value, score_difference, wilcoxon_p_value
+from cornercase.suite.comparing_tests import test_pairs as changes_of
 from synthetic import about
 
 SPACE = ParameterSpace.from_ranges(["a=0:1", "b=0:1"])
@@ -32,7 +32,7 @@ GRID = np.stack(np.meshgrid(np.linspace(0.05, 0.95, 6), np.linspace(0.05, 0.95, 
 def recording(gap: float, hit: bool = False) -> Recording:
     still, one = np.zeros((2, 3)), np.full(2, 1e-6)
     return Recording(
-        time=np.arange(3.0), names=("Ego", "B"), kinds=("car", "car"),
+        time=np.arange(3.0), names=("Ego", "B"), object_types=("car", "car"),
         x=np.stack([np.zeros(3), np.full(3, gap)]), y=still, heading=still, speed=still, acceleration=still,
         length=one, width=one, center_x=0.0 * one, collisions=(Collision(1.0, ("Ego", "B")),) if hit else (),
     )  # fmt: skip
@@ -42,13 +42,13 @@ def written(path, gaps, points=GRID, hits=(), failed=(), space=SPACE, metrics=("
     """A study of scenarios in which the other stands so far away."""
     meta = about(space, *metrics, **({"critical": 1.0, "simulator": "builtin"} | more))
     with Study.create(path, meta) as study:
-        rows = study.writer.propose(1, points, space.values(points))
+        rows = study.writer.add_pending(1, points, space.values(points))
         for k, row in enumerate(rows):
             if k in failed:
-                study.writer.fail(row.id, SimulationError("it broke"))
+                study.writer.record_failure(row.id, SimulationError("it broke"))
                 continue
             score = float(gaps[k])
-            study.writer.finish(row.id, recording(score, k in hits), {name: (np.full(3, score), score) for name in metrics})
+            study.writer.record_result(row.id, recording(score, k in hits), {name: (np.full(3, score), score) for name in metrics})
     return path
 
 
@@ -64,7 +64,7 @@ def ran(*arguments):
 def told(found) -> str:
     return "\n".join(
         " ".join([one.title, *one.sentences, *one.header, *(cell for row in one.rows for cell in row)])
-        for one in tell_comparison(found)
+        for one in describe_comparison(found)
     )
 
 
@@ -275,7 +275,7 @@ def test_a_zero_with_another_sign_is_not_the_same_bytes_and_no_change(tmp_path):
     new = replace(zero, x=np.where(zero.x == 0.0, -0.0, zero.x))
     assert compare_recordings(old, zero) == "the same"
     assert compare_recordings(old, new) == "within rounding"
-    assert not find_difference(old, new, "Ego").same
+    assert not compare_recording_pair(old, new, "Ego").same
 
 
 @pytest.mark.parametrize(
@@ -304,7 +304,7 @@ def test_one_threshold_for_both_takes_the_place_of_their_own(tmp_path):
     critical = [pair.critical for pair in found.pairs]
     assert critical == [(gap <= between,) * 2 for gap in GAPS]
     assert found.to_json()["critical"] == between
-    assert f"Threshold of criticality: {between:g}" in tell_comparison(found)[0].sentences[-1]
+    assert f"Threshold of criticality: {between:g}" in describe_comparison(found)[0].sentences[-1]
     result = cornercase("compare", old, new, "--critical", between, "-o", tmp_path / "page.html")
     assert result.returncode == 0, result.stderr
     with Study.open(new) as study:
@@ -329,8 +329,8 @@ def test_another_scenario_is_refused_and_imported_recordings_are_not(tmp_path):
                 meta = replace(study.meta, fingerprint=path.name, scenario=f"{path.stem}.xosc")
             path.unlink()
             with Study.create(path, meta) as study:
-                for row in study.writer.propose(1, GRID, SPACE.values(GRID)):
-                    study.writer.finish(row.id, recording(1.0), {"distance": (np.full(3, 1.0), 1.0)})
+                for row in study.writer.add_pending(1, GRID, SPACE.values(GRID)):
+                    study.writer.record_result(row.id, recording(1.0), {"distance": (np.full(3, 1.0), 1.0)})
         if simulator == "imported":
             assert not compared(old, new)
         else:
@@ -357,28 +357,28 @@ def test_the_signed_rank_test_is_scipys_of_the_pairs_that_moved():
     random = np.random.default_rng(3)
     differences = np.round(random.normal(0.2, 1.0, 40), 1)
     differences[::4] = 0.0
-    assert signed_ranks(differences) == float(wilcoxon(differences, zero_method="wilcox").pvalue)
+    assert wilcoxon_p_value(differences) == float(wilcoxon(differences, zero_method="wilcox").pvalue)
     # Exact: all 5 on one side in 2 of 2^5 cases, also with ties.
-    assert signed_ranks(np.array([0.0, 1.0, 1.0, 2.0, 2.0, 3.0])) == pytest.approx(2 / 32)
-    assert signed_ranks(np.zeros(9)) == 1.0
+    assert wilcoxon_p_value(np.array([0.0, 1.0, 1.0, 2.0, 2.0, 3.0])) == pytest.approx(2 / 32)
+    assert wilcoxon_p_value(np.zeros(9)) == 1.0
 
 
 def test_what_is_so_or_not_is_tested_by_the_pairs_that_changed():
     before = np.array([True] * 10 + [False] * 10)
     after = before.copy()
-    assert discordant(before, after) == 1.0
+    assert mcnemar_p_value(before, after) == 1.0
     after[10:18] = True
-    assert discordant(before, after) == pytest.approx(2 * 0.5**8)
+    assert mcnemar_p_value(before, after) == pytest.approx(2 * 0.5**8)
 
 
 def test_holms_correction():
     pairs = [plain_pair(k, 0.5) for k in range(3)]
     tests = [replace(one, p=p) for one, p in zip(changes_of(pairs, ["distance"]) * 2, (0.01, 0.04, 0.03), strict=False)]
-    assert [one.corrected for one in correct(tests)] == pytest.approx([0.03, 0.06, 0.06])
+    assert [one.corrected for one in holm_correct(tests)] == pytest.approx([0.03, 0.06, 0.06])
 
 
 def plain_pair(k, new, old=1.0, point=(0.5, 0.5), **more):
-    return Pair((k, k), {}, point, "otherwise", True, scores={"distance": (old, new)}, **more)
+    return ScenarioPair((k, k), {}, point, "otherwise", True, scores={"distance": (old, new)}, **more)
 
 
 def test_a_version_is_rarely_told_from_itself_with_caps_and_ties():
@@ -390,13 +390,13 @@ def test_a_version_is_rarely_told_from_itself_with_caps_and_ties():
             plain_pair(k, new, old, critical=(old < 0.5, new < 0.5), collides=(old < 0.2, new < 0.2))
             for k, (old, new) in enumerate(scores.tolist())
         ]
-        told_apart += min(one.corrected for one in correct(changes_of(pairs, ["distance"]))) <= 0.05
+        told_apart += min(one.corrected for one in holm_correct(changes_of(pairs, ["distance"]))) <= 0.05
     # With 5 % the number is above 25 in fewer than 1 % of all seeds.
     assert told_apart <= 25
 
 
 def test_scores_that_differ_in_their_last_digits_did_not_move():
-    assert moved_by(np.array([1e3, 0.0, 1.0]), np.array([1e3 + 1e-8, 1e-12, 1.1])).tolist() == [
+    assert score_difference(np.array([1e3, 0.0, 1.0]), np.array([1e3 + 1e-8, 1e-12, 1.1])).tolist() == [
         0,
         0,
         pytest.approx(0.1),
@@ -406,7 +406,7 @@ def test_scores_that_differ_in_their_last_digits_did_not_move():
 def test_the_scenarios_that_tell_versions_apart_are_few_and_far_from_each_other():
     random = np.random.default_rng(5)
     pairs = [plain_pair(k, 0.0, point=tuple(random.random(2))) for k in range(200)]
-    chosen = choose_telling(pairs, ["distance"])
+    chosen = choose_examples(pairs, ["distance"])
     assert len(chosen) == 5
     points = np.array([one.pair.point for one in chosen])
     apart = np.linalg.norm(points[:, None] - points, axis=2)[np.triu_indices(5, 1)]
@@ -414,9 +414,9 @@ def test_the_scenarios_that_tell_versions_apart_are_few_and_far_from_each_other(
     # Each point in the space is shown once; a collision comes before any score.
     there = [replace(one, point=(0.5, 0.5)) for one in pairs]
     there[17] = plain_pair(17, 0.9, collides=(False, True), outcomes=("Ego first", "Ego and B collide"))
-    (one,) = choose_telling(there, ["distance"])
+    (one,) = choose_examples(there, ["distance"])
     assert one.pair.ids == (17, 17)
-    assert one.why == "Ego first; now Ego and B collide"
+    assert one.reason == "Ego first; now Ego and B collide"
 
 
 @pytest.fixture(scope="module")
@@ -455,7 +455,7 @@ def test_new_scenarios_join_the_kinds_of_the_old_study(versions):
     kinds = found.kinds["interaction"]
     assert sum(one.old for one in kinds) == sum(one.new for one in kinds) == 40
     with Study.open(old, readonly=True) as study:
-        labels = study.analysis("interaction", "labels")[0]["labels"]
+        labels = study.read_analysis("interaction", "labels")[0]["labels"]
     assert {one.cluster: one.old for one in kinds if one.old} == {
         int(one): int((labels == one).sum()) for one in np.unique(labels)
     }

@@ -15,16 +15,16 @@ from typer.testing import CliRunner
 import cornercase as cc
 from cornercase import METRICS, InputError, SimulationError
 from cornercase.cli import app
-from cornercase.cli.failures import exit_code_of
+from cornercase.cli.failures import run_command
 from cornercase.drivers import NORMAL, BehaviourDriver
 from cornercase.optimizers import SobolOptimizer
 from cornercase.recordings import Collision, Recording
 from cornercase.scenario import ParameterSpace
 from cornercase.study import Study
-from cornercase.suite import LEVEL, Pair
-from cornercase.suite.comparing_tests import correct
-from cornercase.suite.comparing_tests import tests_of_pairs as changes_of
-from cornercase.suite.comparing_verdict import find_verdict, judge_version
+from cornercase.suite import ALPHA, ScenarioPair
+from cornercase.suite.comparing_tests import holm_correct
+from cornercase.suite.comparing_tests import test_pairs as changes_of
+from cornercase.suite.comparing_verdict import find_findings, decide_verdict
 from synthetic import about
 
 SPACE = ParameterSpace.from_ranges(["a=0:1", "b=0:1"])
@@ -37,7 +37,7 @@ def recording(gap: float, hit: bool = False) -> Recording:
     """A car that stands so far from the ego."""
     still, one = np.zeros((2, 3)), np.full(2, 1e-6)
     return Recording(
-        time=np.arange(3.0), names=("Ego", "B"), kinds=("car", "car"),
+        time=np.arange(3.0), names=("Ego", "B"), object_types=("car", "car"),
         x=np.stack([np.zeros(3), np.full(3, gap)]), y=still, heading=still, speed=still, acceleration=still,
         length=one, width=one, center_x=0.0 * one, collisions=(Collision(1.0, ("Ego", "B")),) if hit else (),
     )  # fmt: skip
@@ -47,12 +47,12 @@ def written(path, gaps, hits=(), failed=(), points=POINTS, metrics=("distance",)
     """A study of scenarios in which the other stands so far away, which is the score of all metrics."""
     meta = about(SPACE, *metrics, **({"critical": 1.0, "simulator": "builtin"} | more))
     with Study.create(path, meta) as study:
-        for k, row in enumerate(study.writer.propose(1, points, SPACE.values(points))):
+        for k, row in enumerate(study.writer.add_pending(1, points, SPACE.values(points))):
             if k in failed:
-                study.writer.fail(row.id, SimulationError("it broke"))
+                study.writer.record_failure(row.id, SimulationError("it broke"))
                 continue
             gap = float(gaps[k])
-            study.writer.finish(row.id, recording(gap, k in hits), {name: (np.full(3, gap), gap) for name in metrics})
+            study.writer.record_result(row.id, recording(gap, k in hits), {name: (np.full(3, gap), gap) for name in metrics})
     return path
 
 
@@ -129,8 +129,8 @@ def test_the_headline_names_counts_and_scenarios_what_matters_most_first(tmp_pat
         " 0.5 m (4)"
     )
     assert run("compare", old, new)[1].startswith(f"{found.headline}\n")
-    assert "38" not in found.worse[0].name_scenarios(1)
-    assert found.worse[0].name_scenarios(1) == "2 and 1 more"
+    assert "38" not in found.worse[0].format_scenario_ids(1)
+    assert found.worse[0].format_scenario_ids(1) == "2 and 1 more"
 
 
 def test_a_threshold_that_is_crossed_within_the_tolerance_does_not_count(tmp_path):
@@ -200,9 +200,9 @@ def test_a_place_that_is_missed_by_less_than_the_tolerance_is_the_same(tmp_path)
     def study(name, short):
         meta = about(SPACE, "distance", critical=1.0, simulator="builtin", requirements=("reach 20,0,2 within 2",))
         with Study.create(tmp_path / name, meta) as made:
-            for row in made.writer.propose(1, POINTS[:3], SPACE.values(POINTS[:3])):
+            for row in made.writer.add_pending(1, POINTS[:3], SPACE.values(POINTS[:3])):
                 x = np.stack([np.array([0.0, 9.0, 18.0 - short[row.id - 1]]), np.full(3, 50.0)])
-                made.writer.finish(row.id, replace(recording(50.0), x=x, speed=still), {"distance": (np.full(3, 30.0), 30.0)})
+                made.writer.record_result(row.id, replace(recording(50.0), x=x, speed=still), {"distance": (np.full(3, 30.0), 30.0)})
         return tmp_path / name
 
     found = compared(study("old.db", (0.0, 0.0, 0.0)), study("new.db", (0.0, 0.05, 0.5)))
@@ -224,7 +224,7 @@ def test_a_place_that_is_missed_by_less_than_the_tolerance_is_the_same(tmp_path)
 )
 def test_a_tolerance_that_cannot_be_used_is_refused_in_a_sentence(tmp_path, capsys, given, words):
     path = written(tmp_path / "a.db", GAPS)
-    code = exit_code_of(lambda: app(["compare", str(path), str(path), "--tolerance", given], standalone_mode=False))
+    code = run_command(lambda: app(["compare", str(path), str(path), "--tolerance", given], standalone_mode=False))
     assert (code, capsys.readouterr().err.replace("\n", " ").strip()) == (2, f"cornercase: {words}")
 
 
@@ -265,7 +265,7 @@ def test_where_simulators_do_not_repeat_themselves_the_tests_decide_and_say_whic
             "worse" if test.shift < 0.0 else "better", pytest.approx(shift + np.mean(noise[1] - noise[0])),
         )  # fmt: skip
         for one in (*found.worse, *found.better):
-            assert one.test.corrected <= LEVEL
+            assert one.test.corrected <= ALPHA
             assert "Wilcoxon signed-rank, p = " in found.headline
     # A change that the tests show, smaller than the tolerance, is one, and neither worse nor better.
     near = written(tmp_path / "near.db", GAPS + noise[0] - 0.02, simulator="synthetic")
@@ -299,7 +299,7 @@ def random_pairs(random, count, certain=True):
         run: Any = random.choice(["otherwise", "otherwise", "otherwise", "the same", "not in one"])
         errors = (None, None) if run != "not in one" else [("it broke", None), (None, "it broke")][random.integers(2)]
         if run == "not in one":
-            pairs.append(Pair((k, k + 100), {}, (0.5,), run, True, errors))
+            pairs.append(ScenarioPair((k, k + 100), {}, (0.5,), run, True, errors))
             continue
         old = {"ttc": random.integers(0, 8) / 20, "drac": random.integers(0, 8) / 20}
         move = 0 if run == "the same" else 1
@@ -308,9 +308,9 @@ def random_pairs(random, count, certain=True):
         collides = bool(move and random.random() < 0.2), bool(move and random.random() < 0.2)
         critical = (old["ttc"] <= 0.2, new["ttc"] <= 0.2)
         pairs.append(
-            Pair(
-                (k, k + 100), {}, (0.5,), run, True, scores=scores, collides=collides, critical=critical,
-                deciding={"ttc": scores["ttc"]},
+            ScenarioPair(
+                (k, k + 100), {}, (0.5,), run, True, scores=scores, collides=collides, is_critical=critical,
+                criticality_scores={"ttc": scores["ttc"]},
             )
         )  # fmt: skip
     return pairs
@@ -347,7 +347,7 @@ def mirror(pair):
         return {name: both[::-1] for name, both in values.items()}
 
     return replace(
-        pair, ids=pair.ids[::-1], errors=pair.errors[::-1], scores=turn(pair.scores), deciding=turn(pair.deciding),
+        pair, ids=pair.ids[::-1], errors=pair.errors[::-1], scores=turn(pair.scores), criticality_scores=turn(pair.criticality_scores),
         collides=pair.collides[::-1], critical=pair.critical and pair.critical[::-1],
     )  # fmt: skip
 
@@ -358,15 +358,15 @@ def test_verdicts_of_random_pairs_are_those_of_a_naive_count_and_swapping_mirror
     for _ in range(200):
         pairs = random_pairs(random, int(random.integers(1, 5)))
         tolerances = {"ttc": float(random.choice([0.0, 0.1, 0.15])), "drac": float(random.choice([0.0, 0.1, 0.5]))}
-        worse, better, _ = find_verdict(pairs, (), tolerances, True)
+        worse, better, _ = find_findings(pairs, (), tolerances, True)
         expected = naive(pairs, tolerances)
         assert (flat(worse), flat(better)) == expected
-        verdict, _ = judge_version((worse, better), pairs, (), (any(expected), ""), True)
+        verdict, _ = decide_verdict((worse, better), pairs, (), (any(expected), ""), True)
         names = {(True, False): "worse", (False, True): "better", (True, True): "mixed"}
         if any(one.run == "otherwise" for one in pairs) or any(expected):
             assert verdict == names.get((bool(expected[0]), bool(expected[1])), "the same")
         verdicts[verdict] += 1
-        back = find_verdict([mirror(one) for one in pairs], (), tolerances, True)
+        back = find_findings([mirror(one) for one in pairs], (), tolerances, True)
         assert [flat(one) for one in back[:2]] == [{(name, ids[::-1]) for name, ids in one} for one in expected[::-1]]
     assert {"worse", "better", "mixed", "the same"} <= set(verdicts)
 
@@ -377,13 +377,13 @@ def test_a_version_is_rarely_called_better_or_worse_than_itself():
     for _ in range(300):
         scores = np.minimum(np.round(random.gamma(2.0, 1.0, (40, 1)) + random.normal(0, 0.5, (40, 2)), 1), 2.0)
         pairs = [
-            Pair(
-                (k, k), {}, (0.5,), "otherwise", True, scores={"distance": (old, new)}, critical=(old < 0.5, new < 0.5),
-                collides=(old < 0.2, new < 0.2), deciding={"distance": (old, new)},
+            ScenarioPair(
+                (k, k), {}, (0.5,), "otherwise", True, scores={"distance": (old, new)}, is_critical=(old < 0.5, new < 0.5),
+                collides=(old < 0.2, new < 0.2), criticality_scores={"distance": (old, new)},
             )
             for k, (old, new) in enumerate(scores.tolist())
         ]  # fmt: skip
-        worse, better, _ = find_verdict(pairs, correct(changes_of(pairs, ["distance"])), {"distance": 0.0}, False)
+        worse, better, _ = find_findings(pairs, holm_correct(changes_of(pairs, ["distance"])), {"distance": 0.0}, False)
         wrong += bool(worse or better)
     # With 5 % the number is above 25 in fewer than 1 % of all seeds.
     assert wrong <= 25
@@ -412,14 +412,14 @@ def recounted(old, new, tolerances):
     found: tuple[dict[str, set[int]], dict[str, set[int]]] = (defaultdict(set), defaultdict(set))
     with Study.open(old, readonly=True) as before, Study.open(new, readonly=True) as after:
         others = before.meta.others
-        for row in before.done():
+        for row in before.finished_rows():
             recordings = [study.recording(row.id) for study in (before, after)]
             collides = [any("Ego" in hit.entities for hit in one.collisions) for one in recordings]
             scores = [cc.measure(one, "Ego", others[0], list(tolerances)).scores for one in recordings]
             if collides[0] != collides[1]:
                 found[0 if collides[1] else 1]["collision"].add(row.id)
             for name, tolerance in tolerances.items():
-                change = METRICS.create(name).oriented(scores[1][name] - scores[0][name])
+                change = METRICS.create(name).to_minimize(scores[1][name] - scores[0][name])
                 if abs(change) > tolerance:
                     found[0 if change < 0.0 else 1][name].add(row.id)
             if (critical := before.meta.critical) is not None:
@@ -472,7 +472,7 @@ def test_verdicts_on_runs_of_a_suite_are_those_of_their_recordings(explored, tmp
     paths = {}
     for driver in ("aggressive", "cautious"):
         paths[driver] = tmp_path / f"{driver}.db"
-        cc.test(explored / "reduced", paths[driver], require=["no collision", "ttc > 2"], drivers={"Ego": driver})
+        cc.run_suite(explored / "reduced", paths[driver], require=["no collision", "ttc > 2"], drivers={"Ego": driver})
     tolerances = {"ttc": 0.1, "wttc": 0.1, "distance": 0.1, "traffic-quality": 0.01}
     for before, after in permutations(paths):
         old, new = paths[before], paths[after]
@@ -483,7 +483,7 @@ def test_verdicts_on_runs_of_a_suite_are_those_of_their_recordings(explored, tmp
             if "collision" in each:
                 each["no collision"] = each["collision"]
         with Study.open(old, readonly=True) as first, Study.open(new, readonly=True) as last:
-            for row in first.done():
+            for row in first.finished_rows():
                 least = [least_ttc(study.recording(row.id), first.meta.other) for study in (first, last)]
                 if (least[0] > 2.0) != (least[1] > 2.0) and abs(least[1] - least[0]) > 0.1:
                     expected[int(least[1] > 2.0)].setdefault("ttc > 2", []).append(row.id)

@@ -96,7 +96,7 @@ def test_the_commands_make_the_suite_again(repository):
     same(json.loads(after.pop("manifest.json")), json.loads(before.pop("manifest.json")), "manifest")
     assert after == before
     with Study.open("study.db", readonly=True) as study:
-        assert not any(study.recording(row.id).collisions for row in study.done())
+        assert not any(study.recording(row.id).collisions for row in study.finished_rows())
 
 
 @pytest.mark.slow

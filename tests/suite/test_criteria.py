@@ -11,10 +11,10 @@ import pytest
 from command_line import cornercase
 from conftest import car, moving, scenario_file
 from cornercase import InputError, NoticeWarning, analyze, explore, reduce
-from cornercase import test as run_suite
-from cornercase.scenario import LogicalScenario, Scenario, write_concrete
+from cornercase import run_suite as run_scenarios
+from cornercase.scenario import LogicalScenario, ScenarioFile, write_concrete_file
 from cornercase.suite import Requirement, judge
-from cornercase.suite.judging import find_margin
+from cornercase.suite.judging import compute_margin
 from two_cars import met
 
 pytestmark = pytest.mark.filterwarnings("ignore:adapted:UserWarning", "ignore:not used:UserWarning")
@@ -67,7 +67,7 @@ def test_43_6_criteria_of_files_become_requirements_and_the_others_are_named(tmp
 
 def test_43_6_one_file_is_a_suite_and_what_is_asked_twice_counts_once(tmp_path):
     path = with_criteria(tmp_path / "s", *ALL)
-    result = run_suite(
+    result = run_scenarios(
         path, tmp_path / "run.db", ego="Ego", other="B", duration=5.0, require=["no collision"], require_from_file=True
     )
     assert result.requirements == ("no collision", "drive 60")
@@ -77,8 +77,8 @@ def test_43_6_one_file_is_a_suite_and_what_is_asked_twice_counts_once(tmp_path):
 
 def test_43_6_a_concrete_file_keeps_what_its_scenario_asks_for(tmp_path):
     path = with_criteria(tmp_path / "s", asks("DrivenDistanceTest", "distance", "$speed"))
-    write_concrete(Scenario(path), {"speed": 12.0}, tmp_path / "set" / "one.xosc")
-    result = run_suite(
+    write_concrete_file(ScenarioFile(path), {"speed": 12.0}, tmp_path / "set" / "one.xosc")
+    result = run_scenarios(
         tmp_path / "set", tmp_path / "run.db", ego="Ego", other="B", duration=3.0, require_from_file=True
     )
     assert result.requirements == ("drive 12",)
@@ -100,7 +100,7 @@ def test_43_6_a_concrete_file_keeps_what_its_scenario_asks_for(tmp_path):
 def test_43_6_files_that_hold_nothing_to_take_are_refused(tmp_path, criteria, words):
     with_criteria(tmp_path / "set", *criteria)
     with pytest.raises(InputError) as caught:
-        run_suite(tmp_path / "set", tmp_path / "run.db", ego="Ego", other="B", require_from_file=True)
+        run_scenarios(tmp_path / "set", tmp_path / "run.db", ego="Ego", other="B", require_from_file=True)
     assert words in str(caught.value)
     assert not (tmp_path / "run.db").exists()
 
@@ -112,7 +112,7 @@ def test_43_6_how_far_the_ego_drives_is_judged():
     failed = judge(Requirement.parse("drive 8.5"), recording, "Ego", "Other")
     assert failed.state == "failed"
     assert failed.value == pytest.approx(8.0)
-    assert find_margin(Requirement.parse("drive 8.5"), recording, "Ego", ["Other"]) == pytest.approx(-0.5)
+    assert compute_margin(Requirement.parse("drive 8.5"), recording, "Ego", ["Other"]) == pytest.approx(-0.5)
     with pytest.raises(InputError, match="is not a distance"):
         Requirement.parse("drive far")
 
@@ -124,7 +124,7 @@ def test_43_the_notice_of_a_reduced_set_names_its_scenarios(tmp_path):
     analyze(tmp_path / "s.db", ["distance"])
     reduce(tmp_path / "s.db", tmp_path / "set", scenario=path)
     with pytest.warns(NoticeWarning) as told:
-        run_suite(tmp_path / "set", tmp_path / "run.db", require_from_file=True)
+        run_scenarios(tmp_path / "set", tmp_path / "run.db", require_from_file=True)
     (said,) = [str(one.message) for one in told if "not used" in str(one.message)]
     files = sorted(one.name for one in (tmp_path / "set").glob("*.xosc"))
     names = files[0] if len(files) == 1 else "the scenarios of set"

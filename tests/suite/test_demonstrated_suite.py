@@ -59,7 +59,7 @@ def test_the_study_remembers_the_set_that_represents_it(demonstrated):
     manifest = json.loads((demonstrated / "reduced" / "manifest.json").read_text())
     kept = [one["id"] for one in manifest["scenarios"]]
     with Study.open(demonstrated / "study.db", readonly=True) as study:
-        remembered = study.reduction()
+        remembered = study.read_reduction()
     assert remembered is not None
     assert [one["id"] for one in remembered["kept"]] == kept
 

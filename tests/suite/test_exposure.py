@@ -11,9 +11,9 @@ import cornercase as cc
 from command_line import cornercase
 from conftest import EXAMPLES
 from cornercase._common.errors import InputError
-from cornercase.drivers import mutants_of
+from cornercase.drivers import generate_mutants
 from cornercase.reduction import MANIFEST, read_reduction
-from cornercase.suite import find_exposure
+from cornercase.suite import analyze_mutants
 
 T = EXAMPLES / "t_intersection" / "t_intersection.xosc"
 
@@ -30,17 +30,17 @@ def study(tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def exposure(study):
-    return find_exposure(study, 15, scenario=T)
+    return analyze_mutants(study, 15, scenario=T)
 
 
 def test_a_mutant_is_exposed_where_it_collides_and_its_driver_does_not(study, exposure):
     """Each alone, by `cornercase.simulate`."""
     assert exposure.driver == "normal"
-    assert exposure.mutants == mutants_of("normal", 15)
+    assert exposure.mutants == generate_mutants("normal", 15)
     assert not set(exposure.mutants) & set(exposure.held_out.mutants)
     assert 0 < exposure.exposed.sum() < exposure.exposed.size
     with cc.Study.open(study, readonly=True) as opened:
-        values = {row.id: row.values for row in opened.done()}
+        values = {row.id: row.values for row in opened.finished_rows()}
         collided = [bool(opened.recording(i).collisions) for i in exposure.scenarios]
     assert exposure.failed.tolist() == collided
     assert not exposure.exposed[exposure.failed].any()
@@ -53,7 +53,7 @@ def test_a_mutant_is_exposed_where_it_collides_and_its_driver_does_not(study, ex
 
 
 def test_a_requirement_says_what_a_mutant_has_to_fail(study, exposure):
-    strict = find_exposure(study, 15, require=["no collision", "ego.speed < 9"], scenario=T)
+    strict = analyze_mutants(study, 15, require=["no collision", "ego.speed < 9"], scenario=T)
     assert strict.requirements == ("no collision", "ego.speed < 9")
     assert strict.failed.sum() > exposure.failed.sum()
 
@@ -61,31 +61,31 @@ def test_a_requirement_says_what_a_mutant_has_to_fail(study, exposure):
 def test_mutants_choose_the_reduced_set_and_others_judge_it(study, exposure, tmp_path):
     folder = tmp_path / "reduced"
     plain = cc.reduce(study, tmp_path / "plain", size=3, scenario=T)
-    reduced = cc.reduce(study, folder, size=3, exposure=exposure, scenario=T)
+    reduced = cc.reduce(study, folder, size=3, kill_matrix=exposure, scenario=T)
     choice, judges = reduced.exposing, exposure.held_out
     assert choice is not None
     assert choice.held_out is not None
     assert choice.chosen_by == exposure.grade(reduced.ids)
     assert choice.held_out == judges.grade(reduced.ids)
     assert choice.without == judges.grade(plain.ids)
-    assert choice.chosen_by.exposed >= exposure.grade(plain.ids).exposed
-    first = reduced.kept[0]
+    assert choice.chosen_by.killed >= exposure.grade(plain.ids).exposed
+    first = reduced.scenarios[0]
     count = int(exposure.rows_of([first.id]).sum())
     assert (first.role, first.why[:30]) == ("exposing", f"exposes {count} of 15 mutants of normal"[:30])
     manifest = json.loads((folder / MANIFEST).read_text(encoding="utf-8"))
-    assert manifest["exposing"]["held_out"]["exposed"] == choice.held_out.exposed
+    assert manifest["exposing"]["held_out"]["exposed"] == choice.held_out.killed
     assert manifest["scenarios"][0]["why"] == first.why
     with cc.Study.open(study, readonly=True) as opened:
         assert read_reduction(opened) == reduced
     # The suite exposes what its scenarios exposed in the study.
-    result = cc.test(folder, tmp_path / "run.db", mutants=15)
-    assert result.exposure is not None
-    assert result.exposure.exposed.tolist() == exposure.rows_of(reduced.ids).tolist()
-    assert result.to_json()["mutants"]["exposed"] == choice.chosen_by.exposed
+    result = cc.run_suite(folder, tmp_path / "run.db", mutants=15)
+    assert result.kill_matrix is not None
+    assert result.kill_matrix.kills.tolist() == exposure.rows_of(reduced.ids).tolist()
+    assert result.to_json()["mutants"]["exposed"] == choice.chosen_by.killed
     # Where nothing is exposed, the set is that without mutants.
     rows = exposure.scenarios
     nothing = type(exposure)("normal", (), rows, exposure.failed, exposure.mutants, np.zeros_like(exposure.exposed))
-    assert cc.reduce(study, tmp_path / "same", size=3, exposure=nothing, scenario=T).ids == plain.ids
+    assert cc.reduce(study, tmp_path / "same", size=3, kill_matrix=nothing, scenario=T).ids == plain.ids
 
 
 def test_the_command_line_tells_what_is_exposed(study, tmp_path):
@@ -104,14 +104,14 @@ def test_the_command_line_tells_what_is_exposed(study, tmp_path):
 def test_where_there_can_be_no_mutants_one_sentence_says_so(study, tmp_path):
     cc.reduce(study, tmp_path / "reduced", size=3, scenario=T)
     with pytest.raises(InputError, match="builtin simulator, not 'sumo'"):
-        cc.test(tmp_path / "reduced", tmp_path / "run.db", simulator="sumo", mutants=5)
+        cc.run_suite(tmp_path / "reduced", tmp_path / "run.db", simulator="sumo", mutants=5)
     with pytest.raises(InputError, match="driver cc-human has no mutants"):
-        cc.test(tmp_path / "reduced", tmp_path / "run.db", drivers={"Ego": "cc-human"}, mutants=5)
+        cc.run_suite(tmp_path / "reduced", tmp_path / "run.db", drivers={"Ego": "cc-human"}, mutants=5)
     with pytest.raises(InputError, match="mutants cannot be judged with a reference driver"):
-        cc.test(tmp_path / "reduced", tmp_path / "run.db", require=["no collision unless rss collides"], mutants=5)
+        cc.run_suite(tmp_path / "reduced", tmp_path / "run.db", require=["no collision unless rss collides"], mutants=5)
     assert not (tmp_path / "run.db").exists()
     with pytest.raises(InputError, match="`exposure`, `cover`: give one of them"):
-        cc.reduce(study, tmp_path / "none", cover=0.2, exposure=find_exposure(study, 1, scenario=T), scenario=T)
+        cc.reduce(study, tmp_path / "none", cover=0.2, kill_matrix=analyze_mutants(study, 1, scenario=T), scenario=T)
     refused = cornercase("reduce", study, "--require", "ttc > 1", "-o", tmp_path / "none")
     assert (refused.returncode, refused.stdout) == (2, "")
     assert "give --kill-mutants too" in refused.stderr
@@ -122,4 +122,4 @@ def test_an_ego_without_a_driver_has_no_mutants(tmp_path):
     cut_in = cc.LogicalScenario.read(EXAMPLES / "r157" / "cut_in.xosc", ranges=["gap=10:40"])
     cc.explore(cut_in, path, ego="Other", other="Ego", metrics=["ttc"], optimizer="sobol", budget=2)
     with pytest.raises(InputError, match="Mutants need a driver of Other; name one with `drivers`"):
-        find_exposure(path, 3, scenario=EXAMPLES / "r157" / "cut_in.xosc")
+        analyze_mutants(path, 3, scenario=EXAMPLES / "r157" / "cut_in.xosc")

@@ -148,7 +148,7 @@ def test_what_decides_is_the_robustness_and_changes_it(values, text):
     time = np.arange(6) * 0.1
     signals = Signals(time, {"ego.speed": np.array(values[:6], float), "clearance": np.array(values[6:], float)})
     robustness = formula.robustness(signals)[0]
-    found = formula.decisive(signals)
+    found = formula.find_decisive_comparison(signals)
     assert (found is None) == bool(np.isinf(robustness))
     if found is not None:
         one, k = found
@@ -192,8 +192,8 @@ def test_a_requirement_may_be_for_some_files_only():
     one = Requirement.parse("for run-*.xosc: no  collision with  Van 2")
     assert one.text == "for run-*.xosc: no collision with Van 2"
     assert Requirement.parse(one.text) == one
-    assert one.concerns("run-12.xosc")
-    assert not one.concerns("other.xosc")
+    assert one.applies_to("run-12.xosc")
+    assert not one.applies_to("other.xosc")
     assert one.entity == "Van 2"
 
 
@@ -213,6 +213,6 @@ def test_a_requirement_may_be_for_a_kind_and_names_may_be_of_several_words(given
     one = Requirement.parse(given)
     assert one.text == text
     assert Requirement.parse(one.text) == one
-    assert one.concerns(file, kind)
-    assert not one.concerns(f"no {file}", f"no {kind}")
-    assert one.by_kind == bool(kind)
+    assert one.applies_to(file, kind)
+    assert not one.applies_to(f"no {file}", f"no {kind}")
+    assert one.is_for_clusters == bool(kind)

@@ -13,7 +13,7 @@ import pytest
 
 import cornercase as cc
 from conftest import EXAMPLES, ROAD, car, moving, same_recording, scenario_file
-from cornercase.metrics import METRICS, measured
+from cornercase.metrics import METRICS, evaluate_metrics
 from cornercase.scenario import LogicalScenario
 from cornercase.study import Study
 
@@ -84,7 +84,7 @@ def touched(recording, ego):
 def expected_states(recording, ego, other):
     """What each requirement comes to, by the recording."""
     states = {"no collision": "failed" if touched(recording, ego) else "passed"}
-    found = measured([METRICS.create(name) for name in METRIC_NAMES], recording, ego, other)
+    found = evaluate_metrics([METRICS.create(name) for name in METRIC_NAMES], recording, ego, other)
     for name, bound in BOUNDS.items():
         course = found[name].course
         known = course[np.isfinite(course)]
@@ -102,9 +102,9 @@ def read(path):
         found = {}
         for row in rows:
             recording = study.recording(row.id)
-            made = measured(metrics, recording, study.meta.ego, study.meta.others)
+            made = evaluate_metrics(metrics, recording, study.meta.ego, study.meta.others)
             scores = {name: one.score for name, one in made.items()}
-            assert scores == pytest.approx(study.scores_of(row.id), nan_ok=True)
+            assert scores == pytest.approx(study.scenario_scores(row.id), nan_ok=True)
             found[tuple(sorted(row.values.items()))] = (row.id, recording, scores)
         return found
 
@@ -115,7 +115,7 @@ def require_told(old, new, ego):
     before, after = read(old), read(new)
     both = {one: (before[one], after[one]) for one in before if one in after}
     assert len(told.pairs) == len(both)
-    assert told.alone == (len(before) - len(both), len(after) - len(both))
+    assert told.n_unmatched == (len(before) - len(both), len(after) - len(both))
     for pair in told.pairs:
         (old_id, first, scores), (new_id, last, others) = both[tuple(sorted(pair.values.items()))]
         assert pair.ids == (old_id, new_id)
@@ -173,8 +173,8 @@ def go_through(logical, folder, ego, other, size=6):
     cc.explore(logical, new, drivers={ego: SLOWER}, **about)
     cc.analyze(old)
     kept = cc.reduce(old, folder / "set", size=size, scenario=logical.scenario)
-    tested = cc.test(folder / "set", run, require=REQUIRED)
-    slower = cc.test(folder / "set", slow, require=REQUIRED, drivers={ego: SLOWER})
+    tested = cc.run_suite(folder / "set", run, require=REQUIRED)
+    slower = cc.run_suite(folder / "set", slow, require=REQUIRED, drivers={ego: SLOWER})
     with Study.open(old, readonly=True) as study:
         require_suite(tested, run, ego, other, study)
         critical = int((study.scores("ttc") <= float(study.critical or 0.0)).sum())
@@ -190,9 +190,9 @@ def go_through(logical, folder, ego, other, size=6):
         "parameters": len([one for one in logical.space.parameters if one.size != 1]),
         "explored": explored,
         "critical": critical,
-        "kept": len(kept.kept),
-        "test": tested.text,
-        "slower": slower.text,
+        "kept": len(kept.scenarios),
+        "test": tested.summary,
+        "slower": slower.summary,
         "pairs": len(told.pairs),
         "collides with the slower only": ends[False, True],
         "with the other only": ends[True, False],
@@ -262,7 +262,7 @@ def test_42_2_values_that_no_value_set_has_are_refused(value_sets, tmp_path):
         first["values"] = own | wrong
         place.write_text(json.dumps(manifest))
         with pytest.raises(cc.InputError, match=r"manifest\.json: the values of scenario-0000\d\.xosc do not fit the"):
-            cc.test(tmp_path / "set", tmp_path / "run.db")
+            cc.run_suite(tmp_path / "set", tmp_path / "run.db")
 
 
 @pytest.mark.slow
@@ -273,7 +273,7 @@ def test_42_2_values_that_no_value_set_has_are_refused(value_sets, tmp_path):
 )
 def test_42_2_every_published_logical_scenario_goes_all_the_way(path, tmp_path):
     logical = LogicalScenario.read(None, path)
-    other = next(name for name in OTHERS if name in logical.scenario.entities)
+    other = next(name for name in OTHERS if name in logical.scenario_file.entities)
     print(path.relative_to(REFERENCE), go_through(logical, tmp_path, "Ego", other))
 
 

@@ -14,16 +14,16 @@ import pytest
 
 import cornercase as cc
 from cornercase._common.errors import InputError
-from cornercase.exploration import demonstration, explore_configuration
-from cornercase.scenario import value_text
+from cornercase.exploration import paper_experiment_config, explore_config
+from cornercase.scenario import format_value
 
 
 def test_no_verdicts_of_another_run_are_left_where_nothing_can_be_run(reduced, tmp_path):
-    cc.test(reduced, tmp_path / "earlier.db", junit=tmp_path / "out.xml", summary=tmp_path / "out.md")
+    cc.run_suite(reduced, tmp_path / "earlier.db", junit=tmp_path / "out.xml", summary=tmp_path / "out.md")
     with pytest.raises(cc.InputError):
-        cc.test(reduced, tmp_path / "run.db", junit=tmp_path / "out.xml", drivers={"Ego": "gone:Driver"})
+        cc.run_suite(reduced, tmp_path / "run.db", junit=tmp_path / "out.xml", drivers={"Ego": "gone:Driver"})
     with pytest.raises(cc.InputError):
-        cc.test(reduced, tmp_path / "run.db", junit=tmp_path / "out.xml", simulator="carla:port=1")
+        cc.run_suite(reduced, tmp_path / "run.db", junit=tmp_path / "out.xml", simulator="carla:port=1")
     assert not (tmp_path / "out.xml").exists()
 
 
@@ -32,12 +32,12 @@ def test_nothing_else_is_written_over(option, reduced, tmp_path):
     for name in ("mine.py", "README.md", "later.db"):
         (tmp_path / name).write_text("# Kept\n")
         with pytest.raises(cc.InputError, match="exists and has other content"):
-            cc.test(reduced, tmp_path / "run.db", **{option: tmp_path / name})
+            cc.run_suite(reduced, tmp_path / "run.db", **{option: tmp_path / name})
         assert (tmp_path / name).read_text() == "# Kept\n"
     # GitHub makes an empty one.
     (tmp_path / "own").write_text("")
     for _ in range(2):
-        cc.test(reduced, tmp_path / "run.db", **{option: tmp_path / "own"})
+        cc.run_suite(reduced, tmp_path / "run.db", **{option: tmp_path / "own"})
         assert (tmp_path / "own").read_text()
 
 
@@ -95,7 +95,7 @@ def test_a_suite_that_cannot_be_used_is_refused_in_a_sentence(case, reduced, tmp
     spoil, words = BAD[case]
     spoil(reduced)
     with pytest.raises(cc.InputError) as error:
-        cc.test(reduced, tmp_path / "run.db")
+        cc.run_suite(reduced, tmp_path / "run.db")
     assert words in str(error.value)
     assert "\n" not in str(error.value)
     assert not (tmp_path / "run.db").exists()
@@ -106,9 +106,9 @@ def test_42_2_values_that_the_file_does_not_have_are_refused(reduced, tmp_path):
     name, value = next(iter(first["values"].items()))
     spoilt_value(reduced, first["values"] | {name: value + 0.25})
     with pytest.raises(cc.InputError) as error:
-        cc.test(reduced, tmp_path / "run.db")
+        cc.run_suite(reduced, tmp_path / "run.db")
     assert str(error.value) == (
-        f"{reduced / 'manifest.json'}: says that {name} of {first['file']} is {value + 0.25}, and the file says {value_text(value)};"
+        f"{reduced / 'manifest.json'}: says that {name} of {first['file']} is {value + 0.25}, and the file says {format_value(value)};"
         " run `reduce` again."
     )
     assert not (tmp_path / "run.db").exists()
@@ -134,7 +134,7 @@ def test_42_2_values_that_the_file_does_not_have_are_refused(reduced, tmp_path):
 )
 def test_options_that_cannot_be_used_are_refused_in_a_sentence(options, words, explored, tmp_path):
     with pytest.raises(cc.InputError) as error:
-        cc.test(explored / "reduced", tmp_path / "run.db", **options)
+        cc.run_suite(explored / "reduced", tmp_path / "run.db", **options)
     assert words in str(error.value)
     assert not (tmp_path / "run.db").exists()
 
@@ -146,11 +146,11 @@ def test_junit_is_written_over_nothing_that_is_read_or_written(reduced, tmp_path
     before = [one.read_bytes() for one in taken]
     for junit in [*taken, tmp_path / "run.db", tmp_path / "run.db.lock", tmp_path, tmp_path / "rules.toml" / "x.xml"]:
         with pytest.raises(cc.InputError, match="`junit`"):
-            cc.test(reduced, tmp_path / "run.db", requirements=rules, junit=junit)
+            cc.run_suite(reduced, tmp_path / "run.db", requirements=rules, junit=junit)
         with pytest.raises(cc.InputError, match="`summary`"):
-            cc.test(reduced, tmp_path / "run.db", requirements=rules, summary=junit)
+            cc.run_suite(reduced, tmp_path / "run.db", requirements=rules, summary=junit)
     with pytest.raises(cc.InputError, match=r"`summary` .*is the JUnit file too"):
-        cc.test(reduced, tmp_path / "run.db", junit=tmp_path / "out", summary=tmp_path / "out")
+        cc.run_suite(reduced, tmp_path / "run.db", junit=tmp_path / "out", summary=tmp_path / "out")
     assert [one.read_bytes() for one in taken] == before
     # Not after an hour of simulations.
     assert not (tmp_path / "run.db").exists()
@@ -159,7 +159,7 @@ def test_junit_is_written_over_nothing_that_is_read_or_written(reduced, tmp_path
 def test_a_file_of_requirements_is_named_where_one_of_it_is_none(explored, tmp_path):
     (tmp_path / "rules.toml").write_text('require = ["tcc > 1"]')
     with pytest.raises(cc.InputError, match=r"rules\.toml: .*ttc"):
-        cc.test(explored / "reduced", tmp_path / "run.db", requirements=tmp_path / "rules.toml")
+        cc.run_suite(explored / "reduced", tmp_path / "run.db", requirements=tmp_path / "rules.toml")
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="names are text there")
@@ -168,23 +168,23 @@ def test_a_name_that_is_no_text_is_refused(reduced, tmp_path):
     source = next(reduced.glob("*.xosc"))
     shutil.copy(source, os.fsencode(reduced) + b"/bad\xff.xosc")
     with pytest.raises(cc.InputError, match="is not plain text; rename"):
-        cc.test(reduced, tmp_path / "run.db", ego="Ego", other="C")
+        cc.run_suite(reduced, tmp_path / "run.db", ego="Ego", other="C")
 
 
 def test_an_origin_that_is_named_has_to_be_one(explored, tmp_path):
     other = tmp_path / "other.db"
-    explore_configuration(demonstration("x-intersection", budget=2), other)
+    explore_config(paper_experiment_config("x-intersection", budget=2), other)
     with pytest.raises(cc.InputError, match="is not the study that"):
-        cc.test(explored / "reduced", tmp_path / "run.db", against=other)
+        cc.run_suite(explored / "reduced", tmp_path / "run.db", against=other)
     with pytest.raises(cc.InputError, match="is the file that is read"):
-        cc.test(explored / "reduced", explored / "study.db")
+        cc.run_suite(explored / "reduced", explored / "study.db")
 
 
 def test_a_damaged_study_to_compare_with_is_told_before_anything_is_run(reduced, tmp_path):
     with closing(sqlite3.connect(tmp_path / "study.db")) as connection, connection:
         connection.execute("UPDATE courses SET score = score + 1")
     with pytest.raises(cc.InputError, match="wrong checksum"):
-        cc.test(reduced, tmp_path / "run.db", against=tmp_path / "study.db")
+        cc.run_suite(reduced, tmp_path / "run.db", against=tmp_path / "study.db")
     assert not (tmp_path / "run.db").exists()
 
 
@@ -204,7 +204,7 @@ def test_a_damaged_study_to_compare_with_is_told_before_anything_is_run(reduced,
 def test_files_of_requirements_that_cannot_be_used_are_refused(content, words, explored, tmp_path):
     (tmp_path / "r.toml").write_text(content)
     with pytest.raises(cc.InputError) as error:
-        cc.test(explored / "reduced", tmp_path / "run.db", requirements=tmp_path / "r.toml")
+        cc.run_suite(explored / "reduced", tmp_path / "run.db", requirements=tmp_path / "r.toml")
     assert words in str(error.value)
 
 
@@ -218,7 +218,7 @@ def test_files_of_requirements_that_cannot_be_used_are_refused(content, words, e
 )
 def test_a_reference_that_is_not_there_is_named_before_anything_is_run(explored, tmp_path, requirement, words):
     with pytest.raises(InputError) as refused:
-        cc.test(explored / "reduced", tmp_path / "run.db", require=[requirement])
+        cc.run_suite(explored / "reduced", tmp_path / "run.db", require=[requirement])
     assert words in str(refused.value)
     assert not (tmp_path / "run.db").exists()
 
@@ -228,5 +228,5 @@ def test_without_what_a_formula_needs_no_run_is_begun(explored, tmp_path, monkey
     asked: tuple[dict[str, Any], ...] = ({"require": ["always[0:5] (clearance > 0.5)"]},)
     for options in (*asked, {"metrics": ["stl:always(clearance > 0.5)"]}):
         with pytest.raises(InputError, match="RTAMT"):
-            cc.test(explored / "reduced", tmp_path / "run.db", **options)
+            cc.run_suite(explored / "reduced", tmp_path / "run.db", **options)
         assert not (tmp_path / "run.db").exists()

@@ -23,17 +23,17 @@ import cornercase as cc
 from command_line import cornercase
 from conftest import at_night, moving, private, same_recording, scenario_file, speed_action, teleport
 from cornercase.cli import app
-from cornercase.exploration import examples
+from cornercase.exploration import examples_folder
 from cornercase.study import Study
-from cornercase.suite import Difference, ScenarioResult, SuiteResult, Verdict, find_difference, verdicts_of
+from cornercase.suite import RecordingDifference, ScenarioResult, SuiteResult, Verdict, compare_recording_pair, judge_study
 from cornercase.suite.junit import write_junit
-from cornercase.suite.summary import write_summary
+from cornercase.suite.summary import write_markdown_summary
 from two_cars import met
 
 SCHEMA = etree.XMLSchema(etree.parse(str(Path(__file__).parents[1] / "data" / "junit.xsd")))
 
 
-def differences(result: SuiteResult) -> list[Difference]:
+def differences(result: SuiteResult) -> list[RecordingDifference]:
     """All of them; none may be missing."""
     found = [one.difference for one in result.scenarios if one.difference is not None]
     assert len(found) == len(result.scenarios)
@@ -53,10 +53,10 @@ def test_the_suite_of_a_study_gives_its_recordings_byte_for_byte(explored, ran):
     with Study.open(explored / "study.db", readonly=True) as study, Study.open(ran.study, readonly=True) as again:
         for one in ran.scenarios:
             assert same_recording(study.recording(one.origin), again.recording(one.id))
-            assert study.scores_of(one.origin) == one.scores
-        collide = {row.id for row in again.done() if again.recording(row.id).collisions}
+            assert study.scenario_scores(one.origin) == one.scores
+        collide = {row.id for row in again.finished_rows() if again.recording(row.id).collisions}
         assert again.space == study.space
-        assert {one.id: list(one.verdicts) for one in ran.scenarios} == verdicts_of(again)
+        assert {one.id: list(one.verdicts) for one in ran.scenarios} == judge_study(again)
     assert 0 < len(collide) < 6
     assert {one.id for one in ran.scenarios if one.state == "failed"} == collide
     assert "6 of 6 recordings are identical" in ran.comparison
@@ -107,11 +107,11 @@ def test_of_several_others_it_is_told_whom_each_score_is_against(ran, tmp_path):
     folder, junit = tmp_path / "files", tmp_path / "out.xml"
     folder.mkdir()
     for kind in ("xosc", "xodr"):
-        shutil.copy(examples() / "x_intersection" / f"x_intersection.{kind}", folder)
-    result = cc.test(folder, tmp_path / "run.db", ego="Ego", other="*", metrics=["wttc"], junit=junit)
+        shutil.copy(examples_folder() / "x_intersection" / f"x_intersection.{kind}", folder)
+    result = cc.run_suite(folder, tmp_path / "run.db", ego="Ego", other="*", metrics=["wttc"], junit=junit)
     with Study.open(result.study, readonly=True) as study:
         assert len(study.meta.others) > 1
-        whom = study.against("wttc")[1]
+        whom = study.score_sources("wttc")[1]
     assert whom is not None
     (one,) = result.scenarios
     assert one.others == result.to_json()["scenarios"][0]["others"] == {"wttc": whom}
@@ -123,11 +123,11 @@ def test_of_several_others_it_is_told_whom_each_score_is_against(ran, tmp_path):
 def test_requirements_of_a_kind_are_those_of_its_scenarios(explored, ran, tmp_path):
     kind = next(one.kind for one in ran.scenarios if one.state == "failed")
     shutil.copy(ran.study, tmp_path / "run.db")
-    found = cc.test(explored / "reduced", tmp_path / "run.db", require=[f"for kind {json.dumps(kind)}: no collision"])
+    found = cc.run_suite(explored / "reduced", tmp_path / "run.db", require=[f"for kind {json.dumps(kind)}: no collision"])
     assert {len(one.verdicts) for one in found.scenarios} == {0, 1}
     assert {one.id for one in found.scenarios if one.verdicts} == {one.id for one in ran.scenarios if one.kind == kind}
     with Study.open(tmp_path / "run.db", readonly=True) as study:
-        assert {key: value for key, value in verdicts_of(study).items() if value} == {
+        assert {key: value for key, value in judge_study(study).items() if value} == {
             one.id: list(one.verdicts) for one in found.scenarios if one.verdicts
         }
 
@@ -136,12 +136,12 @@ def test_a_run_is_compared_with_the_study_that_was_reduced(explored, ran):
     found = cc.compare(explored / "study.db", ran.study)
     assert not found
     assert [one.ids for one in found.pairs] == sorted((one.origin, one.id) for one in ran.scenarios)
-    assert found.count("the same") == 6
+    assert found.count_pairs("the same") == 6
 
 
 @pytest.mark.slow
 def test_workers_change_nothing(explored, ran, tmp_path):
-    cc.test(explored / "reduced", tmp_path / "run.db", require=["no collision"], workers=2)
+    cc.run_suite(explored / "reduced", tmp_path / "run.db", require=["no collision"], workers=2)
     assert stored(tmp_path / "run.db") == stored(ran.study)
 
 
@@ -172,7 +172,7 @@ def test_a_killed_run_goes_on_as_if_undisturbed(reduced, tmp_path, monkeypatch):
     )  # fmt: skip
     assert killed.returncode == -9
     with Study.open(tmp_path / "killed.db", readonly=True) as study:
-        assert 0 < len(study.done()) < 6
+        assert 0 < len(study.finished_rows()) < 6
     with pytest.raises(cc.InputError, match=r"killed\.db: \d of its 6 scenarios have not been run yet"):
         cc.compare(reduced.parent / "study.db", tmp_path / "killed.db")
     for name in ("killed.db", "whole.db"):
@@ -194,24 +194,24 @@ def test_a_new_version_of_a_driver_is_not_judged_by_what_the_old_one_did(reduced
 
 def test_what_has_run_is_judged_anew_by_other_requirements(explored, tmp_path):
     path = tmp_path / "run.db"
-    cc.test(explored / "reduced", path)
+    cc.run_suite(explored / "reduced", path)
     before = stored(path)
     with Study.open(path, readonly=True) as study:
-        assert verdicts_of(study) == {}
-        spent = study.elapsed()["simulate"]
-    result = cc.test(explored / "reduced", path, require=["ego.speed <= 1 m/s", "for *-0000?.xosc: no collision"])
+        assert judge_study(study) == {}
+        spent = study.elapsed_by_stage()["simulate"]
+    result = cc.run_suite(explored / "reduced", path, require=["ego.speed <= 1 m/s", "for *-0000?.xosc: no collision"])
     assert all(one.verdicts[0].state == "failed" for one in result.scenarios)
     assert all(len(one.verdicts) == 1 + ((one.origin or 0) < 10) for one in result.scenarios)
     assert stored(path) == before
     with Study.open(path, readonly=True) as study:
-        assert study.elapsed()["simulate"] == spent
+        assert study.elapsed_by_stage()["simulate"] == spent
         assert study.meta.requirements == result.requirements
     with pytest.raises(cc.InputError, match=r"other simulator settings \(driver of Ego: as the file says there"):
-        cc.test(explored / "reduced", path, drivers={"Ego": "cautious"})
+        cc.run_suite(explored / "reduced", path, drivers={"Ego": "cautious"})
 
 
 def test_a_run_is_compared_with_an_earlier_run(explored, ran, tmp_path):
-    result = cc.test(explored / "reduced", tmp_path / "r.db", drivers={"Ego": "cautious"}, against=ran.study)
+    result = cc.run_suite(explored / "reduced", tmp_path / "r.db", drivers={"Ego": "cautious"}, against=ran.study)
     assert result.against == ran.study
     assert not any(one.same for one in differences(result))
 
@@ -219,9 +219,9 @@ def test_a_run_is_compared_with_an_earlier_run(explored, ran, tmp_path):
 def test_a_folder_of_files_is_run_with_what_differs_as_parameters(reduced, ran, tmp_path):
     (reduced / "manifest.json").unlink()
     with pytest.raises(cc.InputError, match="does not define it; name an entity"):
-        cc.test(reduced, tmp_path / "run.db")
+        cc.run_suite(reduced, tmp_path / "run.db")
     about: dict[str, Any] = {"ego": "Ego", "other": "C", "metrics": ["ttc"], "on_collision": "stop"}
-    result = cc.test(reduced, tmp_path / "run.db", **about, against=ran.study)
+    result = cc.run_suite(reduced, tmp_path / "run.db", **about, against=ran.study)
     assert all(one.same for one in differences(result))
     by_file = {one.file: one.values for one in ran.scenarios}
     assert {one.file: one.values for one in result.scenarios} == by_file
@@ -231,7 +231,7 @@ def test_a_folder_of_files_is_run_with_what_differs_as_parameters(reduced, ran, 
     for name, speed in (("slow", "5"), ("fast", "20")):
         scenario_file(plain, init=moving(speed=speed) + moving(s="90", speed="0", entity="Van"), name=f"{name}.xosc",
                       entities=two("Van"))  # fmt: skip
-    result = cc.test(plain, tmp_path / "plain.db", ego="Ego", other="Van", duration=4.0, require=["no collision"])
+    result = cc.run_suite(plain, tmp_path / "plain.db", ego="Ego", other="Van", duration=4.0, require=["no collision"])
     assert [(one.values, one.state) for one in result.scenarios] == [
         ({"file": "fast.xosc"}, "failed"),
         ({"file": "slow.xosc"}, "passed"),
@@ -300,11 +300,11 @@ def test_the_summary_is_one_table_whatever_names_there_are(tmp_path):
     results = tuple(
         ScenarioResult(
             k, f"{k}{signs}.xosc", state, {}, {}, 1.0, (Verdict("failed", "ttc > 1", signs),), kind=kind,
-            difference=Difference(k == 1, 0.25, 1.5, (1.0, 1.0), {}),
+            difference=RecordingDifference(k == 1, 0.25, 1.5, (1.0, 1.0), {}),
         )
         for k, (state, kind) in enumerate(states, start=1)
     )  # fmt: skip
-    write_summary(
+    write_markdown_summary(
         SuiteResult(tmp_path / "run.db", tmp_path, "builtin", (), results, tmp_path / "old.db"), tmp_path / "s.md"
     )
     tokens = MarkdownIt().enable("table").parse((tmp_path / "s.md").read_text("utf-8"))
@@ -323,12 +323,12 @@ def test_a_difference_is_the_largest_distance_at_the_same_instants():
     x, still = np.arange(6) * 1.0, (np.full(6, 50.0), 0.0, 0.0, 0.0)
     before = met((x, 0.0, 0.0, 10.0), still)
     swerves = met((x, [0.0, 0.0, 0.0, 0.5, 2.0, 1.0], 0.0, 10.0), still)
-    found = find_difference(before, swerves, "Ego")
+    found = compare_recording_pair(before, swerves, "Ego")
     assert (found.same, found.distance) == (False, 2.0)
     assert found.time == pytest.approx(0.3)
     # Twice as many instants of the same motion: elsewhere nowhere, and yet not the same.
     finer = met((np.arange(11) * 0.5, 0.0, 0.0, 10.0), (np.full(11, 50.0), 0.0, 0.0, 0.0), step=0.05)
-    found = find_difference(before, finer, "Ego")
+    found = compare_recording_pair(before, finer, "Ego")
     assert (found.same, found.time) == (False, None)
     assert found.distance == pytest.approx(0.0, abs=1e-12)
 
@@ -367,12 +367,12 @@ def test_requirements_come_from_files(name, content, tmp_path):
 
 @pytest.mark.parametrize("simulator", at_night(["esmini:undriven=true", "sumo"], {"esmini:undriven=true"}))
 def test_it_runs_on_other_simulators_and_says_where_they_differ(simulator, explored, tmp_path):
-    from cornercase.simulators import availabilities
+    from cornercase.simulators import list_simulators
 
-    if missing := availabilities()[simulator.partition(":")[0]].missing:
+    if missing := list_simulators()[simulator.partition(":")[0]].problem:
         pytest.skip(missing)
-    result = cc.test(explored / "reduced", tmp_path / "run.db", simulator=simulator)
-    assert result.count("passed") == 6
+    result = cc.run_suite(explored / "reduced", tmp_path / "run.db", simulator=simulator)
+    assert result.count_scenarios("passed") == 6
     # Both go by the storyboard until the ego is left to its driver, which esmini does not have.
     assert all((one.time or 0.0) > 1.0 and (one.distance or 0.0) > 0.1 for one in differences(result))
 
@@ -380,11 +380,11 @@ def test_it_runs_on_other_simulators_and_says_where_they_differ(simulator, explo
 def test_a_collision_that_a_reference_prevents_fails_and_any_other_does_not(explored, tmp_path):
     path = tmp_path / "run.db"
     asked = ["no collision unless cautious collides", "no collision unless aggressive collides"]
-    result = cc.test(explored / "reduced", path, require=["no collision"])
+    result = cc.run_suite(explored / "reduced", path, require=["no collision"])
     collide = {one.id for one in result.scenarios if one.state == "failed"}
     with sqlite3.connect(path) as connection:
         begun = connection.execute("SELECT * FROM scenarios").fetchall()
-    result = cc.test(explored / "reduced", path, require=[*asked, "no collision unless cc-human collides"])
+    result = cc.run_suite(explored / "reduced", path, require=[*asked, "no collision unless cc-human collides"])
     with sqlite3.connect(path) as connection:
         assert connection.execute("SELECT * FROM scenarios").fetchall() == begun
     for one in result.scenarios:
@@ -402,4 +402,4 @@ def test_a_collision_that_a_reference_prevents_fails_and_any_other_does_not(expl
         # The regulation does not cover vehicles that turn into a road at a junction.
         assert (by_human.state == "inconclusive") == ("cc-human does not cover this scenario" in by_human.reason)
     told = cc.summarize(path).references["cautious"]
-    assert (told.prevents, told.collides, told.says_nothing) == (len(collide), 0, 0)
+    assert (told.n_prevented, told.n_colliding, told.n_not_applicable) == (len(collide), 0, 0)

@@ -10,7 +10,7 @@ import pytest
 from command_line import cornercase
 from conftest import car, moving, scenario_file
 from cornercase import InputError
-from cornercase import test as run_suite
+from cornercase import run_suite as run_scenarios
 from cornercase.simulators import simulate_many
 
 SIGNAL = '<ScenarioObject name="signal"/>'
@@ -44,11 +44,11 @@ def test_43_one_file_that_cannot_be_run_leaves_the_verdicts_of_the_others(folder
 
 
 def test_43_mutants_leave_out_what_cannot_be_run(folder, tmp_path):
-    result = run_suite(
+    result = run_scenarios(
         folder, tmp_path / "s.db", ego="Ego", other="B", duration=1.0, drivers={"Ego": "normal"}, mutants=1
     )
-    assert result.exposure is not None
-    assert result.exposure.scenarios == (2, 4)
+    assert result.kill_matrix is not None
+    assert result.kill_matrix.scenarios == (2, 4)
 
 
 @pytest.mark.parametrize("without", ["B", "name"])
@@ -58,12 +58,12 @@ def test_43_a_file_that_lacks_an_entity_is_one_that_could_not_be_run(folder, tmp
     (folder / "b.xosc").write_text(
         lost if without == "B" else text.replace('ScenarioObject name="B"', "ScenarioObject")
     )
-    result = run_suite(folder, tmp_path / "s.db", ego="Ego", other="B", duration=1.0)
+    result = run_scenarios(folder, tmp_path / "s.db", ego="Ego", other="B", duration=1.0)
     assert [one.state for one in result.scenarios] == ["error", "error", "error", "passed"]
     why = {"B": "has no entity 'B' to be the other", "name": "every <ScenarioObject> needs a unique name"}[without]
     assert why in result.scenarios[1].verdicts[0].reason
     with pytest.raises(InputError, match="has no entity 'D' to be the other"):
-        run_suite(folder, tmp_path / "t.db", ego="Ego", other="D", duration=1.0)
+        run_scenarios(folder, tmp_path / "t.db", ego="Ego", other="D", duration=1.0)
 
 
 def test_43_one_file_that_cannot_be_run_leaves_the_other_recordings(folder, tmp_path):
@@ -79,12 +79,12 @@ def test_43_where_nothing_can_be_run_the_first_is_refused(folder, tmp_path):
     for name in ("b.xosc", "d.xosc"):
         (folder / name).unlink()
     with pytest.raises(InputError, match=r"a\.xosc, line [0-9]+: the <ScenarioObject> 'signal'"):
-        run_suite(folder, tmp_path / "s.db", ego="Ego", other="B")
+        run_scenarios(folder, tmp_path / "s.db", ego="Ego", other="B")
     with pytest.raises(InputError, match=r"a\.xosc, line [0-9]+: the <ScenarioObject> 'signal'"):
         simulate_many([folder / "a.xosc", folder / "c.xosc"], tmp_path / "out")
     (folder / "a.xosc").unlink()
     with pytest.raises(InputError, match=r"c\.xosc, line 1: is not well-formed XML"):
-        run_suite(folder, tmp_path / "s.db", ego="Ego", other="B")
+        run_scenarios(folder, tmp_path / "s.db", ego="Ego", other="B")
     assert not (tmp_path / "s.db").exists()
     assert not (tmp_path / "out").exists()
 
@@ -97,10 +97,10 @@ def test_43_a_file_that_is_not_there_is_refused_at_once(folder, tmp_path):
 
 def test_43_a_run_of_a_folder_that_has_changed_says_so(folder, tmp_path):
     asked: dict[str, Any] = {"ego": "Ego", "other": "B", "duration": 1.0}
-    run_suite(folder, tmp_path / "s.db", **asked)
+    run_scenarios(folder, tmp_path / "s.db", **asked)
     (folder / "c.xosc").unlink()
     with pytest.raises(InputError, match=r"s\.db: has other scenarios than the folder now: files were added"):
-        run_suite(folder, tmp_path / "s.db", **asked)
+        run_scenarios(folder, tmp_path / "s.db", **asked)
     (folder / "a.xosc").write_text((folder / "b.xosc").read_text())
     with pytest.raises(InputError, match=r"s\.db: has other scenarios than the folder now"):
-        run_suite(folder, tmp_path / "s.db", **asked)
+        run_scenarios(folder, tmp_path / "s.db", **asked)

@@ -10,8 +10,8 @@ import cornercase as cc
 from conftest import EXAMPLES, moving, same_recording, scenario_file
 from cornercase._common.errors import InputError
 from cornercase.recordings import Recording
-from cornercase.scenario import ConcreteScenario, Scenario, read_declarations
-from cornercase.simulators import SIMULATORS, BuiltinSimulator, outcomes_of, start_simulator
+from cornercase.scenario import ConcreteScenario, ScenarioFile, read_declarations
+from cornercase.simulators import SIMULATORS, BuiltinSimulator, run_scenarios, create_simulator
 from cornercase.study import Study
 from fake_simulators import Plan
 from test_documentation import ROOT, blocks_of
@@ -26,7 +26,7 @@ WHO: dict[str, Any] = {"ego": "Ego", "other": "Pedestrian", "metrics": ["clearan
 @pytest.fixture(scope="module")
 def own():
     """Values that the file declares."""
-    return {one.name: float(one.value) for one in read_declarations(Scenario.read(X).root, str(X))}
+    return {one.name: float(one.value) for one in read_declarations(ScenarioFile.read(X).root, str(X))}
 
 
 @pytest.fixture(scope="module")
@@ -68,21 +68,21 @@ def suite_of(folder, ranges=(), **more):
 def test_42_1_a_suite_runs_the_values_that_it_was_made_of(braking, tmp_path):
     kept = suite_of(tmp_path, simulator="noting")
     explored, braking[:] = braking[:], []
-    ran = cc.test(tmp_path / "set", tmp_path / "run.db")
-    assert braking == [explored[one.id - 1] for one in kept.kept]
+    ran = cc.run_suite(tmp_path / "set", tmp_path / "run.db")
+    assert braking == [explored[one.id - 1] for one in kept.scenarios]
     assert len({one["ego_start"] for one in braking}) > 1
-    assert [one.difference.same for one in ran.scenarios if one.difference is not None] == [True] * len(kept.kept)
+    assert [one.difference.same for one in ran.scenarios if one.difference is not None] == [True] * len(kept.scenarios)
     # The same files without a manifest.
     braking.clear()
     (tmp_path / "set" / "manifest.json").unlink()
-    cc.test(tmp_path / "set", tmp_path / "f.db", ego="Ego", other="Pedestrian", simulator="noting")
-    assert braking == [explored[one.id - 1] for one in sorted(kept.kept, key=lambda one: one.file)]
+    cc.run_suite(tmp_path / "set", tmp_path / "f.db", ego="Ego", other="Pedestrian", simulator="noting")
+    assert braking == [explored[one.id - 1] for one in sorted(kept.scenarios, key=lambda one: one.file)]
 
 
 @pytest.mark.parametrize("varied", ["p1_speed=1:2", "pedestrian_wait=0:2"])
 def test_42_1_a_parameter_that_is_not_varied_has_its_value_of_the_file(braking, own, tmp_path, varied):
     suite_of(tmp_path, [varied], simulator="noting")
-    cc.test(tmp_path / "set", tmp_path / "run.db")
+    cc.run_suite(tmp_path / "set", tmp_path / "run.db")
     assert {one["ego_start"] for one in braking} == {own["ego_start"]}
     name = varied.partition("=")[0]
     assert len({one[name] for one in braking}) > 1
@@ -91,20 +91,20 @@ def test_42_1_a_parameter_that_is_not_varied_has_its_value_of_the_file(braking, 
 def test_42_1_one_file_alone_and_many_are_given_their_values(braking, tmp_path):
     kept = suite_of(tmp_path, simulator="noting")
     explored, braking[:] = braking[:], []
-    file = tmp_path / "set" / kept.kept[0].file
+    file = tmp_path / "set" / kept.scenarios[0].file
     alone = cc.simulate(file, simulator="noting")
     cc.simulate_many([file], tmp_path / "recordings", simulator="noting")
     cc.simulate(file, {"ego_start": 44.0}, simulator="noting")
-    first = explored[kept.kept[0].id - 1]
+    first = explored[kept.scenarios[0].id - 1]
     assert braking == [first, first, first | {"ego_start": 44.0}]
     with Study.open(tmp_path / "s.db", readonly=True) as study:
-        assert same_recording(alone, study.recording(kept.kept[0].id))
+        assert same_recording(alone, study.recording(kept.scenarios[0].id))
 
 
 @pytest.mark.parametrize("options", [{"workers": 2}, {"timeout": 60.0}])
 def test_42_1_values_by_name_reach_a_simulator_in_another_process(own, tmp_path, options):
-    with start_simulator("named-values", {"plan": Plan(tmp_path)}, **options) as simulator:
-        (found,) = outcomes_of(simulator, [ConcreteScenario(X, {"p1_speed": 1.5}, Scenario.read(X))])
+    with create_simulator("named-values", {"plan": Plan(tmp_path)}, **options) as simulator:
+        (found,) = run_scenarios(simulator, [ConcreteScenario(X, {"p1_speed": 1.5}, ScenarioFile.read(X))])
     assert isinstance(found, Recording)
     assert dict(zip(found.names, found.x[:, 0].tolist(), strict=True)) == own | {"p1_speed": 1.5}
 
@@ -119,18 +119,18 @@ def test_42_1_values_by_name_are_of_the_types_that_the_file_declares(tmp_path):
         for name, (kind, value) in kinds.items()
     )
     path = scenario_file(tmp_path, init=moving(), parameters=declared)
-    scenario = Scenario.read(path)
+    scenario = ScenarioFile.read(path)
     given = ConcreteScenario(path, {"a": "3.0", "other": "x"}, scenario)
-    assert given.by_name().values == {
+    assert given.with_all_values().values == {
         "a": 3.0, "b": 6, "c": "true", "d": "07", "e": 3.0, "f": "none", "other": "x",
     }  # fmt: skip
-    assert isinstance(given.by_name().values["b"], int)
-    assert ConcreteScenario(path, {}, scenario).by_name().values["e"] == 2.5
-    assert given.by_name().by_name() == given.by_name()
+    assert isinstance(given.with_all_values().values["b"], int)
+    assert ConcreteScenario(path, {}, scenario).with_all_values().values["e"] == 2.5
+    assert given.with_all_values().with_all_values() == given.with_all_values()
     # What was not read stays as it is.
-    assert ConcreteScenario(path, {"a": 1.0}).by_name().values == {"a": 1.0}
+    assert ConcreteScenario(path, {"a": 1.0}).with_all_values().values == {"a": 1.0}
     with pytest.raises(InputError, match=r"scenario\.xosc, line \d+: value of <ParameterDeclaration> is 'x', which"):
-        ConcreteScenario(path, {"a": "x"}, scenario).by_name()
+        ConcreteScenario(path, {"a": "x"}, scenario).with_all_values()
 
 
 def test_42_1_a_simulator_that_reads_the_file_is_given_only_what_differs_from_it(monkeypatch):
@@ -145,4 +145,4 @@ def test_42_1_a_simulator_that_reads_the_file_is_given_only_what_differs_from_it
     cc.simulate(X, {"p1_speed": 1.5}, duration=0.2)
     assert [one.values for one in given] == [{"p1_speed": 1.5}]
     names = ("builtin", "esmini", "sumo", "carla", "carmaker")
-    assert [SIMULATORS.class_of(name).values_by for name in names] == ["file", "file", "file", "file", "name"]
+    assert [SIMULATORS.get_class(name).parameter_passing for name in names] == ["file", "file", "file", "file", "name"]

@@ -15,18 +15,18 @@ from numba import types
 from numba.extending import intrinsic
 
 
-def address_of(array: npt.NDArray[Any]) -> int:
+def memory_address(array: npt.NDArray[Any]) -> int:
     """Memory address of the first element of a C-contiguous array; the caller keeps the array alive."""
     assert array.flags.c_contiguous
     address: int = array.__array_interface__["data"][0]
     return address
 
 
-def _array_at(context, address, count, dtype):
+def _array_intrinsic(context, address, count, dtype):
     """Typed 1-D view of memory at an address. It is not reference-counted; the caller keeps the memory alive."""
     array = types.Array(dtype, 1, "C")
 
-    def generate(context, builder, signature, values):
+    def emit_array(context, builder, signature, values):
         from numba.np.arrayobj import make_array, populate_array
 
         made = make_array(array)(context, builder)
@@ -35,22 +35,22 @@ def _array_at(context, address, count, dtype):
         populate_array(made, data=data, shape=[values[1]], strides=[size], itemsize=size, meminfo=None)
         return made._getvalue()
 
-    return array(types.int64, types.int64), generate
+    return array(types.int64, types.int64), emit_array
 
 
 @intrinsic
-def floats_at(context, address, count):
+def floats_at_address(context, address, count):
     """Array of float64, shape (count,), at an address."""
-    return _array_at(context, address, count, types.float64)
+    return _array_intrinsic(context, address, count, types.float64)
 
 
 @intrinsic
-def integers_at(context, address, count):
+def ints_at_address(context, address, count):
     """Array of int64, shape (count,), at an address."""
-    return _array_at(context, address, count, types.int64)
+    return _array_intrinsic(context, address, count, types.int64)
 
 
 @intrinsic
-def truths_at(context, address, count):
+def bools_at_address(context, address, count):
     """Array of bool, shape (count,), at an address."""
-    return _array_at(context, address, count, types.boolean)
+    return _array_intrinsic(context, address, count, types.boolean)

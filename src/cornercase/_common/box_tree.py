@@ -15,7 +15,7 @@ from cornercase._common.compiling import kernel
 from cornercase._common.typing import FloatArray
 
 
-def box_tree(bounds: FloatArray) -> FloatArray:
+def build_aabb_tree(bounds: FloatArray) -> FloatArray:
     """Build the tree, shape (2 k, 4), of boxes with bounds (min x, min y, max x, max y), shape (m, 4).
 
     Node 1 holds all boxes, nodes 2 i and 2 i + 1 the two halves of node i. The nodes from k on are the boxes
@@ -25,12 +25,12 @@ def box_tree(bounds: FloatArray) -> FloatArray:
     tree = np.empty((2 * leaves, 4))
     tree[:, :2], tree[:, 2:] = np.inf, -np.inf
     tree[leaves : leaves + len(bounds)] = bounds
-    fill_tree(tree)
+    fill_inner_nodes(tree)
     return tree
 
 
 @kernel(error_model="numpy", _nrt=False)
-def fill_tree(tree):
+def fill_inner_nodes(tree):
     """Compute the bounds of the inner nodes from those of the leaves."""
     for node in range(len(tree) // 2 - 1, 0, -1):
         for k in range(2):
@@ -39,7 +39,7 @@ def fill_tree(tree):
 
 
 @kernel(error_model="numpy", _nrt=False)
-def next_near(tree, node, low_x, low_y, high_x, high_y):
+def next_overlapping_leaf(tree, node, low_x, low_y, high_x, high_y):
     """Return the first leaf at or after `node` that overlaps the bounds, or 0. Start at node 1."""
     leaves = len(tree) // 2
     while node > 0:
@@ -49,12 +49,12 @@ def next_near(tree, node, low_x, low_y, high_x, high_y):
                 return node
             node = 2 * node
         else:
-            node = node_after(node)
+            node = node_after_subtree(node)
     return 0
 
 
 @kernel(error_model="numpy", _nrt=False)
-def node_after(node):
+def node_after_subtree(node):
     """Return the node that follows a node's whole subtree, or 0 after the last one."""
     while node & 1:
         node >>= 1
@@ -62,11 +62,11 @@ def node_after(node):
 
 
 @kernel(error_model="numpy")
-def with_run(runs, count, step, other):
+def append_run(runs, count, step, other_step):
     """Append a run to the first `count` rows of `runs` (see `OverlapRuns.runs`); double the array if it is full."""
     if count == len(runs):
         grown = np.empty((2 * count, 3), dtype=np.int64)
         grown[:count] = runs
         runs = grown
-    runs[count, 0], runs[count, 1] = step, other
+    runs[count, 0], runs[count, 1] = step, other_step
     return runs

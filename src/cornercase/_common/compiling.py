@@ -18,8 +18,8 @@ from numba.core import event
 from numba.core.caching import FunctionCache
 from numba.core.runtime.nrt import rtsys
 
-from cornercase._common.kernel_contents import contents
-from cornercase._common.locks import held_lock
+from cornercase._common.kernel_contents import kernel_digest
+from cornercase._common.locks import lock
 
 _LOG = logging.getLogger(__name__)
 _KERNELS: WeakSet[Any] = WeakSet()
@@ -43,8 +43,8 @@ class _SharedCache(FunctionCache):
     def load_overload(self, sig, target_context):
         # Loading machine code needs only this; numba would load its whole compiler (a third of a second).
         rtsys.initialize(target_context)
-        self._stamp()
-        with held_lock(self._lock_path()):
+        self._set_source_stamp()
+        with lock(self._lock_path()):
             try:
                 with self._guard_against_spurious_io_errors():
                     return self._load_overload(sig, target_context)
@@ -53,33 +53,33 @@ class _SharedCache(FunctionCache):
                 return None
 
     def save_overload(self, sig, data):
-        self._stamp()
+        self._set_source_stamp()
         try:
-            with held_lock(self._lock_path()):
+            with lock(self._lock_path()):
                 super().save_overload(sig, data)
         except OSError as error:
             # A full disk only prevents caching; the compiled code is used all the same.
-            _WATCH.tell_unkept(f"{self.cache_path}: {error.strerror}")
+            _COMPILATION_LISTENER.report_not_cached(f"{self.cache_path}: {error.strerror}")
 
     def _index_key(self, sig, codegen):
         # Machine code accesses the fields of a named tuple by position.
-        return (*super()._index_key(sig, codegen), tuple(_fields(kind) for kind in sig))
+        return (*super()._index_key(sig, codegen), tuple(_tuple_fields(kind) for kind in sig))
 
-    def _stamp(self):
+    def _set_source_stamp(self):
         # Not at definition time: functions that it calls may be defined later.
         if self._cache_file._source_stamp is None:
-            self._cache_file._source_stamp = contents(self._py_func, self._options)
+            self._cache_file._source_stamp = kernel_digest(self._py_func, self._options)
 
     def _lock_path(self):
         return Path(self.cache_path) / "cornercase.lock"
 
 
-def _fields(kind: Any) -> tuple[Any, ...]:
-    inner: Any = kind
-    if not isinstance(kind, types.BaseTuple):
+def _tuple_fields(numba_type: Any) -> tuple[Any, ...]:
+    inner: Any = numba_type
+    if not isinstance(numba_type, types.BaseTuple):
         return ()
-    named = inner.fields if isinstance(kind, types.BaseNamedTuple) else ()
-    return (named, *map(_fields, inner))
+    named = inner.fields if isinstance(numba_type, types.BaseNamedTuple) else ()
+    return (named, *map(_tuple_fields, inner))
 
 
 def kernel(**options: Any) -> Callable[[Callable[..., Any]], Callable[..., Any]]:
@@ -96,17 +96,17 @@ def kernel(**options: Any) -> Callable[[Callable[..., Any]], Callable[..., Any]]
     return decorate
 
 
-class _Watch(event.Listener):
+class _CompilationListener(event.Listener):
     """Listens to numba's compilation. If nobody else listens, it logs one warning that kernels are being compiled.
 
     Worker processes leave that to their parent.
     """
 
     def __init__(self) -> None:
-        self.unkept = ""
+        self.not_cached_reason = ""
         self.listeners: list[Callable[[str], None]] = []
-        self.companions: list[Callable[[], None]] = []
-        self.said = multiprocessing.parent_process() is not None
+        self.start_callbacks: list[Callable[[], None]] = []
+        self.is_quiet = multiprocessing.parent_process() is not None
 
     def on_start(self, event: Any) -> None:
         kernel = event.data["dispatcher"]
@@ -114,59 +114,59 @@ class _Watch(event.Listener):
             return
         cached = isinstance(kernel._cache, _SharedCache)
         if not cached:
-            self.unkept = _NO_FOLDER
-        while cached and self.companions:
-            self.companions.pop()()
+            self.not_cached_reason = _NO_CACHE_FOLDER_MESSAGE
+        while cached and self.start_callbacks:
+            self.start_callbacks.pop()()
         for listener in self.listeners:
             listener(f"{kernel.py_func.__module__.removeprefix('cornercase.')}.{kernel.py_func.__name__}")
-        if not (self.listeners or self.said):
-            self.said = True
-            _LOG.warning(_KEPT if cached else _NOT_KEPT)
+        if not (self.listeners or self.is_quiet):
+            self.is_quiet = True
+            _LOG.warning(_CACHED_MESSAGE if cached else _NOT_CACHED_MESSAGE)
 
     def on_end(self, event: Any) -> None:
         pass
 
-    def tell_unkept(self, why: str) -> None:
+    def report_not_cached(self, reason: str) -> None:
         """Log once why machine code is not cached, unless somebody else listens."""
-        if not (self.unkept or self.listeners or multiprocessing.parent_process() is not None):
-            _LOG.warning("Compiled kernels cannot be cached: %s.", why)
-        self.unkept = why
+        if not (self.not_cached_reason or self.listeners or multiprocessing.parent_process() is not None):
+            _LOG.warning("Compiled kernels cannot be cached: %s.", reason)
+        self.not_cached_reason = reason
 
 
-_KEPT = "Compiling kernels for this machine (cached for later runs); 'cornercase warm-up' compiles all in advance."
-_NO_FOLDER = "no cache folder is writable; set NUMBA_CACHE_DIR to one that is"
-_NOT_KEPT = "Compiling kernels in each process anew; set NUMBA_CACHE_DIR to a writable folder to cache them."
-_WATCH = _Watch()
-event.register("numba:compile", _WATCH)
+_CACHED_MESSAGE = "Compiling kernels for this machine (cached for later runs); 'cornercase warm-up' compiles all in advance."
+_NO_CACHE_FOLDER_MESSAGE = "no cache folder is writable; set NUMBA_CACHE_DIR to one that is"
+_NOT_CACHED_MESSAGE = "Compiling kernels in each process anew; set NUMBA_CACHE_DIR to a writable folder to cache them."
+_COMPILATION_LISTENER = _CompilationListener()
+event.register("numba:compile", _COMPILATION_LISTENER)
 
 
 @contextmanager
-def heard_compilation(listener: Callable[[str], None]) -> Iterator[None]:
+def listen_to_compilation(listener: Callable[[str], None]) -> Iterator[None]:
     """Within the block, call `listener` with module and name of each kernel that numba compiles; log nothing."""
-    _WATCH.listeners.append(listener)
+    _COMPILATION_LISTENER.listeners.append(listener)
     try:
         yield
     finally:
-        _WATCH.listeners.remove(listener)
+        _COMPILATION_LISTENER.listeners.remove(listener)
 
 
 @contextmanager
-def companion(start: Callable[[], None]) -> Iterator[None]:
+def call_on_first_compilation(callback: Callable[[], None]) -> Iterator[None]:
     """Within the block, call `callback` once, when numba first compiles a kernel that will be cached."""
-    _WATCH.companions.append(start)
+    _COMPILATION_LISTENER.start_callbacks.append(callback)
     try:
         yield
     finally:
         with suppress(ValueError):
-            _WATCH.companions.remove(start)
+            _COMPILATION_LISTENER.start_callbacks.remove(callback)
 
 
-def count_kernels() -> tuple[int, int]:
+def count_ready_kernels() -> tuple[int, int]:
     """Return how many of the imported kernels are ready to run, and how many there are."""
     kernels = list(_KERNELS)
     return sum(bool(function.signatures) for function in kernels), len(kernels)
 
 
-def why_not_kept() -> str:
+def reason_not_cached() -> str:
     """Reason why compiled machine code could not be cached; empty if it was, or if nothing was compiled."""
-    return _WATCH.unkept
+    return _COMPILATION_LISTENER.not_cached_reason

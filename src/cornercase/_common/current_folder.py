@@ -14,89 +14,89 @@ from types import FrameType, ModuleType
 from typing import Any, Final
 
 # Settings file that a library looks for in the current folder, by the module that loads it.
-_SETTINGS: Final = {"numba.core.config": ".numba_config.yaml", "matplotlib": "matplotlibrc"}
+_SETTINGS_FILES: Final = {"numba.core.config": ".numba_config.yaml", "matplotlib": "matplotlibrc"}
 # Packages that implement Python's import system.
-_IMPORTING: Final = ("importlib", "_frozen_importlib", "_frozen_importlib_external")
+_IMPORT_MACHINERY: Final = ("importlib", "_frozen_importlib", "_frozen_importlib_external")
 
 
-class _Shared:
+class _SharedContext:
     """A context manager that the first user enters and the last one leaves, in any thread."""
 
-    def __init__(self, make: Callable[[], AbstractContextManager[None]]) -> None:
-        self._make, self._lock, self._asked = make, threading.Lock(), 0
+    def __init__(self, factory: Callable[[], AbstractContextManager[None]]) -> None:
+        self._factory, self._lock, self._users = factory, threading.Lock(), 0
 
     @contextmanager
     def __call__(self) -> Iterator[None]:
         with self._lock:
-            if not self._asked:
-                self._context = self._make()
+            if not self._users:
+                self._context = self._factory()
                 self._context.__enter__()
-            self._asked += 1
+            self._users += 1
         try:
             yield
         finally:
             with self._lock:
-                self._asked -= 1
-                if not self._asked:
+                self._users -= 1
+                if not self._users:
                     self._context.__exit__(None, None, None)
 
 
 @contextmanager
-def _hidden_settings() -> Iterator[None]:
+def _hide_settings_files() -> Iterator[None]:
     path: Any = os.path
     exists = path.exists
     # Changing the working directory would affect all threads of a user's program.
-    path.exists = lambda given: given not in _SETTINGS.values() and exists(given)
+    path.exists = lambda given: given not in _SETTINGS_FILES.values() and exists(given)
     try:
         yield
     finally:
         path.exists = exists
 
 
-_HIDDEN: Final = _Shared(_hidden_settings)
+_hide_settings: Final = _SharedContext(_hide_settings_files)
 
 
-class _Finder:
+class _SettingsFinder:
     """Import hook: modules that read settings from the current folder are loaded with those files hidden."""
 
     def find_spec(
         self, name: str, path: Sequence[str] | None, target: ModuleType | None = None, /
     ) -> ModuleSpec | None:
-        if name not in _SETTINGS:
+        if name not in _SETTINGS_FILES:
             return None
         other_finders = (finder for finder in sys.meta_path if finder is not self)
         spec = next(filter(None, (finder.find_spec(name, path, target) for finder in other_finders)), None)
         if spec is not None and spec.loader is not None:
             loader: Any = spec.loader
-            loader.exec_module = _loading_without(loader.exec_module)
+            loader.exec_module = _load_without_settings(loader.exec_module)
         return spec
 
 
-def _loading_without(load: Callable[[ModuleType], None]) -> Callable[[ModuleType], None]:
-    def load_without(module: ModuleType) -> None:
-        with _HIDDEN():
+def _load_without_settings(load: Callable[[ModuleType], None]) -> Callable[[ModuleType], None]:
+    def load_hidden(module: ModuleType) -> None:
+        with _hide_settings():
             load(module)
-        _settle(module)
+        _redirect_settings(module)
 
-    return load_without
+    return load_hidden
 
 
-def _settle(module: ModuleType) -> None:
+def _redirect_settings(module: ModuleType) -> None:
     """Point numba, which reads its settings at each compilation, to its own folder instead."""
     name = str(vars(module).get("_config_fname"))
-    if name in _SETTINGS.values() and module.__file__ is not None:
+    if name in _SETTINGS_FILES.values() and module.__file__ is not None:
         vars(module)["_config_fname"] = str(Path(module.__file__).with_name(name))
 
 
-def take_no_settings() -> None:
+def ignore_settings_of_current_folder() -> None:
     """Keep libraries that are imported from now on from reading settings in the current folder."""
-    if not any(isinstance(finder, _Finder) for finder in sys.meta_path):
-        sys.meta_path.insert(0, _Finder())
-        for name in _SETTINGS.keys() & sys.modules.keys():
-            _settle(sys.modules[name])
+    if not any(isinstance(finder, _SettingsFinder) for finder in sys.meta_path):
+        sys.meta_path.insert(0, _SettingsFinder())
+        for name in _SETTINGS_FILES.keys() & sys.modules.keys():
+            _redirect_settings(sys.modules[name])
 
 
-class _Here:
+class _CurrentFolderFinder:
     """Import hook for modules of the current folder, after all other hooks.
 
     It serves the module that a person named, and what that module imports.
@@ -105,69 +105,69 @@ class _Here:
     def __init__(self) -> None:
         self._folder = os.getcwd()
         # Names of the top-level modules that were found here.
-        self.found: set[str] = set()
+        self.imported_names: set[str] = set()
         # True while the named module is being imported; afterwards, only modules found here may import from here.
         self.is_open = True
 
     def find_spec(
         self, name: str, path: Sequence[str] | None, target: ModuleType | None = None, /
     ) -> ModuleSpec | None:
-        if path is not None or not self._is_asked():
+        if path is not None or not self._is_requested():
             return None
         spec = PathFinder.find_spec(name, [self._folder], target)
         if spec is not None:
-            self.found.add(name)
+            self.imported_names.add(name)
         return spec
 
-    def _is_asked(self) -> bool:
+    def _is_requested(self) -> bool:
         """Whether this module imports it, or a module that was found here. Others also try optional imports."""
         frame: FrameType | None = sys._getframe(2)
-        while frame is not None and (name := _package_of(frame)) in _IMPORTING:
+        while frame is not None and (name := _top_package(frame)) in _IMPORT_MACHINERY:
             frame = frame.f_back
         if frame is None:
             return False
         asks = frame.f_globals is globals() or name == "cloudpickle"
-        return name in self.found or (self.is_open and asks)
+        return name in self.imported_names or (self.is_open and asks)
 
 
-def _package_of(frame: FrameType) -> str:
+def _top_package(frame: FrameType) -> str:
     return str(frame.f_globals.get("__name__")).partition(".")[0]
 
 
 @contextmanager
-def _found_here() -> Iterator[None]:
-    finder = _Here()
+def _import_from_current_folder() -> Iterator[None]:
+    finder = _CurrentFolderFinder()
     sys.meta_path.append(finder)
     try:
         yield
     finally:
         finder.is_open = False
         # Modules found here may import more while they run.
-        if not finder.found:
+        if not finder.imported_names:
             sys.meta_path.remove(finder)
 
 
-def import_here(name: str) -> ModuleType:
+def import_from_current_folder(name: str) -> ModuleType:
     """Import a module that a person named, which may be in the current folder. It hides no other module."""
-    with _found_here():
+    with _import_from_current_folder():
         return importlib.import_module(name)
 
 
-def unpickle_here(content: bytes) -> Any:
+def unpickle_with_current_folder(content: bytes) -> Any:
     """Unpickle what a user made in a process of this program; its modules may be in the current folder."""
     import pickle
 
-    with _found_here():
+    with _import_from_current_folder():
         return pickle.loads(content)
 
 
 @contextmanager
-def _safe_starts() -> Iterator[None]:
+def _patch_spawn() -> Iterator[None]:
     from multiprocessing import spawn, util
 
     parts: tuple[Any, Any] = spawn, util
     data, arguments = parts[0].get_preparation_data, parts[1]._args_from_interpreter_flags
-    parts[0].get_preparation_data = lambda name: {**data(name), "sys_path": _path_of_children()}
+    parts[0].get_preparation_data = lambda name: {**data(name), "sys_path": _child_sys_path()}
     # Without -P, Python puts the current folder first, as its code is given on the command line.
     parts[1]._args_from_interpreter_flags = lambda: [*arguments(), "-P"]
     try:
@@ -176,12 +176,12 @@ def _safe_starts() -> Iterator[None]:
         parts[0].get_preparation_data, parts[1]._args_from_interpreter_flags = data, arguments
 
 
-_SAFE: Final = _Shared(_safe_starts)
+_safe_child_start: Final = _SharedContext(_patch_spawn)
 
 
-def kept_from_children() -> AbstractContextManager[None]:
+def hide_current_folder_from_children() -> AbstractContextManager[None]:
     """Within the block, children of `multiprocessing` start without the current folder on `sys.path`. May overlap."""
-    return _SAFE()
+    return _safe_child_start()
 
 
 def _main_folder() -> str | None:
@@ -194,7 +194,7 @@ def _main_folder() -> str | None:
     return str(Path(os.path.realpath(file)).parents[above])
 
 
-def _path_of_children() -> list[str]:
+def _child_sys_path() -> list[str]:
     current = os.path.realpath(os.getcwd())
     # Children load the main script again with its neighbours if it was started from its own folder. Other programs,
     # such as a notebook, do not need the folder; an empty path stands for it, too.

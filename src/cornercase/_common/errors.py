@@ -9,7 +9,7 @@ from contextlib import contextmanager
 from typing import Final
 
 # errno values that mean that the machine is at fault.
-_OF_THE_MACHINE: Final = {
+_MACHINE_ERRNOS: Final = {
     errno.ENOSPC, errno.EDQUOT, errno.EMFILE, errno.ENFILE, errno.ENOMEM, errno.EAGAIN, errno.EIO, errno.EROFS,
 }  # fmt: skip
 
@@ -31,7 +31,7 @@ class SimulatorError(SimulationError):
     """The simulator failed, not the scenario; the same scenario may be run again."""
 
 
-class PartError(SimulationError):
+class PluginError(SimulationError):
     """A user's driver, simulator or metric raised an exception or gave an unusable result in one scenario."""
 
 
@@ -42,7 +42,7 @@ class StudyLostError(RuntimeError):
     """
 
 
-class LostError(SimulatorError):
+class RunLostError(SimulatorError):
     """Something outside ended a run: a signal, lack of memory or a full disk. The scenario may be run again."""
 
 
@@ -50,17 +50,17 @@ class NoticeWarning(UserWarning):
     """Something in the input has no effect, or is not read as it is written."""
 
 
-def is_of_the_machine(error: BaseException | None) -> bool:
+def is_machine_error(error: BaseException | None) -> bool:
     """Whether an error, or its cause, is due to a full or broken disk, or lack of memory or file handles."""
     while error is not None:
-        if isinstance(error, MemoryError) or (isinstance(error, OSError) and error.errno in _OF_THE_MACHINE):
+        if isinstance(error, MemoryError) or (isinstance(error, OSError) and error.errno in _MACHINE_ERRNOS):
             return True
         error = error.__cause__
     return False
 
 
 @contextmanager
-def left_out_if_too_little() -> Iterator[None]:
+def skip_if_not_enough_data() -> Iterator[None]:
     """Suppress a `ValueError` of the block (too few numbers for a statement), but not an `InputError`."""
     try:
         yield
@@ -70,13 +70,13 @@ def left_out_if_too_little() -> Iterator[None]:
         pass
 
 
-def suggestion(word: str, known: Iterable[str]) -> str:
+def suggest_name(unknown: str, known: Iterable[str]) -> str:
     """``"did you mean 'wttc'?"`` if a known name is similar, else ``"known are: …"``."""
     names = sorted(known)
     # Names are case-sensitive; a different case is probably the same name.
     by_casefold = {name.casefold(): name for name in reversed(names)}
-    close = difflib.get_close_matches(word, names, n=1) or [
-        by_casefold[folded] for folded in difflib.get_close_matches(word.casefold(), by_casefold, n=1)
+    close = difflib.get_close_matches(unknown, names, n=1) or [
+        by_casefold[folded] for folded in difflib.get_close_matches(unknown.casefold(), by_casefold, n=1)
     ]
     if close:
         return f"did you mean '{close[0]}'?"

@@ -9,17 +9,17 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Final
 
-from cornercase._common.arguments import path as path_argument
+from cornercase._common.arguments import check_path as path_argument
 from cornercase._common.errors import InputError
-from cornercase._common.pending_files import OF_SQLITE, pending_files, unwritten, written_together
+from cornercase._common.pending_files import SQLITE_SUFFIXES, current_or_new_group, write_error, atomic_write_group
 
 # Characters that Windows refuses or that control a terminal; device names; maximum length: file systems allow 255
 # bytes, and a suffix and a temporary name need some of them.
-_REFUSED: Final = re.compile(r'[<>:"/\\|?*\x00-\x1f\x7f-\x9f\u200b-\u200f\u2028-\u202e\u2066-\u2069\ud800-\udfff]+')
-_DEVICES: Final = re.compile(r"(con|prn|aux|nul|conin\$|conout\$|com[\d¹²³]|lpt[\d¹²³])\s*(\.|$)", re.IGNORECASE)
-_LONGEST: Final = 150
-_AT_ONCE: Final = 1 << 20
-LARGEST: Final = 200_000_000
+_INVALID_CHARACTERS: Final = re.compile(r'[<>:"/\\|?*\x00-\x1f\x7f-\x9f\u200b-\u200f\u2028-\u202e\u2066-\u2069\ud800-\udfff]+')
+_DEVICE_NAMES: Final = re.compile(r"(con|prn|aux|nul|conin\$|conout\$|com[\d¹²³]|lpt[\d¹²³])\s*(\.|$)", re.IGNORECASE)
+_MAX_NAME_BYTES: Final = 150
+_CHUNK_SIZE: Final = 1 << 20
+MAX_FILE_SIZE: Final = 200_000_000
 """Bytes; largest file that is read."""
 
 
@@ -29,11 +29,11 @@ def portable_name(text: str) -> str:
     >>> portable_name("criticality-ttc:accelerating=true")
     'criticality-ttc-accelerating=true'
     """
-    name = _REFUSED.sub("-", text).encode()[:_LONGEST].decode(errors="ignore").rstrip(". ") or "-"
-    return f"-{name}" if _DEVICES.match(name) or name.startswith(".") else name
+    name = _INVALID_CHARACTERS.sub("-", text).encode()[:_MAX_NAME_BYTES].decode(errors="ignore").rstrip(". ") or "-"
+    return f"-{name}" if _DEVICE_NAMES.match(name) or name.startswith(".") else name
 
 
-def read_file(path: Path | str, largest: int = LARGEST) -> bytes:
+def read_file(path: Path | str, max_size: int = MAX_FILE_SIZE) -> bytes:
     """Content of a regular file; `InputError` if it cannot be read or has more than `max_size` bytes."""
     path = Path(path)
     # No file system allows it.
@@ -45,59 +45,59 @@ def read_file(path: Path | str, largest: int = LARGEST) -> bytes:
     try:
         with open(path, "rb") as file:
             # Requesting the maximum would allocate it, whatever the size.
-            content = file.read(min(os.fstat(file.fileno()).st_size, largest) + 1)
+            content = file.read(min(os.fstat(file.fileno()).st_size, max_size) + 1)
             # Some system files report size 0.
-            while len(content) <= largest and (more := file.read(_AT_ONCE)):
+            while len(content) <= max_size and (more := file.read(_CHUNK_SIZE)):
                 content += more
     except OSError as error:
         raise InputError(f"{path}: cannot be read ({error.strerror}).") from error
-    if len(content) > largest:
-        raise InputError(f"{path}: has more than {largest} bytes, which are not read.")
+    if len(content) > max_size:
+        raise InputError(f"{path}: has more than {max_size} bytes, which are not read.")
     return content
 
 
 @contextmanager
-def written_whole(path: Path | str) -> Iterator[Path]:
+def atomic_write(path: Path | str) -> Iterator[Path]:
     """Yield a temporary path next to `path`, and rename it to `path` when the block succeeds.
 
     The content is synced to disk first, so that a power cut leaves either the old or the new file. Within
     `atomic_write_group`, files are renamed at the end of that block. `InputError` if it fails; nothing is left behind.
     """
     path = Path(path)
-    with pending_files() as files:
-        temporary = files.begin(path)
+    with current_or_new_group() as files:
+        temporary = files.add_file(path)
         try:
             yield temporary
         except OSError as error:
-            raise unwritten(path, error) from error
+            raise write_error(path, error) from error
 
 
 # Suffixes of SQLite's files, and of the lock file of earlier versions.
-_BESIDE: Final = (*OF_SQLITE, ".lock")
+_SIDE_FILE_SUFFIXES: Final = (*SQLITE_SUFFIXES, ".lock")
 
 
-def require_other_file(output: Path | str, source: Path | str, name: str = "output") -> None:
+def check_output_differs_from_source(output: Path | str, source: Path | str, name: str = "output") -> None:
     """Raise `InputError` if `output` is the source file (also by another name) or one of SQLite's side files."""
     output, source = Path(output), Path(source)
     if output.exists() and source.exists() and output.samefile(source):
         raise InputError(f"`{name}` {output}: is the file that is read; choose another name.")
-    if _is_beside(output, source):
+    if _is_side_file(output, source):
         raise InputError(f"`{name}` {output}: belongs to the file that is read; choose another name.")
 
 
-def require_apart(output: Path, study: Path, name: str) -> None:
+def check_output_is_not_study(output: Path, study: Path, name: str) -> None:
     """Raise `InputError` if `output` is the study that is being written, or one of its side files."""
-    if os.path.realpath(output) == os.path.realpath(study) or _is_beside(output, study):
+    if os.path.realpath(output) == os.path.realpath(study) or _is_side_file(output, study):
         raise InputError(f"`{name}` {output}: is the study, or belongs to it; choose another name.")
 
 
-def _is_beside(output: Path, database: Path) -> bool:
+def _is_side_file(output: Path, database: Path) -> bool:
     # A circular link is left as it is; writing to it is refused later.
     database_path, output_path = os.path.realpath(database), os.path.realpath(output)
-    return output_path in {database_path + ending for ending in _BESIDE}
+    return output_path in {database_path + ending for ending in _SIDE_FILE_SUFFIXES}
 
 
-def require_place(name: str, path: Path) -> None:
+def check_writable_file(name: str, path: Path) -> None:
     """Raise `InputError`, before the work begins, if a file could not be written to `path`."""
     if path.exists() and not path.is_file():
         raise InputError(f"`{name}` {path}: is not a file; choose another name.")
@@ -108,13 +108,13 @@ def require_place(name: str, path: Path) -> None:
 
 def write_files(contents: Mapping[Path, bytes]) -> None:
     """Write several files, all or none."""
-    with written_together():
+    with atomic_write_group():
         for path, content in contents.items():
-            with written_whole(path) as temporary:
+            with atomic_write(path) as temporary:
                 temporary.write_bytes(content)
 
 
-def require_folder(name: str, folder: Path | str) -> Path:
+def check_folder(name: str, folder: Path | str) -> Path:
     """Return the folder's path; `InputError` if it cannot be made because a file is in its place."""
     folder = path_argument(name, folder)
     for parent in (folder, *folder.parents):

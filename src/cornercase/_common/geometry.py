@@ -9,27 +9,27 @@ import numpy.typing as npt
 
 from cornercase._common.typing import BoolArray, FloatArray
 
-_CONTACT = 1e-9
+_CONTACT_TOLERANCE = 1e-9
 """m; gap at which moving boxes count as touching, so that rounding does not undo a grazing contact."""
 
-_STEADY = 1e-12
+_NEGLIGIBLE_ACCELERATION = 1e-12
 """m/s²; a smaller acceleration is rounding: it takes two weeks for a metre."""
 
-ACROSS = 1e-7
+COS_RIGHT_ANGLE_TOLERANCE = 1e-7
 """Cosine of an angle that rounding cannot distinguish from a right angle."""
 
 _SIGNS_ALONG = np.array([1.0, 1.0, -1.0, -1.0])
 _SIGNS_ACROSS = np.array([-1.0, 1.0, 1.0, -1.0])
 
 
-def within_half_turn(angle: npt.ArrayLike) -> FloatArray:
+def wrap_angle(angle: npt.ArrayLike) -> FloatArray:
     """Angles in rad, wrapped to [-π, π)."""
     return np.asarray((np.asarray(angle, dtype=np.float64) + np.pi) % (2 * np.pi) - np.pi)
 
 
-def looks_ahead(angle: npt.ArrayLike) -> BoolArray:
+def is_facing_forward(angle: npt.ArrayLike) -> BoolArray:
     """Whether a relative heading (rad) points forward rather than backward; exactly sideways counts as forward."""
-    return np.asarray(np.cos(angle) > -ACROSS)
+    return np.asarray(np.cos(angle) > -COS_RIGHT_ANGLE_TOLERANCE)
 
 
 def box_corners(
@@ -66,19 +66,19 @@ def box_distance(a: FloatArray, b: FloatArray) -> FloatArray:
     box.
     """
     of_a, of_b = box_axes(a), box_axes(b)
-    nearest = np.minimum(_corner_distance(a, b, of_b), _corner_distance(b, a, of_a))
-    return np.where(separation(a, of_a, b, of_b) <= 0.0, 0.0, nearest)
+    nearest = np.minimum(_nearest_corner_distance(a, b, of_b), _nearest_corner_distance(b, a, of_a))
+    return np.where(separating_gap(a, of_a, b, of_b) <= 0.0, 0.0, nearest)
 
 
-def _corner_distance(a: FloatArray, b: FloatArray, axes: FloatArray) -> FloatArray:
-    on_b = project(axes, b)
-    beyond = np.abs(project(axes, a) - _middle(on_b)[..., None]) - 0.5 * np.ptp(on_b, -1)[..., None]
+def _nearest_corner_distance(a: FloatArray, b: FloatArray, axes: FloatArray) -> FloatArray:
+    on_b = project_on_axes(axes, b)
+    beyond = np.abs(project_on_axes(axes, a) - _midrange(on_b)[..., None]) - 0.5 * np.ptp(on_b, -1)[..., None]
     outside = np.maximum(beyond, 0.0)
     distance: FloatArray = np.hypot(outside[..., 0, :], outside[..., 1, :]).min(-1)
     return distance
 
 
-def _middle(values: FloatArray) -> FloatArray:
+def _midrange(values: FloatArray) -> FloatArray:
     middle: FloatArray = 0.5 * (values.max(-1) + values.min(-1))
     return middle
 
@@ -91,22 +91,22 @@ def box_axes(box: FloatArray) -> FloatArray:
     across, along = box[..., 1, :] - box[..., 0, :], box[..., 1, :] - box[..., 2, :]
     turned = np.stack([across[..., 1], -across[..., 0]], -1)
     longer = np.linalg.norm(along, axis=-1) >= np.linalg.norm(across, axis=-1)
-    first = _unit(np.where(longer[..., None], along, turned))
+    first = _unit_vectors(np.where(longer[..., None], along, turned))
     return np.stack([first, np.stack([-first[..., 1], first[..., 0]], -1)], -2)
 
 
-def _unit(vectors: FloatArray) -> FloatArray:
+def _unit_vectors(vectors: FloatArray) -> FloatArray:
     norm = np.linalg.norm(vectors, axis=-1, keepdims=True)
     return np.where(norm > 0.0, vectors / np.where(norm > 0.0, norm, 1.0), np.array([1.0, 0.0]) + 0.0 * norm)
 
 
-def project(axes: FloatArray, points: FloatArray) -> FloatArray:
+def project_on_axes(axes: FloatArray, points: FloatArray) -> FloatArray:
     """Coordinates (..., n, m) of m points along n directions."""
     projected: FloatArray = (axes[..., :, None, :] * points[..., None, :, :]).sum(-1)
     return projected
 
 
-def separation(a: FloatArray, axes_of_a: FloatArray, b: FloatArray, axes_of_b: FloatArray) -> FloatArray:
+def separating_gap(a: FloatArray, axes_of_a: FloatArray, b: FloatArray, axes_of_b: FloatArray) -> FloatArray:
     """Widest gap in m between two convex shapes along any of their axes (separating axes).
 
     Positive if they are apart, and then a lower bound of their distance; NaN if a corner is NaN.
@@ -115,19 +115,19 @@ def separation(a: FloatArray, axes_of_a: FloatArray, b: FloatArray, axes_of_b: F
 
 
 def _widest_gap(axes: FloatArray, a: FloatArray, b: FloatArray) -> FloatArray:
-    low, high = _free_shift(axes, a, b)
+    low, high = _overlapping_shifts(axes, a, b)
     gap: FloatArray = np.maximum(low, -high).max(-1)
     return gap
 
 
-def _free_shift(axes: FloatArray, a: FloatArray, b: FloatArray) -> tuple[FloatArray, FloatArray]:
+def _overlapping_shifts(axes: FloatArray, a: FloatArray, b: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Range of shifts of `b` along each axis for which the projections share a point."""
-    low_a, high_a = _range(axes, a)
-    low_b, high_b = _range(axes, b)
+    low_a, high_a = _projected_range(axes, a)
+    low_b, high_b = _projected_range(axes, b)
     return low_a - high_b, high_a - low_b
 
 
-def _range(axes: FloatArray, points: FloatArray) -> tuple[FloatArray, FloatArray]:
+def _projected_range(axes: FloatArray, points: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Smallest and largest coordinate of the points along each axis."""
     x, y = np.ascontiguousarray(axes[..., 0]), np.ascontiguousarray(axes[..., 1])
     # Point by point: reducing over a last axis of four is several times slower.
@@ -138,7 +138,7 @@ def _range(axes: FloatArray, points: FloatArray) -> tuple[FloatArray, FloatArray
     return low, high
 
 
-def first_contact(
+def time_to_contact(
     a: FloatArray,
     b: FloatArray,
     velocity: FloatArray,
@@ -152,18 +152,18 @@ def first_contact(
     holds in at most two time intervals; the boxes touch when one interval of every axis is open.
     """
     axes = np.concatenate(np.broadcast_arrays(box_axes(a), box_axes(b)), -2)
-    low, high = _free_shift(axes, a, b)
-    speed = project(axes, velocity[..., None, :])[..., 0]
+    low, high = _overlapping_shifts(axes, a, b)
+    speed = project_on_axes(axes, velocity[..., None, :])[..., 0]
     low, high, speed = np.broadcast_arrays(low, high, speed)
     if acceleration is None or not np.any(acceleration):
-        exact, _ = _open_linear(low, high, speed)
-        starts, ends = _open_linear(low - _CONTACT, high + _CONTACT, speed)
+        exact, _ = _overlap_interval_linear(low, high, speed)
+        starts, ends = _overlap_interval_linear(low - _CONTACT_TOLERANCE, high + _CONTACT_TOLERANCE, speed)
         exact, starts, ends = exact[..., None], starts[..., None], ends[..., None]
     else:
-        relative_acceleration = np.broadcast_to(project(axes, acceleration[..., None, :])[..., 0], low.shape)
-        relative_acceleration = np.where(np.abs(relative_acceleration) <= _STEADY, 0.0, relative_acceleration)
-        exact, _ = _open_quadratic(low, high, speed, relative_acceleration)
-        starts, ends = _open_quadratic(low - _CONTACT, high + _CONTACT, speed, relative_acceleration)
+        relative_acceleration = np.broadcast_to(project_on_axes(axes, acceleration[..., None, :])[..., 0], low.shape)
+        relative_acceleration = np.where(np.abs(relative_acceleration) <= _NEGLIGIBLE_ACCELERATION, 0.0, relative_acceleration)
+        exact, _ = _overlap_intervals_quadratic(low, high, speed, relative_acceleration)
+        starts, ends = _overlap_intervals_quadratic(low - _CONTACT_TOLERANCE, high + _CONTACT_TOLERANCE, speed, relative_acceleration)
     # The tolerance only decides whether there is a contact; its time is the exact one if there is one. Along an axis
     # without motion both are infinite.
     with np.errstate(invalid="ignore"):
@@ -181,7 +181,7 @@ def first_contact(
     return np.where(unknown, np.nan, first)
 
 
-def _open_linear(low: FloatArray, high: FloatArray, speed: FloatArray) -> tuple[FloatArray, FloatArray]:
+def _overlap_interval_linear(low: FloatArray, high: FloatArray, speed: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Time interval in which low <= speed t <= high; if there is none, its start is after its end."""
     moves = speed != 0.0
     divisor = np.where(moves, speed, 1.0)
@@ -192,18 +192,18 @@ def _open_linear(low: FloatArray, high: FloatArray, speed: FloatArray) -> tuple[
     return start, np.where(moves, np.maximum(at_low, at_high), -start)
 
 
-def _open_quadratic(
-    low: FloatArray, high: FloatArray, speed: FloatArray, gain: FloatArray
+def _overlap_intervals_quadratic(
+    low: FloatArray, high: FloatArray, speed: FloatArray, acceleration: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
     """Both time intervals, on a new last axis, in which low <= speed t + acceleration t²/2 <= high."""
-    down = gain < 0.0
+    down = acceleration < 0.0
     low, high = np.where(down, -high, low), np.where(down, -low, high)
-    speed, gain = np.where(down, -speed, speed), np.abs(gain)
-    straight = gain == 0.0
-    start, end = _open_linear(low, high, speed)
-    gain = np.where(straight, 1.0, gain)
-    enter, leave, below = _roots(gain, speed, -high)
-    dip_from, dip_to, dips = _roots(gain, speed, -low)
+    speed, acceleration = np.where(down, -speed, speed), np.abs(acceleration)
+    straight = acceleration == 0.0
+    start, end = _overlap_interval_linear(low, high, speed)
+    acceleration = np.where(straight, 1.0, acceleration)
+    enter, leave, below = _quadratic_roots(acceleration, speed, -high)
+    dip_from, dip_to, dips = _quadratic_roots(acceleration, speed, -low)
     firsts = [np.where(below, enter, np.inf), np.where(below & dips, dip_to, np.inf)]
     lasts = [np.where(below, np.where(dips, dip_from, leave), -np.inf), np.where(below, leave, -np.inf)]
     return (
@@ -212,13 +212,13 @@ def _open_quadratic(
     )
 
 
-def _roots(gain: FloatArray, speed: FloatArray, offset: FloatArray) -> tuple[FloatArray, FloatArray, BoolArray]:
+def _quadratic_roots(acceleration: FloatArray, speed: FloatArray, offset: FloatArray) -> tuple[FloatArray, FloatArray, BoolArray]:
     """Sorted roots of acceleration t²/2 + speed t + offset for acceleration > 0, and whether there are any."""
-    discriminant = speed * speed - 2.0 * gain * offset
+    discriminant = speed * speed - 2.0 * acceleration * offset
     # This sum has no cancellation, so the smaller root keeps its digits when the acceleration is small.
     q = -(speed + np.copysign(np.sqrt(np.maximum(discriminant, 0.0)), speed))
     with np.errstate(over="ignore"):
-        first = q / gain
+        first = q / acceleration
         second = np.where(q == 0.0, first, 2.0 * offset / np.where(q == 0.0, 1.0, q))
     # Motion that turns around exactly at the offset has reached it.
     return np.minimum(first, second), np.maximum(first, second), discriminant >= -1e-14 * speed * speed

@@ -6,33 +6,33 @@ import re
 from collections.abc import Mapping
 from typing import Any, Final
 
-_NO_LETTERS: Final = re.compile(r"[^0-9A-Za-z]+")
-_BEGINS_WITH_A_NUMBER: Final = re.compile(r"(\d+)_(.+)")
+_NON_ALPHANUMERIC: Final = re.compile(r"[^0-9A-Za-z]+")
+_LEADING_NUMBER: Final = re.compile(r"(\d+)_(.+)")
 
 
-def identifier(words: str) -> str:
+def key_to_identifier(key: str) -> str:
     """Identifier in lower case made of a worded key.
 
     >>> from cornercase._common.json_keys import identifier
     >>> identifier("first order, 90 % interval"), identifier("95 % interval")
     ('first_order_interval_90', 'interval_95')
     """
-    joined = _NO_LETTERS.sub("_", words).strip("_").lower()
-    return _BEGINS_WITH_A_NUMBER.sub(r"\2_\1", joined)
+    joined = _NON_ALPHANUMERIC.sub("_", key).strip("_").lower()
+    return _LEADING_NUMBER.sub(r"\2_\1", joined)
 
 
-def with_identifiers(plain: Any, names: Mapping[str, int]) -> Any:
+def keys_to_identifiers(plain: Any, kept_levels: Mapping[str, int]) -> Any:
     """Replace the keys of nested dictionaries by identifiers.
 
     `kept_levels` says below which keys, and for how many levels, keys are names of things (such as metrics), which
     stay.
     """
     if isinstance(plain, Mapping):
-        return {identifier(key): _below(value, names.get(key, 0), names) for key, value in plain.items()}
-    return [with_identifiers(item, names) for item in plain] if isinstance(plain, list) else plain
+        return {key_to_identifier(key): _convert_below_names(value, kept_levels.get(key, 0), kept_levels) for key, value in plain.items()}
+    return [keys_to_identifiers(item, kept_levels) for item in plain] if isinstance(plain, list) else plain
 
 
-def _below(plain: Any, levels: int, names: Mapping[str, int]) -> Any:
+def _convert_below_names(plain: Any, levels: int, names: Mapping[str, int]) -> Any:
     if levels and isinstance(plain, Mapping):
-        return {key: _below(value, levels - 1, names) for key, value in plain.items()}
-    return with_identifiers(plain, names)
+        return {key: _convert_below_names(value, levels - 1, names) for key, value in plain.items()}
+    return keys_to_identifiers(plain, names)

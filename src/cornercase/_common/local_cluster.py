@@ -9,40 +9,40 @@ from distributed import Nanny, Scheduler, SpecCluster, Worker
 from distributed.security import Security
 from distributed.worker_memory import parse_memory_limit
 
-from cornercase._common.current_folder import kept_from_children
+from cornercase._common.current_folder import hide_current_folder_from_children
 from cornercase._common.errors import InputError
-from cornercase._common.guardian import Guardian
+from cornercase._common.guardian import Reaper
 
 _HOST: Final = "127.0.0.1"
 
 
-class _WithoutPages:
+class _NoWebPages:
     """Mixin: serve none of Dask's web pages."""
 
     def start_http_server(self, *_: object, **__: object) -> None:
         pass
 
 
-class LocalScheduler(_WithoutPages, Scheduler):
+class LocalScheduler(_NoWebPages, Scheduler):
     """Scheduler of a local cluster."""
 
 
-class LocalWorker(_WithoutPages, Worker):
+class LocalWorker(_NoWebPages, Worker):
     """Worker of a local cluster."""
 
 
-def start(workers: int, guardian: Guardian) -> SpecCluster:
+def start_local_cluster(n_workers: int, reaper: Reaper) -> SpecCluster:
     """Start a scheduler in this process and workers in others, which `reaper` ends with this process.
 
     They and this process's client accept only each other, by a temporary certificate. RuntimeError if a worker died
     while it started.
     """
 
-    class GuardedNanny(Nanny):
+    class ReapedNanny(Nanny):
         """Starts a worker, and restarts it if it dies; ended with this process."""
 
         async def instantiate(self) -> Any:
-            with guardian.watch_all(), kept_from_children():
+            with reaper.watch_new_processes(), hide_current_folder_from_children():
                 return await super().instantiate()
 
     try:
@@ -52,9 +52,9 @@ def start(workers: int, guardian: Guardian) -> SpecCluster:
             "`cluster` local: needs the package cryptography; it comes with pip install 'cornercase[cluster]'."
         ) from error
     shared_options = {"host": _HOST, "protocol": "tls://", "security": security}
-    memory_limit = parse_memory_limit("auto", 1, workers, logger=logging.getLogger(__name__))
+    memory_limit = parse_memory_limit("auto", 1, n_workers, logger=logging.getLogger(__name__))
     worker = {
-        "cls": GuardedNanny,
+        "cls": ReapedNanny,
         "options": {
             **shared_options,
             "worker_class": LocalWorker,
@@ -64,7 +64,7 @@ def start(workers: int, guardian: Guardian) -> SpecCluster:
         },
     }
     return SpecCluster(
-        workers=dict.fromkeys(range(workers), worker),
+        workers=dict.fromkeys(range(n_workers), worker),
         # Port 0: any free port.
         scheduler={"cls": LocalScheduler, "options": {**shared_options, "port": 0, "dashboard": False}},
         worker=worker,

@@ -10,12 +10,12 @@ from typing import Final
 from filelock import BaseFileLock, FileLock, Timeout
 
 # Seconds between attempts (locks are held for milliseconds), and seconds until it gives up.
-_SOON, _LONGEST = 0.005, 60.0
+_POLL_INTERVAL, _TIMEOUT = 0.005, 60.0
 # Locks that timed out; they are not waited for again until somebody frees them.
-_GIVEN_UP: Final[set[Path]] = set()
+_TIMED_OUT: Final[set[Path]] = set()
 
 
-def taken_lock(path: Path) -> BaseFileLock | None:
+def try_lock(path: Path) -> BaseFileLock | None:
     """Acquire a lock, or return None if somebody else holds it. OSError if the file cannot be written."""
     # Any thread may release it.
     lock = FileLock(path, thread_local=False)
@@ -32,21 +32,21 @@ def taken_lock(path: Path) -> BaseFileLock | None:
 
 
 @contextmanager
-def held_lock(path: Path) -> Iterator[None]:
+def lock(path: Path) -> Iterator[None]:
     """Hold a lock during the block; reentrant within a thread.
 
     If its file cannot be written there is nothing to protect, and no lock is held. A holder that has not released it
     after a minute has been stopped; it is not waited for any longer, nor again.
     """
     with ExitStack() as stack:
-        timeout = 0.0 if path in _GIVEN_UP else _LONGEST
+        timeout = 0.0 if path in _TIMED_OUT else _TIMEOUT
         # filelock's Timeout is an OSError, too.
         with suppress(OSError, NotImplementedError):
             path.parent.mkdir(parents=True, exist_ok=True)
             try:
-                stack.enter_context(FileLock(path, is_singleton=True).acquire(timeout=timeout, poll_interval=_SOON))
+                stack.enter_context(FileLock(path, is_singleton=True).acquire(timeout=timeout, poll_interval=_POLL_INTERVAL))
             except Timeout:
-                _GIVEN_UP.add(path)
+                _TIMED_OUT.add(path)
             else:
-                _GIVEN_UP.discard(path)
+                _TIMED_OUT.discard(path)
         yield

@@ -12,7 +12,7 @@ from cornercase._common.typing import BoolArray, IntArray
 
 
 @dataclass(frozen=True, eq=False)
-class Meetings:
+class OverlapRuns:
     """Which of n steps overlap which of m other steps.
 
     `runs`, shape (k, 3): a step, and the first and last of consecutive other steps that it overlaps, sorted. `shape`:
@@ -22,32 +22,32 @@ class Meetings:
     runs: IntArray
     shape: tuple[int, int]
 
-    def steps(self) -> IntArray:
+    def overlapping_steps(self) -> IntArray:
         """Sorted indices of the steps that overlap any other step."""
         steps: IntArray = np.unique(self.runs[:, 0])
         return steps
 
-    def others(self) -> IntArray:
+    def overlapped_steps(self) -> IntArray:
         """Sorted indices of the other steps that are overlapped."""
         ends = np.zeros(self.shape[1] + 1, dtype=np.int64)
         np.add.at(ends, self.runs[:, 1], 1)
         np.add.at(ends, self.runs[:, 2] + 1, -1)
         return np.flatnonzero(np.cumsum(ends[:-1]) > 0)
 
-    def met_by(self, step: int) -> BoolArray:
+    def overlaps_of_step(self, step: int) -> BoolArray:
         """Mask, shape (m,), of the other steps that a step overlaps."""
         mask = np.zeros(self.shape[1], dtype=np.bool_)
         for first, last in self.runs[self.runs[:, 0] == step, 1:].tolist():
             mask[first : last + 1] = True
         return mask
 
-    def meeting(self, other: int) -> BoolArray:
+    def steps_overlapping(self, other_step: int) -> BoolArray:
         """Mask, shape (n,), of the steps that overlap one of the other steps."""
         mask = np.zeros(self.shape[0], dtype=np.bool_)
-        mask[self.runs[(self.runs[:, 1] <= other) & (other <= self.runs[:, 2]), 0]] = True
+        mask[self.runs[(self.runs[:, 1] <= other_step) & (other_step <= self.runs[:, 2]), 0]] = True
         return mask
 
-    def places(self) -> list[Meetings]:
+    def connected_components(self) -> list[OverlapRuns]:
         """Split into connected components (each pair is connected with its eight neighbours), sorted by first step."""
         if not len(self.runs):
             return []
@@ -64,4 +64,4 @@ class Meetings:
         right = np.arange(len(left)) - np.repeat(counts.cumsum() - counts, counts) + np.repeat(begins, counts)
         touching = coo_matrix((np.ones(len(left), dtype=np.int8), (left, right)), shape=(len(step), len(step)))
         count, component = connected_components(touching, directed=False)
-        return [Meetings(self.runs[component == k], self.shape) for k in range(count)]
+        return [OverlapRuns(self.runs[component == k], self.shape) for k in range(count)]

@@ -10,21 +10,21 @@ from math import ceil, floor, isfinite, log10
 from numbers import Real
 from typing import Final
 
-from cornercase._common.arguments import shown
+from cornercase._common.arguments import repr_short
 from cornercase._common.errors import InputError
 
 DEFAULT_MEMORY: Final = "4 GB"
 """Default of all ``memory`` arguments."""
 # Memory of Python and its libraries without data, measured with a study of 400 scenarios. A constant, since blocks, and
 # with them the last digits of sums, have to be the same on all machines.
-_LOADED: Final = 400_000_000
-_LEAST: Final = 500_000_000
-_WORTH_SAYING: Final = 500_000_000
-_UNITS: Final = {
+_BASE_MEMORY: Final = 400_000_000
+_MIN_LIMIT: Final = 500_000_000
+_MIN_REPORTED: Final = 500_000_000
+_UNIT_FACTORS: Final = {
     "": 1, "b": 1, "kb": 10**3, "mb": 10**6, "gb": 10**9, "tb": 10**12,
     "kib": 2**10, "mib": 2**20, "gib": 2**30, "tib": 2**40,
 }  # fmt: skip
-_SIZE: Final = re.compile(r"\s*(\d+(?:\.\d+)?|\.\d+)\s*([a-z]*)\s*", re.IGNORECASE | re.ASCII)
+_SIZE_PATTERN: Final = re.compile(r"\s*(\d+(?:\.\d+)?|\.\d+)\s*([a-z]*)\s*", re.IGNORECASE | re.ASCII)
 
 
 @dataclass(frozen=True)
@@ -39,42 +39,42 @@ class MemoryLimit:
     size: int
 
     @classmethod
-    def of(cls, value: object) -> MemoryLimit:
+    def from_value(cls, value: object) -> MemoryLimit:
         """Parse the argument ``memory``: bytes, ``"4 GB"``, ``"500MB"``, ``"2 GiB"``, or a limit; at least 500 MB."""
         if isinstance(value, MemoryLimit):
             return value
-        return cls(_bytes_of(value))
+        return cls(_parse_size(value))
 
     @property
-    def free(self) -> int:
+    def free_bytes(self) -> int:
         """Bytes for data: the limit without what Python and its libraries take."""
-        return self.size - _LOADED
+        return self.size - _BASE_MEMORY
 
-    def rows(self, row: float, *, share: float = 1.0) -> int:
+    def max_rows(self, bytes_per_row: float, *, share: float = 1.0) -> int:
         """Number of rows of `bytes_per_row` bytes that fit into a share of the free memory; at least 1."""
-        return max(1, int(self.free * share / max(row, 1.0)))
+        return max(1, int(self.free_bytes * share / max(bytes_per_row, 1.0)))
 
-    def blocks(self, count: int, row: float, *, share: float = 1.0) -> Iterator[slice]:
+    def split_rows(self, count: int, bytes_per_row: float, *, share: float = 1.0) -> Iterator[slice]:
         """Yield slices of about equal length that split `count` rows into blocks that fit."""
         if count > 0:
-            length = ceil(count / ceil(count / self.rows(row, share=share)))
+            length = ceil(count / ceil(count / self.max_rows(bytes_per_row, share=share)))
             for start in range(0, count, length):
                 yield slice(start, min(start + length, count))
 
-    def holds(self, need: float) -> bool:
+    def fits(self, n_bytes: float) -> bool:
         """Whether `n_bytes` bytes of data fit."""
-        return need <= self.free
+        return n_bytes <= self.free_bytes
 
-    def require(self, need: float, what: str, instead: str) -> None:
+    def check_fits(self, n_bytes: float, subject: str, advice: str) -> None:
         """Raise `InputError` if `n_bytes` bytes do not fit. `subject` is a plural noun; `advice` says what to do."""
-        if not self.holds(need):
+        if not self.fits(n_bytes):
             raise InputError(
-                f"{what} need up to {size_in_words(need + _LOADED)}, which is more than `memory`"
-                f" {size_in_words(self.size)}; {instead}."
+                f"{subject} need up to {format_size(n_bytes + _BASE_MEMORY)}, which is more than `memory`"
+                f" {format_size(self.size)}; {advice}."
             )
 
 
-def size_in_words(size: float) -> str:
+def format_size(size: float) -> str:
     """Format a size in bytes, rounded up to two significant digits.
 
     >>> size_in_words(3_350_000_000), size_in_words(512_000_000)
@@ -88,24 +88,24 @@ def size_in_words(size: float) -> str:
     return f"{ceil(size)} bytes"
 
 
-def state_need(what: str, need: float) -> None:
+def report_memory_need(subject: str, n_bytes: float) -> None:
     """Print on standard error how much memory something needs, if it is at least 500 MB. `subject` is a plural noun."""
-    if need >= _WORTH_SAYING:
-        print(f"{what} need about {size_in_words(need + _LOADED)} of memory.", file=sys.stderr, flush=True)
+    if n_bytes >= _MIN_REPORTED:
+        print(f"{subject} need about {format_size(n_bytes + _BASE_MEMORY)} of memory.", file=sys.stderr, flush=True)
 
 
-def _bytes_of(value: object) -> int:
+def _parse_size(value: object) -> int:
     size = -1.0
     if isinstance(value, Real) and not isinstance(value, bool):
         size = float(value)
-    elif isinstance(value, str) and (match := _SIZE.fullmatch(value)) and match[2].lower() in _UNITS:
-        size = float(match[1]) * _UNITS[match[2].lower()]
+    elif isinstance(value, str) and (match := _SIZE_PATTERN.fullmatch(value)) and match[2].lower() in _UNIT_FACTORS:
+        size = float(match[1]) * _UNIT_FACTORS[match[2].lower()]
     if not isfinite(size) or size <= 0:
-        text = value if isinstance(value, str) and value.strip() else shown(value)
+        text = value if isinstance(value, str) and value.strip() else repr_short(value)
         raise InputError(f"`memory` {text}: give a size such as 4 GB or 500 MB.")
-    if size < _LEAST:
+    if size < _MIN_LIMIT:
         raise InputError(
-            f"`memory` {value}: give at least {size_in_words(_LEAST)};"
-            f" Python and its libraries take {size_in_words(_LOADED)}."
+            f"`memory` {value}: give at least {format_size(_MIN_LIMIT)};"
+            f" Python and its libraries take {format_size(_BASE_MEMORY)}."
         )
     return int(size)

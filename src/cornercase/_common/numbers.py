@@ -5,17 +5,17 @@ from __future__ import annotations
 import math
 
 
-def number_of(value: str | float) -> float:
+def parse_number(value: str | float) -> float:
     """Parse a number as XML writes it, possibly not finite: without the underscores and non-ASCII digits of Python."""
     if isinstance(value, str) and ("_" in value or not value.isascii()):
         raise ValueError(f"'{value}' is not a number")
     return float(value)
 
 
-def finite_number(text: str) -> float | None:
+def parse_finite_number(text: str) -> float | None:
     """Parse a finite number; None if the text is none."""
     try:
-        number = number_of(text)
+        number = parse_number(text)
     except ValueError:
         return None
     return number if math.isfinite(number) else None

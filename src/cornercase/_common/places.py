@@ -13,53 +13,53 @@ from lxml import etree
 from cornercase._common.errors import InputError
 
 # The line number in a message, after the file name.
-_LINE: Final = re.compile(r", line \d+\b")
-_WITH_LINE: Final = re.compile(rf".+?{_LINE.pattern}")
+_LINE_PATTERN: Final = re.compile(r", line \d+\b")
+_STARTS_WITH_LINE: Final = re.compile(rf".+?{_LINE_PATTERN.pattern}")
 
 
-Placed = Any
+HasLine = Any
 """An object with a tag and a line in a file: an element (whose line has no static type) or a declaration."""
 
 
-def file_of(element: etree._Element, otherwise: str) -> str:
+def file_name_of_element(element: etree._Element, default: str) -> str:
     """Name of the file that an element was read from, or `default`."""
-    return element.getroottree().docinfo.URL or otherwise
+    return element.getroottree().docinfo.URL or default
 
 
-def line_of(element: etree._Element) -> int:
+def line_number(element: etree._Element) -> int:
     """Line of an element in its file; 0 if unknown."""
     return element.sourceline if isinstance(element.sourceline, int) else 0
 
 
-def place_of(element: Placed, source: str) -> str:
+def format_location(element: HasLine, source: str) -> str:
     """File and line of an element: ``"a.xosc, line 3"``."""
     return f"{source}, line {element.sourceline}" if element.sourceline else source
 
 
 @contextmanager
-def placed(element: Placed | None, source: str) -> Iterator[None]:
+def locate_input_errors(element: HasLine | None, source: str) -> Iterator[None]:
     """Prefix an `InputError` of the block with file, line and element, unless it names a line already."""
     try:
         yield
     except InputError as error:
         why = str(error)
-        if element is None or not element.sourceline or _WITH_LINE.match(why):
+        if element is None or not element.sourceline or _STARTS_WITH_LINE.match(why):
             raise
-        raise type(error)(f"{place_of(element, source)}: <{element.tag}>: {without_file(source, why)}") from None
+        raise type(error)(f"{format_location(element, source)}: <{element.tag}>: {remove_file_prefix(source, why)}") from None
 
 
-def at_line(where: str, element: Placed) -> str:
+def replace_line(location: str, element: HasLine) -> str:
     """Replace the line in `location` (file, line and road) by that of an element."""
-    return _LINE.sub(f", line {element.sourceline}", where, count=1)
+    return _LINE_PATTERN.sub(f", line {element.sourceline}", location, count=1)
 
 
-def of_file(path: Path | str, why: str) -> str:
+def prefix_file(path: Path | str, message: str) -> str:
     """Prefix a failure message with the file, unless it begins with it."""
-    if why.startswith(str(path)):
-        return why
-    return f"{path}{', ' if why.startswith('line ') else ': '}{why}"
+    if message.startswith(str(path)):
+        return message
+    return f"{path}{', ' if message.startswith('line ') else ': '}{message}"
 
 
-def without_file(source: str, why: str) -> str:
+def remove_file_prefix(source: str, message: str) -> str:
     """Remove the file from the beginning of a message."""
-    return why.removeprefix(source).lstrip(",: ") if why.startswith((f"{source}:", f"{source},")) else why
+    return message.removeprefix(source).lstrip(",: ") if message.startswith((f"{source}:", f"{source},")) else message

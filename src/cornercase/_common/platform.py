@@ -16,28 +16,28 @@ from multiprocessing import resource_tracker
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
-from cornercase._common.current_folder import kept_from_children
+from cornercase._common.current_folder import hide_current_folder_from_children
 
 if TYPE_CHECKING:
     from psutil import Process
 
 _WINDOWS: Final = sys.platform == "win32"
 # A virus scanner or an indexer may hold a new file for a moment.
-_TRIES, _PAUSE = 20, 0.05
+_MAX_ATTEMPTS, _RETRY_DELAY = 20, 0.05
 # errno values of file systems that do not support an operation.
-_UNKNOWN_ORDER: Final = (errno.EINVAL, errno.ENOTSUP, errno.EOPNOTSUPP, errno.ENOSYS)
+_NOT_SUPPORTED_ERRNOS: Final = (errno.EINVAL, errno.ENOTSUP, errno.EOPNOTSUPP, errno.ENOSYS)
 # Higher exit codes are Windows exceptions, which are known by hexadecimal numbers.
-_EXCEPTIONS: Final = 0xC0000000
+_FIRST_WINDOWS_EXCEPTION_CODE: Final = 0xC0000000
 
 
-def available_cpus() -> int:
+def count_available_cpus() -> int:
     """Number of CPUs that this process may use."""
     if hasattr(os, "sched_getaffinity"):
         return len(os.sched_getaffinity(0))
     return os.cpu_count() or 1
 
 
-def user_cache() -> Path:
+def user_cache_folder() -> Path:
     """Folder for caches of the user's programs: ``XDG_CACHE_HOME`` if set, else that of the platform."""
     configured = os.environ.get("XDG_CACHE_HOME") or (os.environ.get("LOCALAPPDATA") if _WINDOWS else None)
     if configured:
@@ -59,34 +59,34 @@ def replace_file(source: Path, target: Path) -> None:
     Windows refuses while a program has one of them open; virus scanners do so for a moment, so it is retried for a
     second.
     """
-    for _ in range(_TRIES if _WINDOWS else 0):
+    for _ in range(_MAX_ATTEMPTS if _WINDOWS else 0):
         with suppress(PermissionError):
             os.replace(source, target)
             return
-        time.sleep(_PAUSE)
+        time.sleep(_RETRY_DELAY)
     os.replace(source, target)
 
 
-def renames_open_files() -> bool:
+def can_rename_open_files() -> bool:
     """Whether a file that is open can be renamed and replaced (not on Windows)."""
     return not _WINDOWS
 
 
-def force_file(path: Path) -> None:
+def fsync_file(path: Path) -> None:
     """Sync a file's content to disk; nothing if the file system cannot. OSError if the disk is full or broken."""
     # The user's umask may forbid writing to new files.
-    _force(path, os.O_RDWR | getattr(os, "O_BINARY", 0) if _WINDOWS else os.O_RDONLY)
+    _fsync(path, os.O_RDWR | getattr(os, "O_BINARY", 0) if _WINDOWS else os.O_RDONLY)
 
 
-def force_folder(path: Path) -> None:
+def fsync_folder(path: Path) -> None:
     """Sync the names in a folder to disk; Windows leaves that to the file system."""
     if not _WINDOWS:
         # A folder may be writable but not readable.
         with suppress(PermissionError):
-            _force(path, os.O_RDONLY)
+            _fsync(path, os.O_RDONLY)
 
 
-def _force(path: Path, flags: int) -> None:
+def _fsync(path: Path, flags: int) -> None:
     handle = os.open(path, flags)
     try:
         if sys.platform == "darwin":
@@ -98,14 +98,14 @@ def _force(path: Path, flags: int) -> None:
                 return
         os.fsync(handle)
     except OSError as error:
-        if error.errno not in _UNKNOWN_ORDER:
+        if error.errno not in _NOT_SUPPORTED_ERRNOS:
             raise
     finally:
         os.close(handle)
 
 
 @contextmanager
-def alone_in(folder: Path) -> Iterator[None]:
+def lock_folder(folder: Path) -> Iterator[None]:
     """Lock a folder for the block without making a file, where the platform can."""
     with ExitStack() as stack:
         # Windows and some file systems cannot lock folders.
@@ -118,23 +118,23 @@ def alone_in(folder: Path) -> Iterator[None]:
         yield
 
 
-def bytes_of_path(path: Path) -> bytes:
+def encode_path(path: Path) -> bytes:
     """Encode a path for the C library; on Windows in the system's code page, which may lack a character."""
     return str(path).encode("mbcs", "strict") if _WINDOWS else os.fsencode(path)
 
 
-def leave_terminal() -> None:
+def detach_from_terminal() -> None:
     """Ignore Ctrl-C, and make this process and its children a process group where the platform has groups."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     if hasattr(signal, "pthread_sigmask"):
         # Blocked by `block_interrupts`.
-        signal.pthread_sigmask(signal.SIG_UNBLOCK, {signal.SIGINT, *ending_signals()})
+        signal.pthread_sigmask(signal.SIG_UNBLOCK, {signal.SIGINT, *termination_signals()})
     if hasattr(os, "setsid"):
         os.setsid()
 
 
 @contextmanager
-def interrupts_kept(*others: signal.Signals) -> Iterator[None]:
+def block_interrupts(*other_signals: signal.Signals) -> Iterator[None]:
     """Block Ctrl-C, and `other_signals`, in this thread and in processes and threads that it starts.
 
     A child keeps it blocked until `detach_from_terminal`, so that it is not interrupted while it imports. Without
@@ -147,9 +147,9 @@ def interrupts_kept(*others: signal.Signals) -> Iterator[None]:
     try:
         # Started now, as it would otherwise start with the first process and unblock Ctrl-C. SIGHUP is blocked so that
         # closing the terminal does not end it unnoticed.
-        with kept_from_children():
+        with hide_current_folder_from_children():
             resource_tracker.ensure_running()
-        signal.pthread_sigmask(signal.SIG_SETMASK, {*before, signal.SIGINT, *others})
+        signal.pthread_sigmask(signal.SIG_SETMASK, {*before, signal.SIGINT, *other_signals})
         yield
     finally:
         signal.pthread_sigmask(signal.SIG_SETMASK, before)
@@ -168,7 +168,7 @@ def find_program(name: str, folders: Sequence[str] | None = None) -> str | None:
     return next((str(path) for path in files if path.is_file()), None)
 
 
-def started_apart() -> dict[str, Any]:
+def detached_process_options() -> dict[str, Any]:
     """Options of `subprocess.Popen` for a process that survives this one and its group, without terminal or window."""
     # Written so that type checkers understand it.
     if sys.platform == "win32":
@@ -176,73 +176,73 @@ def started_apart() -> dict[str, Any]:
     return {"start_new_session": True}
 
 
-def process_tree(number: int, *, group: bool = True) -> list[Process]:
+def list_process_tree(process_id: int, *, include_group: bool = True) -> list[Process]:
     """The running process and its descendants; with `include_group`, also orphaned members of its group."""
     # Imported late: only needed to start processes.
     import psutil
 
     processes: list[Process] = []
     with suppress(psutil.Error):
-        process = psutil.Process(number)
+        process = psutil.Process(process_id)
         processes += [process, *process.children(recursive=True)]
-    if group and hasattr(os, "getpgid"):
+    if include_group and hasattr(os, "getpgid"):
         for process_of_group in psutil.process_iter():
             with suppress(OSError):
-                if os.getpgid(process_of_group.pid) == number and process_of_group not in processes:
+                if os.getpgid(process_of_group.pid) == process_id and process_of_group not in processes:
                     processes.append(process_of_group)
     return processes
 
 
-def end_process_tree(number: int) -> None:
+def kill_process_tree(process_id: int) -> None:
     """Kill a process, its descendants and its process group."""
     import psutil
 
-    processes = process_tree(number, group=False)
+    processes = list_process_tree(process_id, include_group=False)
     if hasattr(os, "killpg"):
         with suppress(OSError):
-            os.killpg(number, signal.SIGKILL)
+            os.killpg(process_id, signal.SIGKILL)
     for process in processes:
         with suppress(psutil.Error):
             process.kill()
 
 
-def is_process(number: int) -> bool:
+def is_process_running(process_id: int) -> bool:
     """Whether a process with this id is running."""
     import psutil
 
-    return psutil.pid_exists(number)
+    return psutil.pid_exists(process_id)
 
 
-def ending_signals() -> tuple[signal.Signals, ...]:
+def termination_signals() -> tuple[signal.Signals, ...]:
     """Termination signals other than Ctrl-C: SIGTERM, SIGHUP (terminal closed), SIGBREAK (Windows)."""
     names = ("SIGTERM", "SIGHUP", "SIGBREAK")
     return tuple(getattr(signal, name) for name in names if hasattr(signal, name))
 
 
-def signal_main_thread(number: int) -> None:
+def signal_main_thread(signal_number: int) -> None:
     """Send a signal to the main thread, which stops waiting where the platform supports it."""
     if hasattr(signal, "pthread_kill"):
-        signal.pthread_kill(threading.main_thread().ident or 0, number)
+        signal.pthread_kill(threading.main_thread().ident or 0, signal_number)
     else:
-        signal.raise_signal(number)
+        signal.raise_signal(signal_number)
 
 
-def ended_from_outside(code: int | None) -> bool:
+def is_killed_externally(exit_code: int | None) -> bool:
     """Whether an exit code of `multiprocessing` says that a user or the system killed the process; False on Windows."""
-    return code is not None and code < 0 and -code in [getattr(signal, "SIGKILL", 0), *ending_signals()]
+    return exit_code is not None and exit_code < 0 and -exit_code in [getattr(signal, "SIGKILL", 0), *termination_signals()]
 
 
-def words_of_exit_code(code: int | None) -> str:
+def describe_exit_code(exit_code: int | None) -> str:
     """Describe an exit code of `multiprocessing`: ``"ended with exit code 3"``, ``"was ended by SIGSEGV"``."""
-    if not code:
+    if not exit_code:
         return "ended"
-    if code < 0:
+    if exit_code < 0:
         names = {number.value: number.name for number in signal.Signals}
-        return f"was ended by {names.get(-code, f'signal {-code}')}"
-    return f"ended with exit code {code:#010x}" if code >= _EXCEPTIONS else f"ended with exit code {code}"
+        return f"was ended by {names.get(-exit_code, f'signal {-exit_code}')}"
+    return f"ended with exit code {exit_code:#010x}" if exit_code >= _FIRST_WINDOWS_EXCEPTION_CODE else f"ended with exit code {exit_code}"
 
 
-def parent_watch() -> Callable[[], bool]:
+def make_parent_check() -> Callable[[], bool]:
     """Return a function that says whether this process's parent is still running."""
     import psutil
 
@@ -256,7 +256,7 @@ def parent_watch() -> Callable[[], bool]:
     return lambda: os.getppid() == number and parent.is_running()
 
 
-def forgive_narrow_output() -> None:
+def replace_unencodable_output() -> None:
     """Replace characters that the encoding of stdout or stderr lacks, instead of failing.
 
     On Windows, a redirected output has a code page of 256 characters unless the user says otherwise.
@@ -267,7 +267,7 @@ def forgive_narrow_output() -> None:
             reconfigure(errors="replace")
 
 
-def bytes_in_holes(path: Path) -> int:
+def count_unallocated_bytes(path: Path) -> int:
     """Number of bytes of a sparse file that take no disk space yet; 0 if the platform has no sparse files."""
     if sys.platform == "win32":
         return 0
@@ -275,7 +275,7 @@ def bytes_in_holes(path: Path) -> int:
     return max(status.st_size - 512 * status.st_blocks, 0)
 
 
-def fill_holes(path: Path) -> None:
+def allocate_file(path: Path) -> None:
     """Allocate the disk space of a sparse file, where the platform can; OSError if there is not enough."""
     if sys.platform == "linux":
         with path.open("r+b") as file:

@@ -14,12 +14,12 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn
 
 _SECONDS_BETWEEN_LINES: Final = 5.0
 # Seconds after the first item before a rate is shown; it would be too uncertain earlier.
-_SECONDS_OF_A_RATE: Final = 1.0
+_MIN_SECONDS_FOR_RATE: Final = 1.0
 # Seconds before a step, which is often short, gets a bar.
-_SECONDS_OF_A_SHORT_STEP: Final = 2.0
+_SECONDS_BEFORE_BAR: Final = 2.0
 
 
-def words_of_seconds(seconds: float) -> str:
+def format_duration(seconds: float) -> str:
     """Format a duration: ``"40 s"``, ``"4 min 10 s"``, ``"2 h 5 min"``."""
     total = round(seconds)
     if total < 60:
@@ -36,19 +36,19 @@ class ProgressBar:
     `time.monotonic`; without it, the rate is counted from the first `update` on.
     """
 
-    def __init__(self, total: int, doing: str, things: str, begun: float | None = None) -> None:
-        self._total, self._things = total, things
-        self._said, self._done = 0.0, -1
+    def __init__(self, total: int, activity: str, unit: str, start_time: float | None = None) -> None:
+        self._total, self._unit = total, unit
+        self._last_line_time, self._last_n_done = 0.0, -1
         # Number done at first; (number done, time) from which the rate is counted.
-        self._first: int | None = None
-        self._since: tuple[int, float] | None = None if begun is None else (0, begun)
+        self._first_n_done: int | None = None
+        self._rate_start: tuple[int, float] | None = None if start_time is None else (0, start_time)
         console = Console(stderr=True)
         self._progress: Progress | None = None
         self._task: Any = None
-        self._quiet = loudness.get() == "quiet"
-        if console.is_terminal and not self._quiet:
+        self._is_quiet = verbosity.get() == "quiet"
+        if console.is_terminal and not self._is_quiet:
             self._progress = Progress(
-                TextColumn(doing),
+                TextColumn(activity),
                 BarColumn(),
                 MofNCompleteColumn(),
                 TextColumn("{task.fields[rate]}"),
@@ -58,34 +58,34 @@ class ProgressBar:
             self._progress.start()
             self._task = self._progress.add_task("", total=total, rate="", word="")
 
-    def update(self, done: int, word: str, total: int | None = None) -> None:
+    def update(self, n_done: int, status: str, total: int | None = None) -> None:
         """Show the number done and a status word; `total` if it has changed."""
         self._total = self._total if total is None else total
         now = time.monotonic()
-        if self._first is None:
-            self._first = done
-        elif self._since is None and done > self._first:
+        if self._first_n_done is None:
+            self._first_n_done = n_done
+        elif self._rate_start is None and n_done > self._first_n_done:
             # The preparation of the first item says nothing about the rate.
-            self._since = (done, now)
+            self._rate_start = (n_done, now)
         rate = 0.0
-        if self._since is not None and now - self._since[1] >= _SECONDS_OF_A_RATE:
-            rate = (done - self._since[0]) / (now - self._since[1])
-        speed = self._rate_of(done, rate)
+        if self._rate_start is not None and now - self._rate_start[1] >= _MIN_SECONDS_FOR_RATE:
+            rate = (n_done - self._rate_start[0]) / (now - self._rate_start[1])
+        speed = self._format_rate(n_done, rate)
         if self._progress is not None:
-            self._progress.update(self._task, completed=done, total=self._total, rate=speed, word=word)
-        elif not self._quiet and (
-            now - self._said > _SECONDS_BETWEEN_LINES or (done >= self._total and done != self._done)
+            self._progress.update(self._task, completed=n_done, total=self._total, rate=speed, word=status)
+        elif not self._is_quiet and (
+            now - self._last_line_time > _SECONDS_BETWEEN_LINES or (n_done >= self._total and n_done != self._last_n_done)
         ):
-            self._said, self._done = now, done
-            parts = [f"{done} of {self._total} {self._things}", speed, word]
+            self._last_line_time, self._last_n_done = now, n_done
+            parts = [f"{n_done} of {self._total} {self._unit}", speed, status]
             print(", ".join(filter(None, parts)), file=sys.stderr, flush=True)
 
-    def _rate_of(self, done: int, rate: float) -> str:
+    def _format_rate(self, n_done: int, rate: float) -> str:
         """Format rate and time left; empty while they are unknown."""
         if rate <= 0.0:
             return ""
         text = f"{rate:.1f}/s" if rate >= 0.1 else f"{60.0 * rate:.1f}/min"
-        return text if done >= self._total else f"{text}, {words_of_seconds((self._total - done) / rate)} left"
+        return text if n_done >= self._total else f"{text}, {format_duration((self._total - n_done) / rate)} left"
 
     def stop(self) -> None:
         """Remove the bar from the terminal."""
@@ -93,38 +93,38 @@ class ProgressBar:
             self._progress.stop()
 
 
-loudness: ContextVar[Literal["quiet", "usual", "verbose"]] = ContextVar("loudness", default="usual")
+verbosity: ContextVar[Literal["quiet", "usual", "verbose"]] = ContextVar("loudness", default="usual")
 """Whether no bars are shown, those of long steps, or all."""
 
-_wanted: ContextVar[bool] = ContextVar("wanted", default=False)
+_bars_enabled: ContextVar[bool] = ContextVar("wanted", default=False)
 
 
 @contextmanager
-def bars_wanted(wanted: bool) -> Iterator[None]:
+def show_bars(enabled: bool) -> Iterator[None]:
     """Enable or disable the bars of `progress_step` within the block."""
-    before = _wanted.set(wanted)
+    before = _bars_enabled.set(enabled)
     try:
         yield
     finally:
-        _wanted.reset(before)
+        _bars_enabled.reset(before)
 
 
 @contextmanager
-def step(total: int, doing: str, things: str) -> Iterator[Callable[[int], None]]:
+def progress_step(total: int, activity: str, unit: str) -> Iterator[Callable[[int], None]]:
     """Show a bar for a step that takes long, within `show_bars`; yields a function to call with the number done."""
     start, bar = time.monotonic(), None
-    is_enabled = _wanted.get()
-    delay = 0.0 if loudness.get() == "verbose" else _SECONDS_OF_A_SHORT_STEP
+    is_enabled = _bars_enabled.get()
+    delay = 0.0 if verbosity.get() == "verbose" else _SECONDS_BEFORE_BAR
 
-    def tell(done: int) -> None:
+    def update(done: int) -> None:
         nonlocal bar
         if bar is None and is_enabled and time.monotonic() - start >= delay:
-            bar = ProgressBar(total, doing, things, start)
+            bar = ProgressBar(total, activity, unit, start)
         if bar is not None:
             bar.update(done, "")
 
     try:
-        yield tell
+        yield update
     finally:
         if bar is not None:
             bar.stop()

@@ -8,15 +8,15 @@ from importlib.metadata import EntryPoint, entry_points
 from inspect import Parameter, signature
 from typing import Any, Final, Generic, TypeVar, cast
 
-from cornercase._common.errors import InputError, suggestion
-from cornercase._common.interrupts import requests_heard
-from cornercase._common.parts import guarded, maker_of, raise_if_request
-from cornercase._common.texts import in_one_line
+from cornercase._common.errors import InputError, suggest_name
+from cornercase._common.interrupts import count_requests
+from cornercase._common.parts import convert_plugin_errors, unwrap_factory, reraise_termination_request
+from cornercase._common.texts import format_exception
 
 T = TypeVar("T")
 
 # Types to which an option's text is converted; without one of them, the text decides.
-_PLAIN: Final[dict[str, type[Any]]] = {kind.__name__: kind for kind in (bool, int, float, str)}
+_PLAIN_TYPES: Final[dict[str, type[Any]]] = {kind.__name__: kind for kind in (bool, int, float, str)}
 
 
 class Registry(Generic[T]):
@@ -99,23 +99,23 @@ class Registry(Generic[T]):
         's'
         """
         base, _, text = name.partition(":")
-        factory = self.factory(base)
+        factory = self.get_factory(base)
         if not text:
             if name != base:
                 raise InputError(f"The {self._kind} '{name}' ends in a colon; give options as in '{base}:name=value'.")
-            require_options(self._kind, base, factory, options)
-            with guarded(f"The {self._kind} '{name}'", maker_of(factory), "when it was created"):
+            check_options(self._kind, base, factory, options)
+            with convert_plugin_errors(f"The {self._kind} '{name}'", unwrap_factory(factory), "when it was created"):
                 return factory(**options)
         if any(parameter.kind is parameter.POSITIONAL_ONLY for parameter in signature(factory).parameters.values()):
-            with guarded(f"The {self._kind} '{name}'", maker_of(factory), "when it was created"):
+            with convert_plugin_errors(f"The {self._kind} '{name}'", unwrap_factory(factory), "when it was created"):
                 instance: Any = factory(text, **options)
             instance.name = name
             return cast(T, instance)
         # Options fixed by the name, such as a preset, cannot be given.
         given = {*options, *(factory.keywords if isinstance(factory, partial) else ())}
-        options |= read_options(self._kind, base, factory, text, given)
-        require_options(self._kind, base, factory, options)
-        with guarded(f"The {self._kind} '{name}'", maker_of(factory), "when it was created"):
+        options |= parse_options(self._kind, base, factory, text, given)
+        check_options(self._kind, base, factory, options)
+        with convert_plugin_errors(f"The {self._kind} '{name}'", unwrap_factory(factory), "when it was created"):
             try:
                 configured: Any = factory(**options)
             except (TypeError, AttributeError) as error:
@@ -123,7 +123,7 @@ class Registry(Generic[T]):
         configured.name = name
         return cast(T, configured)
 
-    def factory(self, name: str) -> Callable[..., T]:
+    def get_factory(self, name: str) -> Callable[..., T]:
         """Return the factory registered as `name`, without options.
 
         Parameters
@@ -139,10 +139,10 @@ class Registry(Generic[T]):
         InputError
             Unknown name, or a factory that is not a subclass of the base class.
         """
-        loaded, options = self._loaded(name)
+        loaded, options = self._load(name)
         return partial(loaded, **options) if options else loaded
 
-    def class_of(self, name: str) -> type[T]:
+    def get_class(self, name: str) -> type[T]:
         """Return the class registered as `name`.
 
         Parameters
@@ -159,29 +159,29 @@ class Registry(Generic[T]):
         InputError
             Unknown name, or a factory that is not a class.
         """
-        loaded, _ = self._loaded(name.partition(":")[0])
+        loaded, _ = self._load(name.partition(":")[0])
         if not isinstance(loaded, type):
             raise InputError(f"The {self._kind} '{name}' is registered as a function; register its class.")
         return loaded
 
-    def _loaded(self, name: str) -> tuple[Callable[..., T], dict[str, Any]]:
+    def _load(self, name: str) -> tuple[Callable[..., T], dict[str, Any]]:
         if name in self._factories:
             registered, options = self._factories[name]
             loaded = EntryPoint(name, registered, self._group).load() if isinstance(registered, str) else registered
-            return self._checked(name, loaded), options
+            return self._check_subclass(name, loaded), options
         for entry in entry_points(group=self._group, name=name):
-            n_requests = requests_heard()
+            n_requests = count_requests()
             try:
                 loaded = entry.load()
             except BaseException as error:
-                raise_if_request(error, n_requests)
+                reraise_termination_request(error, n_requests)
                 raise InputError(
-                    f"The {self._kind} '{name}' cannot be loaded since {entry.value} fails: {in_one_line(error)}."
+                    f"The {self._kind} '{name}' cannot be loaded since {entry.value} fails: {format_exception(error)}."
                 ) from error
-            return self._checked(name, loaded), {}
-        raise InputError(f"There is no {self._kind} '{name}'; {suggestion(name, self.names())}")
+            return self._check_subclass(name, loaded), {}
+        raise InputError(f"There is no {self._kind} '{name}'; {suggest_name(name, self.names())}")
 
-    def _checked(self, name: str, loaded: Callable[..., T]) -> Callable[..., T]:
+    def _check_subclass(self, name: str, loaded: Callable[..., T]) -> Callable[..., T]:
         base = self._base
         if base is not None and not (isinstance(loaded, type) and issubclass(loaded, base)):
             actual = f"{getattr(loaded, '__module__', '?')}.{getattr(loaded, '__qualname__', loaded)}"
@@ -199,7 +199,7 @@ def declared_options(factory: Callable[..., Any]) -> dict[str, Parameter]:
     constructor names do not count, as nobody would notice that they are misspelled.
     """
     parameters = dict(signature(factory).parameters)
-    callable_ = maker_of(factory)
+    callable_ = unwrap_factory(factory)
     for base in callable_.__mro__ if isinstance(callable_, type) else ():
         if not any(parameter.kind is parameter.VAR_KEYWORD for parameter in parameters.values()):
             break
@@ -213,15 +213,15 @@ def declared_options(factory: Callable[..., Any]) -> dict[str, Parameter]:
     return {name: parameter for name, parameter in parameters.items() if parameter.kind in named}
 
 
-def read_options(
-    kind: str, name: str, factory: Callable[..., Any], text: str, given: Container[str] = ()
+def parse_options(
+    kind: str, name: str, factory: Callable[..., Any], text: str, reserved: Container[str] = ()
 ) -> dict[str, Any]:
     """Parse the options after the colon of a name: ``"reaction=0.3,seed=1"``.
 
     `kind` and `name` are for messages; `reserved` are names of options that are set otherwise. `InputError` for unknown
     options and wrong values.
     """
-    declared = {key: parameter for key, parameter in declared_options(factory).items() if key not in given}
+    declared = {key: parameter for key, parameter in declared_options(factory).items() if key not in reserved}
     options: dict[str, Any] = {}
     for option in text.split(","):
         key, equals, value = (part.strip() for part in option.partition("="))
@@ -232,16 +232,16 @@ def read_options(
         if key in options:
             raise InputError(f"The {kind} '{name}:{text}' has the option '{key}' twice; give it once.")
         if key not in declared:
-            advice = suggestion(key, declared) if declared else "its constructor declares none."
+            advice = suggest_name(key, declared) if declared else "its constructor declares none."
             raise InputError(f"The {kind} '{name}' has no option '{key}'; {advice}")
         try:
-            options[key] = _value(value, _taken_by(declared[key]))
+            options[key] = _parse_option_value(value, _plain_type(declared[key]))
         except ValueError as error:
             raise InputError(f"The {kind} '{name}' takes {error} for '{key}', not '{value}'.") from None
     return options
 
 
-def require_options(kind: str, name: str, factory: Callable[..., Any], options: Mapping[str, Any]) -> None:
+def check_options(kind: str, name: str, factory: Callable[..., Any], options: Mapping[str, Any]) -> None:
     """Raise `InputError` for a missing option, or one that the constructor does not take."""
     try:
         declared = signature(factory)
@@ -261,29 +261,29 @@ def require_options(kind: str, name: str, factory: Callable[..., Any], options: 
             )
 
 
-def _taken_by(parameter: Parameter) -> type[Any] | None:
+def _plain_type(parameter: Parameter) -> type[Any] | None:
     """Plain type of a parameter, from its annotation or default; None if there is none, or another type."""
     if parameter.annotation is not parameter.empty:
         # Annotations are strings if they are not evaluated.
-        return _PLAIN.get(getattr(parameter.annotation, "__name__", str(parameter.annotation)))
+        return _PLAIN_TYPES.get(getattr(parameter.annotation, "__name__", str(parameter.annotation)))
     # A default of 100 also allows 2.5.
-    return float if type(parameter.default) is int else _PLAIN.get(type(parameter.default).__name__)
+    return float if type(parameter.default) is int else _PLAIN_TYPES.get(type(parameter.default).__name__)
 
 
-def _value(text: str, taken: type[Any] | None) -> bool | float | str:
+def _parse_option_value(text: str, plain_type: type[Any] | None) -> bool | float | str:
     """Parse the value of an option; ValueError says what its type takes instead."""
-    if taken is str:
+    if plain_type is str:
         return text
-    if text.lower() in ("true", "false") and taken in (bool, None):
+    if text.lower() in ("true", "false") and plain_type in (bool, None):
         return text.lower() == "true"
-    if taken is bool:
+    if plain_type is bool:
         raise ValueError("true or false")
     try:
         number = float(text)
     except ValueError:
-        if taken is None:
+        if plain_type is None:
             return text
-        raise ValueError("a whole number" if taken is int else "a number") from None
-    if taken is int and not number.is_integer():
+        raise ValueError("a whole number" if plain_type is int else "a number") from None
+    if plain_type is int and not number.is_integer():
         raise ValueError("a whole number")
-    return int(number) if number.is_integer() and (taken is int or "." not in text) else number
+    return int(number) if number.is_integer() and (plain_type is int or "." not in text) else number

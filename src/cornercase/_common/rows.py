@@ -10,7 +10,7 @@ import numpy as np
 from cornercase._common.typing import FloatArray
 
 # 2**64 divided by the golden ratio: odd, with well-spread bits.
-_FACTOR: Final = np.uint64(0x9E3779B97F4A7C15)
+_HASH_FACTOR: Final = np.uint64(0x9E3779B97F4A7C15)
 
 
 def row_keys(points: FloatArray) -> list[bytes]:
@@ -20,7 +20,7 @@ def row_keys(points: FloatArray) -> list[bytes]:
     return keys
 
 
-def surely_distinct(points: FloatArray, keys: Collection[bytes]) -> bool:
+def no_duplicates(points: FloatArray, keys: Collection[bytes]) -> bool:
     """Quick test that no row occurs twice and none has a key in `keys`.
 
     False may be a coincidence of hashes: one in 10 billion calls with 32,768 rows.
@@ -29,6 +29,6 @@ def surely_distinct(points: FloatArray, keys: Collection[bytes]) -> bool:
     words = np.concatenate([np.ascontiguousarray(points, dtype=np.float64).view(np.uint64), known_words])
     hashes = np.zeros(len(words), dtype=np.uint64)
     for column in words.T:
-        hashes = (hashes ^ (hashes >> np.uint64(29)) ^ column) * _FACTOR
+        hashes = (hashes ^ (hashes >> np.uint64(29)) ^ column) * _HASH_FACTOR
     hashes.sort()
     return bool((hashes[1:] != hashes[:-1]).all())

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 
-def clopper_pearson(hits: int, drawn: int, tail: float) -> tuple[float, float]:
+def clopper_pearson_interval(n_hits: int, n_draws: int, tail: float) -> tuple[float, float]:
     """Confidence interval of a proportion from `n_hits` among `n_draws` independent draws; (0, 1) without draws.
 
     `tail` bounds the probability of an error on either side. Source: C. J. Clopper, E. S. Pearson, "The use of
@@ -12,6 +12,6 @@ def clopper_pearson(hits: int, drawn: int, tail: float) -> tuple[float, float]:
     # Imported late, as opening a study does not need it.
     from scipy.special import betaincinv
 
-    low = float(betaincinv(hits, drawn - hits + 1, tail)) if hits else 0.0
-    high = float(betaincinv(hits + 1, drawn - hits, 1.0 - tail)) if hits < drawn else 1.0
+    low = float(betaincinv(n_hits, n_draws - n_hits + 1, tail)) if n_hits else 0.0
+    high = float(betaincinv(n_hits + 1, n_draws - n_hits, 1.0 - tail)) if n_hits < n_draws else 1.0
     return low, high

@@ -11,20 +11,20 @@ from typing import Final
 from threadpoolctl import ThreadpoolController
 
 # Packages with thread pools of their own.
-_BRINGING: Final = ("numpy", "scipy.linalg", "scipy.optimize", "scipy.special", "sklearn")
+_PACKAGES_WITH_BLAS: Final = ("numpy", "scipy.linalg", "scipy.optimize", "scipy.special", "sklearn")
 
 
 @contextmanager
-def one_thread() -> Iterator[None]:
+def single_threaded_blas() -> Iterator[None]:
     """Limit NumPy and SciPy to one thread in the block, so that results do not depend on the number of threads.
 
     The libraries are looked up once, and again if a package with a library of its own was imported since. Import the
     packages that you call before you use it.
     """
-    with _libraries(*(name in sys.modules for name in _BRINGING)).limit(limits=1):
+    with _threadpool_controller(*(name in sys.modules for name in _PACKAGES_WITH_BLAS)).limit(limits=1):
         yield
 
 
 @cache
-def _libraries(*_: bool) -> ThreadpoolController:
+def _threadpool_controller(*_: bool) -> ThreadpoolController:
     return ThreadpoolController()

@@ -7,8 +7,8 @@ import gc
 import sys
 from typing import Final
 
-from cornercase._common.interrupts import hear_requests
-from cornercase._common.platform import forgive_narrow_output
+from cornercase._common.interrupts import install_signal_handlers
+from cornercase._common.platform import replace_unencodable_output
 
 # Their order is that of the commands in the help.
 # isort: off
@@ -16,9 +16,9 @@ from cornercase.cli import explore, scenario, recordings, listing, varying, simu
 from cornercase.cli import estimating, comparing, verifying, warming
 
 # isort: on
-from cornercase.cli.failures import exit_code_of
-from cornercase.cli.messages import show_notices
-from cornercase.cli.options import app, debugging
+from cornercase.cli.failures import run_command
+from cornercase.cli.messages import print_notices
+from cornercase.cli.options import app, show_tracebacks
 
 # Instead of Python's 700: the many long-lived objects of packages would be scanned three times at import.
 _OBJECTS_BETWEEN_COLLECTIONS: Final = 10_000
@@ -34,12 +34,12 @@ def main() -> None:
     gc.set_threshold(_OBJECTS_BETWEEN_COLLECTIONS)
     # No collection at exit, which would take half a second.
     atexit.register(gc.freeze)
-    sys.exit(exit_code_of(_command))
+    sys.exit(run_command(_run_app))
 
 
-def _command() -> object:
-    forgive_narrow_output()
-    show_notices()
-    hear_requests()
-    debugging.set(False)
+def _run_app() -> object:
+    replace_unencodable_output()
+    print_notices()
+    install_signal_handlers()
+    show_tracebacks.set(False)
     return app(standalone_mode=False)

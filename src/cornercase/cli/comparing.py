@@ -8,13 +8,13 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from cornercase._common.texts import json_text
+from cornercase._common.texts import format_json
 from cornercase.cli import options as opt
 from cornercase.cli import parsing
 from cornercase.cli.options import Option, app, err, out
 
 if TYPE_CHECKING:
-    from cornercase.suite import Section
+    from cornercase.suite import ComparisonSection
 
 
 @app.command()
@@ -64,7 +64,7 @@ def compare(
     from cornercase import suite
 
     comparison = suite.compare(
-        old, new, metrics=metric, critical=critical, tolerances=parsing.numbers(tolerance or (), "--tolerance")
+        old, new, metrics=metric, critical=critical, tolerances=parsing.parse_numbers(tolerance or (), "--tolerance")
     )
     if output is not None:
         from cornercase.report import write_comparison
@@ -72,9 +72,9 @@ def compare(
         page = write_comparison(comparison, old, new, output, scenario=scenario)
         err.print(f"The page is {page.resolve()}")
     if as_json:
-        sys.stdout.write(json_text(comparison.to_json()) + "\n")
+        sys.stdout.write(format_json(comparison.to_json()) + "\n")
     else:
-        for section in suite.tell_comparison(comparison):
+        for section in suite.describe_comparison(comparison):
             _print_section(section)
     if comparison.verdict == "cannot say":
         reason = comparison.verdict_reason
@@ -84,7 +84,7 @@ def compare(
         raise typer.Exit(1)
 
 
-def _print_section(section: Section) -> None:
+def _print_section(section: ComparisonSection) -> None:
     out.print(section.title)
     for sentence in section.sentences:
         out.print(f"  {sentence}")

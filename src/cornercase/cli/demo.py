@@ -9,16 +9,16 @@ import typer
 
 from cornercase._common.errors import InputError
 from cornercase.cli import options as opt
-from cornercase.cli.messages import in_words_of_the_command_line
+from cornercase.cli.messages import use_option_names
 from cornercase.cli.options import Option, app, err, out
 from cornercase.cli.profiling import Profile
 
 if TYPE_CHECKING:
-    from cornercase.scenario import Scenario
+    from cornercase.scenario import ScenarioFile
     from cornercase.study import Study
 
 # Size of the suite of an example.
-_SUITE: Final = 20
+_SUITE_SIZE: Final = 20
 
 
 @app.command()
@@ -43,38 +43,38 @@ def demo(
       cornercase demo t-intersection -o t
     """
     from cornercase import clustering, reduction
-    from cornercase.cli.warming import two_compile
-    from cornercase.exploration import demonstration, explore_configuration, mutants_of_demonstration
+    from cornercase.cli.warming import compile_in_parallel
+    from cornercase.exploration import paper_experiment_config, explore_config, paper_experiment_mutant_count
     from cornercase.report import write_report
     from cornercase.study import Study
 
     folder = output or Path("demo") / name
-    configuration = demonstration(
+    configuration = paper_experiment_config(
         name, budget=budget, seed=seed, driver=driver, simulator=simulator, workers=workers, folder=folder / "scenario"
     )
-    scenario, study = configuration.logical.scenario, folder / "study.db"
-    with two_compile():
-        opt.tell_ending(explore_configuration(configuration, study, progress=True))
+    scenario, study = configuration.logical.scenario_file, folder / "study.db"
+    with compile_in_parallel():
+        opt.print_ending(explore_config(configuration, study, progress=True))
         with Study.open(study, readonly=False) as opened:
             clustering.analyze(opened, progress=True)
             # First, as the study stores only the last reduced set.
-            if (mutants := mutants_of_demonstration(name)) is not None:
+            if (mutants := paper_experiment_mutant_count(name)) is not None:
                 _write_suite(opened, folder / "suite", mutants, scenario)
             reduction.reduce(opened, folder / "reduced", scenario=scenario, progress=True)
             write_report(opened, folder / "report.html", scenario=scenario, progress=True)
     out.print(f"The report is {(folder / 'report.html').resolve()}")
 
 
-def _write_suite(study: Study, folder: Path, mutants: int, scenario: Scenario) -> None:
+def _write_suite(study: Study, folder: Path, mutants: int, scenario: ScenarioFile) -> None:
     """Write a suite that kills mutants of the ego's driver, and print how to run it."""
     from cornercase import reduction
-    from cornercase.suite import find_exposure
+    from cornercase.suite import analyze_mutants
 
     try:
-        exposure = find_exposure(study, mutants, scenario=scenario, progress=True)
+        exposure = analyze_mutants(study, mutants, scenario=scenario, progress=True)
     except InputError as error:
-        err.print(f"No suite of tests was made. {in_words_of_the_command_line(str(error))}")
+        err.print(f"No suite of tests was made. {use_option_names(str(error))}")
         return
-    suite = reduction.reduce(study, folder, size=_SUITE, exposure=exposure, scenario=scenario)
-    out.print(f"{len(suite.kept)} scenarios that expose worse drivers are in {folder}; run them with another one:")
+    suite = reduction.reduce(study, folder, size=_SUITE_SIZE, kill_matrix=exposure, scenario=scenario)
+    out.print(f"{len(suite.scenarios)} scenarios that expose worse drivers are in {folder}; run them with another one:")
     out.print(f'  cornercase test {folder} --driver Ego=aggressive --require "no collision"', soft_wrap=True)

@@ -8,10 +8,10 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from cornercase._common.texts import json_text
+from cornercase._common.texts import format_json
 from cornercase.cli import options as opt
 from cornercase.cli import parsing
-from cornercase.cli.interrupting import exit_code
+from cornercase.cli.interrupting import interrupt_exit_code
 from cornercase.cli.options import Option, app, err, out
 
 if TYPE_CHECKING:
@@ -63,7 +63,7 @@ def estimate(
         seed=seed,
         scenario=scenario,
         simulator=simulator,
-        drivers=parsing.pairs(driver or (), "--driver"),
+        drivers=parsing.parse_pairs(driver or (), "--driver"),
         workers=workers,
         cluster=cluster,
         timeout=timeout,
@@ -74,25 +74,25 @@ def estimate(
     if as_json:
         from cornercase.report.plain import estimate_to_dict
 
-        sys.stdout.write(json_text(estimate_to_dict(estimation.to_json())) + "\n")
+        sys.stdout.write(format_json(estimate_to_dict(estimation.to_json())) + "\n")
     else:
         _print_estimation(estimation)
     if estimation.interrupted:
         err.print(f"Interrupted. {estimation.study} holds what has ended; run the same command again to resume.")
-        raise typer.Exit(exit_code())
+        raise typer.Exit(interrupt_exit_code())
 
 
 def _print_estimation(estimation: Estimation) -> None:
     probabilities = {
         f"critical ({estimation.criterion})": estimation.critical,
         "collision": estimation.collision,
-        f"encounter (gap <= {estimation.within:g} m)": estimation.encounter,
+        f"encounter (gap <= {estimation.encounter_gap:g} m)": estimation.encounter,
         "critical given an encounter": estimation.critical_given_encounter,
         "collision given an encounter": estimation.collision_given_encounter,
     }
     for event, probability in probabilities.items():
         out.print(f"{event}: {'not known' if probability is None else _format_probability(probability)}")
-    learned = f", {estimation.learned} of them to learn where to draw" if estimation.learned else ""
+    learned = f", {estimation.n_learning} of them to learn where to draw" if estimation.n_learning else ""
     out.print(f"{estimation.scenarios} scenarios in {estimation.study}{learned}")
     for warning in estimation.warnings:
         err.print(warning)
@@ -109,7 +109,7 @@ def _format_probability(p: Probability) -> str:
     text = f"{p.value:.3g}, {p.low:.3g} to {p.high:.3g} (95 %), {p.low_90:.3g} to {p.high_90:.3g} (90 %)"
     text += f", standard error {p.error:.1%}; {p.method}, met in {p.met} of {p.scenarios}"
     text += f", effectively {p.effective:.0f}"
-    needed = p.plain_scenarios
+    needed = p.equivalent_monte_carlo_scenarios
     if needed is not None and needed > p.scenarios:
         text += f"; plain Monte Carlo would need {needed:.2g}"
     return text

@@ -9,7 +9,7 @@ from typing import Annotated, Any
 import typer
 from rich.table import Column, Table
 
-from cornercase._common.texts import first_line, json_text
+from cornercase._common.texts import docstring_summary, format_json
 from cornercase.cli import options as opt
 from cornercase.cli.options import app, out
 
@@ -34,19 +34,19 @@ def metrics(
     from cornercase.metrics import METRICS
 
     if names and not as_json:
-        out.print("\n\n".join(_definition(METRICS.create(name)) for name in dict.fromkeys(names)))
+        out.print("\n\n".join(_format_definition(METRICS.create(name)) for name in dict.fromkeys(names)))
         return
     listed = [METRICS.create(name) for name in dict.fromkeys(names or METRICS.names())]
     if as_json:
         keys = ("name", "unit", "lower_is_critical", "cap", "source")
-        rows = [{key: getattr(metric, key) for key in keys} | {"definition": first_line(metric)} for metric in listed]
-        sys.stdout.write(json_text(rows) + "\n")
+        rows = [{key: getattr(metric, key) for key in keys} | {"definition": docstring_summary(metric)} for metric in listed]
+        sys.stdout.write(format_json(rows) + "\n")
         return
     # Names are printed whole even on a narrow terminal, as they are typed again.
     table = Table(Column("metric", no_wrap=True), "unit", "critical is", "what it is", "source", box=None)
     for metric in listed:
         side = "low" if metric.lower_is_critical else "high"
-        table.add_row(metric.name, metric.unit, side, first_line(metric), metric.source)
+        table.add_row(metric.name, metric.unit, side, docstring_summary(metric), metric.source)
     out.print(table)
 
 
@@ -60,22 +60,22 @@ def simulators(*, as_json: opt.Json = False) -> None:
     """
     from dataclasses import asdict
 
-    from cornercase.simulators import availabilities
+    from cornercase.simulators import list_simulators
 
-    available = availabilities()
+    available = list_simulators()
     if as_json:
-        sys.stdout.write(json_text({name: asdict(simulator) for name, simulator in available.items()}) + "\n")
+        sys.stdout.write(format_json({name: asdict(simulator) for name, simulator in available.items()}) + "\n")
         return
     # Addresses are printed whole even on a narrow terminal.
     missing = Column("what is missing", overflow="fold")
     table = Table("simulator", "here", "version", "what it can do", missing, box=None)
     for name, simulator in available.items():
-        is_available, abilities = "no" if simulator.missing else "yes", ", ".join(simulator.abilities)
-        table.add_row(name, is_available, simulator.version or "-", abilities, simulator.missing or "-")
+        is_available, abilities = "no" if simulator.problem else "yes", ", ".join(simulator.features)
+        table.add_row(name, is_available, simulator.version or "-", abilities, simulator.problem or "-")
     out.print(table)
 
 
-def _definition(metric: Any) -> str:
+def _format_definition(metric: Any) -> str:
     """Return the definition, unit and options of a metric."""
     text = (inspect.getdoc(metric) or "").replace("``", "").replace("`", "").replace(" ::", ":")
     side = "low" if metric.lower_is_critical else "high"

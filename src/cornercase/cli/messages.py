@@ -8,11 +8,11 @@ from typing import Any, Final
 
 from cornercase._common.errors import NoticeWarning
 from cornercase._common.texts import shorten
-from cornercase.cli.options import debugging, err
+from cornercase.cli.options import show_tracebacks, err
 
-LONGEST: Final = 1400
+MAX_LINE_LENGTH: Final = 1400
 """Longest line that is printed about an input, however long the names in it are."""
-_PARAMETERS: Final = (
+_PARAMETERS_WITH_OPTION: Final = (
     "against", "archetypes", "archetypes_by", "asynchronous", "audit", "batch", "beside", "budget", "by", "cluster",
     "continuous", "cover", "critical", "critical_if", "duration",
     "ego", "encounter", "eps", "fps", "gamma", "host", "junit", "keep_clusters", "maps", "max_failures",
@@ -23,7 +23,7 @@ _PARAMETERS: Final = (
     "space", "stop_when", "summary", "time_step", "timeout", "vary", "warm_start", "window", "within", "workers",
 )  # fmt: skip
 # Parameters whose option has a different name.
-_RENAMED: Final = {
+_OPTION_BY_PARAMETER: Final = {
     "client": "--cluster",
     "drivers": "--driver",
     "folder": "-o",
@@ -47,30 +47,30 @@ _COMMANDS: Final = (
 _QUOTED: Final = re.compile(r"`(\w+)`")
 
 
-def in_words_of_the_command_line(message: str) -> str:
+def use_option_names(message: str) -> str:
     """Replace parameters and functions in backticks by options and commands: `` `stop_when` `` by ``--stop-when``."""
 
-    def translated(match: re.Match[str]) -> str:
+    def translate(match: re.Match[str]) -> str:
         name = match[1]
-        if name in _RENAMED:
-            return _RENAMED[name]
-        if name in _PARAMETERS:
+        if name in _OPTION_BY_PARAMETER:
+            return _OPTION_BY_PARAMETER[name]
+        if name in _PARAMETERS_WITH_OPTION:
             return f"--{name.replace('_', '-')}"
         return f"'cornercase {name}'" if name in _COMMANDS else match[0]
 
-    return _QUOTED.sub(translated, message)
+    return _QUOTED.sub(translate, message)
 
 
-def show_notices() -> None:
+def print_notices() -> None:
     """Print each `NoticeWarning` as a line on stderr from now on; `RuntimeWarning` only with ``--debug``."""
     show = warnings.showwarning
 
-    def shown(message: Any, category: Any, *place: Any, **more: Any) -> None:
+    def show_warning(message: Any, category: Any, *location: Any, **kwargs: Any) -> None:
         if issubclass(category, NoticeWarning):
-            sentence = in_words_of_the_command_line(str(message))
-            err.print(shorten(f"{sentence[:1].upper()}{sentence[1:]}.", LONGEST))
+            sentence = use_option_names(str(message))
+            err.print(shorten(f"{sentence[:1].upper()}{sentence[1:]}.", MAX_LINE_LENGTH))
         # NumPy's warnings about infinite numbers only help developers.
-        elif not issubclass(category, RuntimeWarning) or debugging.get():
-            show(message, category, *place, **more)
+        elif not issubclass(category, RuntimeWarning) or show_tracebacks.get():
+            show(message, category, *location, **kwargs)
 
-    warnings.showwarning = shown
+    warnings.showwarning = show_warning

@@ -14,17 +14,17 @@ from rich.console import Console
 from rich.text import Text
 
 from cornercase._common.errors import NoticeWarning
-from cornercase._common.progress import loudness
-from cornercase._common.texts import plain_text, shorten
+from cornercase._common.progress import verbosity
+from cornercase._common.texts import escape_control_characters, shorten
 from cornercase._common.version import __version__
-from cornercase.cli.interrupting import InterruptedGroup, exit_code
+from cornercase.cli.interrupting import InterruptibleGroup, interrupt_exit_code
 
 if TYPE_CHECKING:
     from cornercase.exploration import ExplorationResult
 
 app = typer.Typer(
     name="cornercase",
-    cls=InterruptedGroup,
+    cls=InterruptibleGroup,
     help="Find, cluster and reduce the critical concrete scenarios of a logical scenario.",
     no_args_is_help=True,
     pretty_exceptions_enable=False,
@@ -37,13 +37,13 @@ class _PlainConsole(Console):
     """Console that prints text as it is, without markup and control characters."""
 
     def render_str(self, text: str, **options: Any) -> Text:
-        return super().render_str(plain_text(text), **options)
+        return super().render_str(escape_control_characters(text), **options)
 
 
-_PLAIN: Final[Any] = {"soft_wrap": True, "highlight": False, "markup": False, "emoji": False}
-out = _PlainConsole(**_PLAIN)
-err = _PlainConsole(stderr=True, **_PLAIN)
-debugging: ContextVar[bool] = ContextVar("debugging", default=False)
+_CONSOLE_SETTINGS: Final[Any] = {"soft_wrap": True, "highlight": False, "markup": False, "emoji": False}
+out = _PlainConsole(**_CONSOLE_SETTINGS)
+err = _PlainConsole(stderr=True, **_CONSOLE_SETTINGS)
+show_tracebacks: ContextVar[bool] = ContextVar("debugging", default=False)
 """Whether tracebacks are shown."""
 
 Option = typer.Option
@@ -64,7 +64,7 @@ PageOutput = Annotated[Path, Option("--output", "-o", metavar="FILE.html", help=
 Critical = Annotated[
     float | None, Option(metavar="X", help="Score from which a scenario is critical; default: the metric's own.")
 ]
-CriticalAnew = Annotated[
+CriticalOverride = Annotated[
     float | None,
     Option(
         "--critical",
@@ -110,7 +110,7 @@ Vary = Annotated[
     ),
 ]
 Values = Annotated[list[str] | None, Option("--set", metavar="NAME=VALUE", help="Value of a parameter.")]
-By = Annotated[
+CompareBy = Annotated[
     list[str] | None,
     Option(
         "--by",
@@ -158,12 +158,12 @@ Memory = Annotated[str, Option(metavar="SIZE", help="Memory that the command may
 Json = Annotated[bool, Option("--json", help="Print JSON, for programs.")]
 
 
-def _look_for_maps(context: typer.Context, folders: list[Path] | None) -> None:
+def _search_maps(context: typer.Context, folders: list[Path] | None) -> None:
     """Search maps in folders, and in those of the environment variable, while the command runs."""
-    from cornercase.scenario import MAPS_VARIABLE, looking_in
+    from cornercase.scenario import MAPS_VARIABLE, search_maps_in
 
     if folders or os.environ.get(MAPS_VARIABLE):
-        context.with_resource(looking_in(folders or ()))
+        context.with_resource(search_maps_in(folders or ()))
 
 
 Maps = Annotated[
@@ -173,14 +173,14 @@ Maps = Annotated[
         metavar="FOLDER",
         help="Folder with road files of maps that scenarios name without a path, such as CARLA's Town01; repeat it for"
         " several. Searched before those of CORNERCASE_MAPS.",
-        callback=_look_for_maps,
+        callback=_search_maps,
         expose_value=False,
     ),
 ]
 
 
 @app.callback(invoke_without_command=True)
-def _main(
+def _global_options(
     version: Annotated[bool, Option("--version", help="Show the version and exit.")] = False,
     debug: Annotated[
         bool, Option("--debug", envvar="CORNERCASE_DEBUG", help="Also show tracebacks: cornercase --debug explore …")
@@ -193,8 +193,8 @@ def _main(
         Option("--verbose", "-v", help="Also show minor notices and bars for short steps: cornercase -v explore …"),
     ] = False,
 ) -> None:
-    debugging.set(debug)
-    loudness.set("quiet" if quiet else "verbose" if verbose else "usual")
+    show_tracebacks.set(debug)
+    verbosity.set("quiet" if quiet else "verbose" if verbose else "usual")
     if quiet:
         warnings.simplefilter("ignore", NoticeWarning)
     if version:
@@ -203,34 +203,34 @@ def _main(
 
 
 # Reasons of failures that are printed, and characters of each.
-_REASONS: Final = 3
-_LONGEST_REASON: Final = 300
+_MAX_REASONS: Final = 3
+_MAX_REASON_LENGTH: Final = 300
 
 
-def tell_ending(result: ExplorationResult) -> None:
+def print_ending(result: ExplorationResult) -> None:
     """Print how an exploration ended, and exit with its code."""
-    if result.same is not None:
+    if result.reproducible is not None:
         out.print(f"{result.study}: {result.reason}.")
-        raise typer.Exit(0 if result.same else 1)
-    notes = [*result.alike, *(f"Note: {sentence}" for sentence in result.notes)]
-    count = "1 scenario" if result.ended == 1 else f"{result.ended} scenarios"
+        raise typer.Exit(0 if result.reproducible else 1)
+    notes = [*result.constant_metrics, *(f"Note: {sentence}" for sentence in result.new_constant_metrics)]
+    count = "1 scenario" if result.n_finished == 1 else f"{result.n_finished} scenarios"
     if result.interrupted:
         out.print(f"Interrupted after {count}. Run the same command again to resume {result.study}.")
     else:
         failed = f", {result.failed} of which failed" if result.failed else ""
         out.print(f"{count} in {result.study}{failed}; ended because {result.reason}.")
-        tell_reasons(result.reasons, "; 'show' prints all")
+        print_failure_reasons(result.failure_counts, "; 'show' prints all")
     for sentence in notes:
         out.print(sentence)
     if result.interrupted:
-        raise typer.Exit(exit_code())
+        raise typer.Exit(interrupt_exit_code())
     if result.failed and not result.done:
         raise typer.Exit(1)
 
 
-def tell_reasons(reasons: Mapping[str, int], more: str = "") -> None:
+def print_failure_reasons(reasons: Mapping[str, int], suffix: str = "") -> None:
     """Print how many scenarios failed for which reason, the most frequent first."""
-    for reason, count in list(reasons.items())[:_REASONS]:
-        out.print(f"  {count} failed: {shorten(reason, _LONGEST_REASON)}")
-    if len(reasons) > _REASONS:
-        out.print(f"  and {sum(list(reasons.values())[_REASONS:])} more, for other reasons{more}.")
+    for reason, count in list(reasons.items())[:_MAX_REASONS]:
+        out.print(f"  {count} failed: {shorten(reason, _MAX_REASON_LENGTH)}")
+    if len(reasons) > _MAX_REASONS:
+        out.print(f"  and {sum(list(reasons.values())[_MAX_REASONS:])} more, for other reasons{suffix}.")

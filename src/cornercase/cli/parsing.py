@@ -5,12 +5,12 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any, Final, Literal
 
-from cornercase._common.errors import InputError, suggestion
+from cornercase._common.errors import InputError, suggest_name
 
-_DIGITS: Final = 15
+_MAX_DIGITS: Final = 15
 
 
-def pairs(texts: Sequence[str], option: str) -> dict[str, str]:
+def parse_pairs(texts: Sequence[str], option: str) -> dict[str, str]:
     """Parse NAME=VALUE texts into a dictionary."""
     pairs = {}
     for text in texts:
@@ -26,7 +26,7 @@ def pairs(texts: Sequence[str], option: str) -> dict[str, str]:
     return pairs
 
 
-def numbers(texts: Sequence[str], option: str) -> dict[str, float]:
+def parse_numbers(texts: Sequence[str], option: str) -> dict[str, float]:
     """Parse METRIC=NUMBER texts into a dictionary."""
     numbers = {}
     for text in texts:
@@ -41,7 +41,7 @@ def numbers(texts: Sequence[str], option: str) -> dict[str, float]:
     return numbers
 
 
-def number_or_auto(text: str, option: str) -> float | Literal["auto"]:
+def parse_number_or_auto(text: str, option: str) -> float | Literal["auto"]:
     """Parse a positive number or ``auto``."""
     if text == "auto":
         return "auto"
@@ -54,17 +54,17 @@ def number_or_auto(text: str, option: str) -> float | Literal["auto"]:
     return number
 
 
-def one_of(text: str, known: tuple[str, ...], option: str) -> Any:
+def require_one_of(text: str, choices: tuple[str, ...], option: str) -> Any:
     """Return `text` if it is one of the known values; else InputError with a suggestion."""
-    if text not in known:
-        raise InputError(f"{option} {text}: {suggestion(text, known)}")
+    if text not in choices:
+        raise InputError(f"{option} {text}: {suggest_name(text, choices)}")
     return text
 
 
-def count_or_auto(text: str, option: str) -> int | Literal["auto"]:
+def parse_count_or_auto(text: str, option: str) -> int | Literal["auto"]:
     """Parse a positive integer or ``auto``."""
     if text == "auto":
         return "auto"
-    if not text.isdecimal() or len(text) > _DIGITS or int(text) < 1:
+    if not text.isdecimal() or len(text) > _MAX_DIGITS or int(text) < 1:
         raise InputError(f"{option} {text}: give a positive whole number or auto.")
     return int(text)

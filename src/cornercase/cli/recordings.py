@@ -8,7 +8,7 @@ from typing import Annotated
 import typer
 from rich.table import Table
 
-from cornercase._common.files import require_other_file
+from cornercase._common.files import check_output_differs_from_source
 from cornercase.cli import options as opt
 from cornercase.cli.options import Option, app, out
 
@@ -41,10 +41,10 @@ def measure(
     from cornercase.metrics import measure as measure_recording
     from cornercase.recordings import write_courses
 
-    require_other_file(output, recording)
+    check_output_differs_from_source(output, recording)
     measurement = measure_recording(recording, ego, other, metric)
     write_courses(output, measurement.time, measurement.courses)
-    table = Table(*measurement.head(), box=None)
+    table = Table(*measurement.column_names(), box=None)
     for row in measurement.rows():
         table.add_row(*row)
     out.print(table)

@@ -10,7 +10,7 @@ import typer
 
 from cornercase._common.errors import InputError
 from cornercase._common.memory import DEFAULT_MEMORY
-from cornercase._common.texts import json_text
+from cornercase._common.texts import format_json
 from cornercase.cli import options as opt
 from cornercase.cli.options import Option, app, out
 from cornercase.cli.profiling import Profile
@@ -28,7 +28,7 @@ def report(
         Path | None, Option("--figures-in", metavar="DIR", help="Write these figures into another folder.")
     ] = None,
     scenario: opt.ExploredScenario = None,
-    critical: opt.CriticalAnew = None,
+    critical: opt.CriticalOverride = None,
     memory: opt.Memory = DEFAULT_MEMORY,
     profile: Profile = None,
     maps: opt.Maps = None,
@@ -77,7 +77,7 @@ def watch(
     """
     from cornercase.report import watch as watch_study
 
-    watch_study(study, port=port, host=host, scenario=scenario, browser=browser, tell=out.print)
+    watch_study(study, port=port, host=host, scenario=scenario, browser=browser, show=out.print)
 
 
 @app.command()
@@ -94,7 +94,7 @@ def replay(
     ] = None,
     speed: Annotated[float, Option(metavar="X", help="How fast a film runs: 0.5 is slow motion.")] = 1.0,
     scenario: opt.ExploredScenario = None,
-    critical: opt.CriticalAnew = None,
+    critical: opt.CriticalOverride = None,
     maps: opt.Maps = None,
 ) -> None:
     """Replay a scenario, as a page or as a film.
@@ -124,7 +124,7 @@ def replay(
 def show(
     study: opt.StudyFile,
     *,
-    critical: opt.CriticalAnew = None,
+    critical: opt.CriticalOverride = None,
     as_json: opt.Json = False,
     config: Annotated[bool, Option("--config", help="Print a study file for cornercase explore --config.")] = False,
 ) -> None:
@@ -136,19 +136,19 @@ def show(
       cornercase show study.db --critical 0.5
       cornercase show study.db --config > study.toml
     """
-    from cornercase.report import put_in_words, summarize, tell_study_file
-    from cornercase.report.plain import with_words
+    from cornercase.report import summary_to_dict, summarize, format_study_file
+    from cornercase.report.plain import replace_keys_by_words
 
     if config:
         if as_json or critical is not None:
             raise InputError("--config: prints how the study was made; leave --json and --critical out.")
-        sys.stdout.write(tell_study_file(study))
+        sys.stdout.write(format_study_file(study))
         return
-    summary = put_in_words(summarize(study, critical=critical))
+    summary = summary_to_dict(summarize(study, critical=critical))
     if as_json:
-        sys.stdout.write(json_text(summary) + "\n")
+        sys.stdout.write(format_json(summary) + "\n")
         return
-    for key, value in with_words(summary).items():
+    for key, value in replace_keys_by_words(summary).items():
         if value != {}:
             _print_entry(key, value)
         elif key == "clusters":

@@ -11,7 +11,7 @@ from cornercase._common.errors import InputError
 from cornercase._common.texts import shorten
 from cornercase.cli import options as opt
 from cornercase.cli import parsing
-from cornercase.cli.messages import LONGEST, in_words_of_the_command_line
+from cornercase.cli.messages import MAX_LINE_LENGTH, use_option_names
 from cornercase.cli.options import Option, app, err, out
 
 
@@ -49,11 +49,11 @@ def check(
         except InputError as error:
             if len(scenarios) == 1:
                 raise
-            out.print(shorten(in_words_of_the_command_line(str(error)).replace("\n", "\\n"), LONGEST))
+            out.print(shorten(use_option_names(str(error)).replace("\n", "\\n"), MAX_LINE_LENGTH))
             n_bad += 1
             continue
         _print_check(report)
-        n_bad += not report.good
+        n_bad += not report.is_valid
     if len(scenarios) > 1:
         strictly = ", break no rule" if strict else ""
         out.print(f"{len(scenarios) - n_bad} of {len(scenarios)} are valid{strictly} and can be run")
@@ -71,14 +71,14 @@ def _print_check(report: Any) -> None:
     for notice in report.notices:
         # With --strict, adaptations are printed below with their rules.
         if not (report.adapted and notice.label == "adapted"):
-            out.print(shorten(notice.sentence, LONGEST))
+            out.print(shorten(notice.sentence, MAX_LINE_LENGTH))
     if report.schema is None:
         out.print("schema: not checked; install it with pip install 'cornercase[validate]'")
     else:
         except_adapted = ", except for what is adapted" if any(x.label == "adapted" for x in report.notices) else ""
         out.print(f"schema {report.schema}: {f'valid{except_adapted}' if not report.invalid else 'not valid'}")
     for line in (*report.invalid, *(f"refused: {text}" for text in report.adapted), *report.trouble):
-        out.print(shorten(f"  {line}", LONGEST))
+        out.print(shorten(f"  {line}", MAX_LINE_LENGTH))
     if report.space is not None:
         for parameter in report.space.parameters:
             out.print(f"varied: {_format_parameter(parameter)}")
@@ -94,7 +94,7 @@ def _format_parameter(parameter: Any) -> str:
 
 
 @app.command(name="convert")
-def convert_(
+def convert_scenario(
     scenario: opt.ScenarioFile,
     *,
     ego: opt.Ego,
@@ -113,6 +113,6 @@ def convert_(
     """
     from cornercase.simulators import convert
 
-    for note in convert(scenario, output, ego=ego, values=parsing.pairs(values or (), "--set")).notes:
+    for note in convert(scenario, output, ego=ego, values=parsing.parse_pairs(values or (), "--set")).notes:
         err.print(note)
     out.print(f"Written to {output}")

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from cornercase._common.errors import InputError
-from cornercase._common.files import require_other_file
+from cornercase._common.files import check_output_differs_from_source
 from cornercase.cli import options as opt
 from cornercase.cli import parsing
 from cornercase.cli.options import Option, app, out
@@ -62,8 +62,8 @@ def simulate(
     """
     from cornercase import simulators
 
-    parameters = parsing.pairs(values or (), "--set")
-    drivers = parsing.pairs(driver or (), "--driver")
+    parameters = parsing.parse_pairs(values or (), "--set")
+    drivers = parsing.parse_pairs(driver or (), "--driver")
     if table is not None or len(scenarios) > 1:
         result = simulators.simulate_many(
             scenarios,
@@ -83,13 +83,13 @@ def simulate(
             max_failures=max_failures,
             progress=True,
         )
-        _print_folder(result)
+        _print_folder_result(result)
         return
     if workers > 1 or cluster is not None:
         option = "--cluster" if cluster is not None else "--workers"
         raise InputError(f"{option}: is for several scenarios; give more files, or --parameters.")
     (scenario,) = scenarios
-    require_other_file(output, scenario)
+    check_output_differs_from_source(output, scenario)
     recording = simulators.simulate(
         scenario,
         parameters,
@@ -107,12 +107,12 @@ def simulate(
         out.print(f"{' and '.join(collision.entities)} collide at {collision.time:g} s")
 
 
-def _print_folder(result: SimulatedFolder) -> None:
+def _print_folder_result(result: SimulatedFolder) -> None:
     """Print how many scenarios were run; exit with 1 if some failed."""
-    before = f", {result.ran_before} of which existed before" if result.ran_before else ""
+    before = f", {result.n_existing} of which existed before" if result.n_existing else ""
     out.print(f"{result.done} recording{'s' if result.done > 1 else ''} in {result.folder}{before}.")
     if result.failed:
         count = f"{result.failed} scenarios" if result.failed > 1 else "1 scenario"
         out.print(f"{count} failed, {next(iter(result.failures))} first; the same command tries again.")
-        opt.tell_reasons(result.reasons)
+        opt.print_failure_reasons(result.failure_counts)
         raise typer.Exit(1)

@@ -19,7 +19,7 @@ from cornercase.cli.profiling import Profile
 def analyze(
     study: opt.StudyFile,
     *,
-    by: opt.By = None,
+    by: opt.CompareBy = None,
     gamma: opt.Gamma = "auto",
     eps: opt.Eps = "auto",
     min_samples: opt.MinSamples = "auto",
@@ -34,7 +34,7 @@ def analyze(
     ] = False,
     workers: opt.LocalWorkers = 1,
     cluster: opt.Cluster = None,
-    critical: opt.CriticalAnew = None,
+    critical: opt.CriticalOverride = None,
     memory: opt.Memory = DEFAULT_MEMORY,
     profile: Profile = None,
 ) -> None:
@@ -53,12 +53,12 @@ def analyze(
     results = clustering.analyze(
         study,
         by,
-        gamma=parsing.number_or_auto(gamma, "--gamma"),
-        eps=parsing.number_or_auto(eps, "--eps"),
-        min_samples=parsing.count_or_auto(min_samples, "--min-samples"),
-        method=None if method is None else parsing.one_of(method, ("dbscan", "hdbscan"), "--method"),
+        gamma=parsing.parse_number_or_auto(gamma, "--gamma"),
+        eps=parsing.parse_number_or_auto(eps, "--eps"),
+        min_samples=parsing.parse_count_or_auto(min_samples, "--min-samples"),
+        method=None if method is None else parsing.require_one_of(method, ("dbscan", "hdbscan"), "--method"),
         window=window,
-        keep=keep_clusters,
+        keep_clusters=keep_clusters,
         workers=workers,
         cluster=cluster,
         critical=critical,
@@ -133,7 +133,7 @@ def reduce(
     scenario: opt.NamedScenario = None,
     workers: opt.LocalWorkers = 1,
     cluster: opt.Cluster = None,
-    critical: opt.CriticalAnew = None,
+    critical: opt.CriticalOverride = None,
     memory: opt.Memory = DEFAULT_MEMORY,
     profile: Profile = None,
     maps: opt.Maps = None,
@@ -148,7 +148,7 @@ def reduce(
     from cornercase import reduction
     from cornercase.clustering import read_analysis
     from cornercase.study import open_study
-    from cornercase.suite import find_exposure
+    from cornercase.suite import analyze_mutants
 
     exposure = None
     if kill_mutants is None:
@@ -163,7 +163,7 @@ def reduce(
         # Check that the study was analyzed before the mutants run.
         with open_study(study, readonly=True, critical=critical) as opened:
             read_analysis(opened, by or opened.meta.metrics[0])
-        exposure = find_exposure(
+        exposure = analyze_mutants(
             study,
             kill_mutants,
             require=require or (),
@@ -180,16 +180,16 @@ def reduce(
         size=size,
         share=share,
         cover=cover,
-        archetypes=None if archetypes is None else parsing.count_or_auto(archetypes, "--archetypes"),
-        archetypes_by=parsing.one_of(archetypes_by, ("auto", "hull", "pcha", "parts", "kernel"), "--archetypes-by"),
+        archetypes=None if archetypes is None else parsing.parse_count_or_auto(archetypes, "--archetypes"),
+        archetypes_by=parsing.require_one_of(archetypes_by, ("auto", "hull", "pcha", "parts", "kernel"), "--archetypes-by"),
         within=within,
-        exposure=exposure,
+        kill_matrix=exposure,
         scenario=scenario,
         critical=critical,
         memory=memory,
         progress=True,
     )
-    out.print(f"{len(reduced.kept)} of {reduced.run} scenarios kept, in {output}")
+    out.print(f"{len(reduced.scenarios)} of {reduced.n_run} scenarios kept, in {output}")
     if reduced.exposing is not None:
-        count = sum(scenario.role == "exposing" for scenario in reduced.kept)
-        out.print(f"{count} of them expose mutants; {reduced.exposing.text}.")
+        count = sum(scenario.role == "exposing" for scenario in reduced.scenarios)
+        out.print(f"{count} of them expose mutants; {reduced.exposing.summary_text}.")

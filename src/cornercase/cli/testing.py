@@ -9,23 +9,23 @@ from typing import TYPE_CHECKING, Annotated, Final
 import typer
 from rich.table import Column, Table
 
-from cornercase._common.texts import json_text
+from cornercase._common.texts import format_json
 from cornercase.cli import options as opt
 from cornercase.cli import parsing
 from cornercase.cli.options import Option, app, err, out
 
 if TYPE_CHECKING:
-    from cornercase.reduction import Exposure
+    from cornercase.reduction import KillMatrix
     from cornercase.suite import SuiteResult
 
 # Number of named scenarios that kill the most mutants.
-_NAMED: Final = 3
+_MAX_NAMED_SCENARIOS: Final = 3
 # Length of file names that leaves room for the reasons on 80 columns.
-_NAME: Final = 30
+_MAX_FILE_NAME_LENGTH: Final = 30
 
 
 @app.command(name="test")
-def test_(
+def test_suite(
     suite: Annotated[
         Path,
         typer.Argument(
@@ -112,9 +112,9 @@ def test_(
       cornercase test reduced --driver Ego=aggressive --require "no collision" \\
           --require "ttc > 0.5" --junit out.xml -o run.db
     """
-    from cornercase.suite import test
+    from cornercase.suite import run_suite
 
-    result = test(
+    result = run_suite(
         suite,
         output,
         require=require or (),
@@ -132,7 +132,7 @@ def test_(
         time_step=time_step,
         duration=duration,
         on_collision=on_collision,
-        drivers=parsing.pairs(driver or (), "--driver"),
+        drivers=parsing.parse_pairs(driver or (), "--driver"),
         against=against,
         junit=junit,
         summary=summary,
@@ -141,7 +141,7 @@ def test_(
         progress=True,
     )
     if as_json:
-        sys.stdout.write(json_text(result.to_json()) + "\n")
+        sys.stdout.write(format_json(result.to_json()) + "\n")
     else:
         _print_result(result)
         for written in (junit, summary):
@@ -154,7 +154,7 @@ def test_(
 def _print_result(result: SuiteResult) -> None:
     compared = result.against is not None
     table = Table(
-        Column("scenario", overflow="fold", no_wrap=max(len(scenario.file) for scenario in result.scenarios) <= _NAME),
+        Column("scenario", overflow="fold", no_wrap=max(len(scenario.file) for scenario in result.scenarios) <= _MAX_FILE_NAME_LENGTH),
         Column("verdict", no_wrap=True),
         Column("why", overflow="fold"),
         *(["recording"] if compared else []),
@@ -165,31 +165,31 @@ def _print_result(result: SuiteResult) -> None:
         difference = "–" if scenario.difference is None else scenario.difference.text
         table.add_row(scenario.file, state, scenario.reason, *([difference] if compared else []))
     out.print(table)
-    out.print(f"{result.text}, in {result.study}.")
-    out.print(f"{result.comparison}.")
-    if result.ran_before:
+    out.print(f"{result.summary}, in {result.study}.")
+    out.print(f"{result.comparison_summary}.")
+    if result.n_ran_before:
         out.print(
-            f"{result.ran_before} of them were already in {result.study} and were not run again; to test a new version,"
+            f"{result.n_ran_before} of them were already in {result.study} and were not run again; to test a new version,"
             " name another study with -o."
         )
-    if result.exposure is not None:
-        _print_kills(result, result.exposure)
+    if result.kill_matrix is not None:
+        _print_kills(result, result.kill_matrix)
 
 
-def _print_kills(result: SuiteResult, exposure: Exposure) -> None:
+def _print_kills(result: SuiteResult, exposure: KillMatrix) -> None:
     """Print which mutants the suite kills, and by which scenarios."""
     table = Table(Column("mutation", no_wrap=True), "exposed", "of", box=None)
-    for kind, (exposed, count) in exposure.by_mutation.items():
+    for kind, (exposed, count) in exposure.counts_by_mutation.items():
         table.add_row(kind, str(exposed), str(count))
     out.print(table)
-    out.print(f"{exposure.text}.")
+    out.print(f"{exposure.summary_text}.")
     files = {scenario.id: scenario.file for scenario in result.scenarios}
-    counts = dict(zip(exposure.scenarios, exposure.exposed.sum(axis=1).tolist(), strict=True))
+    counts = dict(zip(exposure.scenarios, exposure.kills.sum(axis=1).tolist(), strict=True))
     order = sorted((scenario for scenario, count in counts.items() if count), key=lambda scenario: -counts[scenario])
     if order:
-        names = ", ".join(f"{files[scenario]} ({counts[scenario]})" for scenario in order[:_NAMED])
+        names = ", ".join(f"{files[scenario]} ({counts[scenario]})" for scenario in order[:_MAX_NAMED_SCENARIOS])
         out.print(f"Most are exposed by {names}; {len(order)} of {len(files)} scenarios expose any.")
-    if exposure.unexposed:
-        out.print(f"Exposed by none: {' '.join(exposure.unexposed)}.")
+    if exposure.survivors:
+        out.print(f"Exposed by none: {' '.join(exposure.survivors)}.")
     if exposure.failed.all():
         out.print(f"{exposure.driver} itself fails in all scenarios, so no mutant can be exposed.")

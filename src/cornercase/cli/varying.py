@@ -17,17 +17,17 @@ from cornercase.cli.options import Maps, ScenarioFile, Vary, app, out
 if TYPE_CHECKING:
     from cornercase.scenario import Variable
 
-_LONGEST_VALUE: Final = 11
-_LONGEST_GROUP: Final = 60
-_WIDTH: Final = 80
+_MAX_VALUE_LENGTH: Final = 11
+_MAX_GROUP_LENGTH: Final = 60
+_MAX_LINE_LENGTH: Final = 80
 
 
 @app.command(name="vary")
-def vary_(
+def vary_scenario(
     scenario: ScenarioFile,
     *,
     vary: Vary = None,
-    every: Annotated[bool, typer.Option("--all", help="Vary all numbers with a proposed range.")] = False,
+    vary_all: Annotated[bool, typer.Option("--all", help="Vary all numbers with a proposed range.")] = False,
     output: Annotated[
         Path | None,
         typer.Option(
@@ -47,17 +47,17 @@ def vary_(
       cornercase vary examples/r157/cut_in.xosc --vary Ego.initial.x=90:110 \\
           -o varied/cut_in.xosc
     """
-    from cornercase.scenario import variables
+    from cornercase.scenario import list_variables
     from cornercase.scenario import vary as write_varied
 
-    if not vary and not every:
+    if not vary and not vary_all:
         if output is not None:
             raise InputError(f"-o {output}: only for a varied scenario; give --vary NAME or --all, too.")
-        _tell(variables(scenario))
+        _print_variables(list_variables(scenario))
         return
     if output is None:
         raise InputError("--vary, --all: give the scenario to write, with -o OUT.xosc.")
-    logical = write_varied(scenario, vary or (), output, proposed=every)
+    logical = write_varied(scenario, vary or (), output, proposed=vary_all)
     for parameter in logical.space.parameters:
         out.print(f"varied: {parameter}")
     space = output.with_suffix(".space.xosc")
@@ -66,33 +66,33 @@ def vary_(
     out.print(f"  {command} …", soft_wrap=True)
 
 
-def _tell(listed: tuple[Variable, ...]) -> None:
+def _print_variables(variables: tuple[Variable, ...]) -> None:
     """Print the numbers that could vary, in groups."""
-    if not listed:
+    if not variables:
         out.print("no numbers that could vary")
         return
     rows = [("name", "value", "unit", "proposed", "line")]
-    for group, members in groupby(listed, key=lambda variable: variable.group):
-        rows.append((shorten(group, _LONGEST_GROUP), "", "", "", ""))
+    for group, members in groupby(variables, key=lambda variable: variable.group):
+        rows.append((shorten(group, _MAX_GROUP_LENGTH), "", "", "", ""))
         for variable in members:
-            proposal = "–" if variable.fixed or not variable.proposal else variable.proposal
-            rows.append((f"  {variable.name}", _short(variable.text), variable.unit, proposal, str(variable.line)))
+            proposal = "–" if variable.reason_fixed or not variable.proposed_range else variable.proposed_range
+            rows.append((f"  {variable.name}", _shorten_value(variable.value_text), variable.unit, proposal, str(variable.line)))
     name, value, unit, proposal_, line = (max(map(len, column)) for column in zip(*rows, strict=True))
     # Names are printed whole, as they are typed again; a long one only shifts its own line.
-    left_width = min(name + 1 + value, _WIDTH - unit - proposal_ - line - 3)
+    left_width = min(name + 1 + value, _MAX_LINE_LENGTH - unit - proposal_ - line - 3)
     for row in rows:
         left = f"{row[0]} {row[1]:>{max(left_width - len(row[0]) - 1, 0)}}"
         text = f"{left} {row[2]:<{unit}} {row[3]:<{proposal_}} {row[4]:>{line}}"
         out.print(text.rstrip())
-    if any(variable.fixed and variable.text.startswith("$") for variable in listed):
+    if any(variable.reason_fixed and variable.value_text.startswith("$") for variable in variables):
         out.print("Values with $ refer to parameters: vary the parameter.")
-    for variable in listed:
-        if variable.fixed and not variable.text.startswith("$"):
-            out.print(f"{variable.name}: {variable.fixed}.", soft_wrap=False)
+    for variable in variables:
+        if variable.reason_fixed and not variable.value_text.startswith("$"):
+            out.print(f"{variable.name}: {variable.reason_fixed}.", soft_wrap=False)
 
 
-def _short(text: str) -> str:
+def _shorten_value(text: str) -> str:
     """Format a value in few characters."""
     with suppress(ValueError):
-        return text if len(text) <= _LONGEST_VALUE else f"{float(text):.6g}"
-    return shorten(text, _LONGEST_VALUE)
+        return text if len(text) <= _MAX_VALUE_LENGTH else f"{float(text):.6g}"
+    return shorten(text, _MAX_VALUE_LENGTH)

@@ -9,7 +9,7 @@ from typing import Annotated
 import typer
 
 from cornercase._common.memory import DEFAULT_MEMORY
-from cornercase._common.texts import json_text
+from cornercase._common.texts import format_json
 from cornercase.cli import options as opt
 from cornercase.cli import parsing
 from cornercase.cli.options import Option, app, out
@@ -47,30 +47,30 @@ def verify(
     again: tuple[int, ...] = ()
     lost: tuple[str, ...] = ()
     damaged: Path | None = None
-    if repair and not result.sound:
+    if repair and not result.is_sound:
         from cornercase.exploration import repair as repair_study
 
-        drivers = parsing.pairs(driver or [], "--driver")
+        drivers = parsing.parse_pairs(driver or [], "--driver")
         repaired = repair_study(
             study, scenario=scenario, simulator=simulator, drivers=drivers, workers=workers, memory=memory
         )
-        again, lost, damaged = repaired.again, repaired.lost, repaired.damaged
+        again, lost, damaged = repaired.rerun_ids, repaired.lost_content, repaired.damaged_file
     if as_json:
-        values = {"sound": result.sound, "checked": result.checked, "problems": list(result.problems)}
+        values = {"sound": result.is_sound, "checked": result.checked, "problems": list(result.problems)}
         if repair:
             values |= {"damaged": None if damaged is None else str(damaged), "again": list(again), "lost": list(lost)}
-        sys.stdout.write(json_text(values) + "\n")
+        sys.stdout.write(format_json(values) + "\n")
     else:
         for problem in result.problems:
             out.print(f"{study}: {problem}")
-        if result.sound and result.checked:
+        if result.is_sound and result.checked:
             out.print(f"{study}: undamaged; all checksums match.")
-        elif result.sound:
+        elif result.is_sound:
             out.print(f"{study}: readable; studies of its earlier version have no checksums.")
         if damaged is not None:
             how = "Repaired in part" if lost else "Repaired"
             out.print(f"{how}; {len(again)} scenarios were run again, and the damaged file is {damaged}.")
             for sentence in lost:
                 out.print(f"Lost: {sentence}.")
-    if lost or (not result.sound and not repair):
+    if lost or (not result.is_sound and not repair):
         raise typer.Exit(1)

@@ -9,7 +9,7 @@ from itertools import combinations
 import numpy as np
 from scipy.optimize import linear_sum_assignment
 
-from cornercase._common.texts import quoted_name
+from cornercase._common.texts import quote_name
 from cornercase._common.typing import IntArray
 from cornercase.clustering.outcomes import Outcome
 from cornercase.exploration import Objective
@@ -30,23 +30,23 @@ class Agreement:
         possible agree.
     """
 
-    rand: float
-    mutual: float
-    differ: tuple[int, ...]
+    adjusted_rand: float
+    mutual_information: float
+    differing: tuple[int, ...]
 
 
-def compare_labels(ids: IntArray, one: IntArray, two: IntArray) -> Agreement:
+def compare_labels(ids: IntArray, labels_a: IntArray, labels_b: IntArray) -> Agreement:
     """Compare two labellings of the scenarios `ids`, shape (n,) each; noise counts as a cluster."""
     from sklearn.metrics import adjusted_mutual_info_score, adjusted_rand_score
 
-    names_a, a = np.unique(one, return_inverse=True)
-    names_b, b = np.unique(two, return_inverse=True)
+    names_a, a = np.unique(labels_a, return_inverse=True)
+    names_b, b = np.unique(labels_b, return_inverse=True)
     table = np.zeros((len(names_a), len(names_b)), dtype=np.int64)
     np.add.at(table, (a, b), 1)
     match = dict(zip(*map(np.ndarray.tolist, linear_sum_assignment(-table)), strict=True))
     different = [int(ids[k]) for k in range(len(ids)) if match.get(int(a[k])) != int(b[k])]
     return Agreement(
-        float(adjusted_rand_score(one, two)), float(adjusted_mutual_info_score(one, two)), tuple(different)
+        float(adjusted_rand_score(labels_a, labels_b)), float(adjusted_mutual_info_score(labels_a, labels_b)), tuple(different)
     )
 
 
@@ -55,7 +55,7 @@ def compare_clusterings(study: Study) -> dict[tuple[str, str], Agreement]:
 
     Pairs with a single cluster (or only noise) on both sides are left out: they agree by construction.
     """
-    arrays = {name: study.analysis(name, "ids", "labels")[0] for name in study.analyses()}
+    arrays = {name: study.read_analysis(name, "ids", "labels")[0] for name in study.analyzed_aspects()}
     return {
         (a, b): compare_labels(arrays[a]["ids"], arrays[a]["labels"], arrays[b]["labels"])
         for a, b in combinations(arrays, 2)
@@ -64,7 +64,7 @@ def compare_clusterings(study: Study) -> dict[tuple[str, str], Agreement]:
     }
 
 
-def find_facts(study: Study, outcomes: Sequence[Outcome]) -> dict[str, list[str]]:
+def collect_facts(study: Study, outcomes: Sequence[Outcome]) -> dict[str, list[str]]:
     """Return facts that differ between scenarios, by name one value per scenario, to compare clusterings with.
 
     ``"outcome"`` (its text), ``"first"`` (None if ego and other collide), ``"ego first"``, ``"collision"``,
@@ -81,13 +81,13 @@ def find_facts(study: Study, outcomes: Sequence[Outcome]) -> dict[str, list[str]
     }
     for name in dict.fromkeys(encounter.entity for outcome in outcomes for encounter in outcome.others):
         firsts = [{encounter.entity: encounter.first for encounter in outcome.others}.get(name) for outcome in outcomes]
-        facts[f"first of {quoted_name(study.meta.ego)} and {quoted_name(name)}"] = [str(first) for first in firsts]
+        facts[f"first of {quote_name(study.meta.ego)} and {quote_name(name)}"] = [str(first) for first in firsts]
     if study.critical is not None and not study.meta.pareto:
-        facts["critical"] = [str(outcome) for outcome in Objective.of_study(study.meta).critical_of(study).tolist()]
+        facts["critical"] = [str(outcome) for outcome in Objective.from_study_meta(study.meta).is_critical_in_study(study).tolist()]
     return {name: values for name, values in facts.items() if len(set(values)) > 1}
 
 
-def agree_with_facts(labels: IntArray, facts: Mapping[str, Sequence[str]]) -> dict[str, float]:
+def mutual_information_with_facts(labels: IntArray, facts: Mapping[str, Sequence[str]]) -> dict[str, float]:
     """Return the adjusted mutual information (Vinh et al. 2010) of labels and each fact; noise counts as a cluster.
 
     It is 1 if clusters and fact are the same, about 0 if they are independent.
@@ -97,10 +97,10 @@ def agree_with_facts(labels: IntArray, facts: Mapping[str, Sequence[str]]) -> di
     return {name: float(adjusted_mutual_info_score(list(values), labels)) for name, values in facts.items()}
 
 
-def agree_with_critical(study: Study, ids: IntArray, labels: IntArray) -> dict[str, float]:
+def mutual_information_with_critical(study: Study, ids: IntArray, labels: IntArray) -> dict[str, float]:
     """Return the agreement of labels and the fact ``"critical"``; empty if all scenarios or none are critical."""
     is_critical = dict(
-        zip((row.id for row in study.done()), Objective.of_study(study.meta).critical_of(study), strict=True)
+        zip((row.id for row in study.finished_rows()), Objective.from_study_meta(study.meta).is_critical_in_study(study), strict=True)
     )
     critical = [str(bool(is_critical[scenario])) for scenario in ids.tolist()]
-    return agree_with_facts(labels, {"critical": critical}) if len(set(critical)) > 1 else {}
+    return mutual_information_with_facts(labels, {"critical": critical}) if len(set(critical)) > 1 else {}

@@ -10,12 +10,12 @@ import numpy as np
 import numpy.typing as npt
 
 from cornercase._common.typing import FloatArray, IntArray
-from cornercase.clustering.agreement import agree_with_critical
+from cornercase.clustering.agreement import mutual_information_with_critical
 from cornercase.clustering.clusters import Candidate, Clustering
-from cornercase.clustering.places import Distances, PlacedDistances
+from cornercase.clustering.places import Distances, EmbeddedDistances
 from cornercase.clustering.profiles import Profile
 from cornercase.clustering.rules import Rule
-from cornercase.study import Study, damage_told, made, require
+from cornercase.study import Study, reraise_as_damage, dataclass_from_json, require_value
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -53,11 +53,11 @@ class Analysis:
     window: float | None
     ids: IntArray
     clustering: Clustering
-    fitted: IntArray
+    fitted_ids: IntArray
     profiles: tuple[Profile, ...]
-    tells: Mapping[str, float] = field(default_factory=dict)
-    every: int = 1
-    inexact: float | None = None
+    fact_agreement: Mapping[str, float] = field(default_factory=dict)
+    stride: int = 1
+    embedding_error: float | None = None
 
     @property
     def labels(self) -> IntArray:
@@ -70,7 +70,7 @@ class Analysis:
         counts = np.bincount(self.labels[self.labels >= 0], minlength=self.clustering.n_clusters)
         return [int(count) for count in counts]
 
-    def rows_of(self, scenarios: IntArray | list[int]) -> IntArray:
+    def rows_of(self, scenario_ids: IntArray | list[int]) -> IntArray:
         """Return the rows of some scenarios in `ids`.
 
         Parameters
@@ -84,7 +84,7 @@ class Analysis:
             Rows, in the order of the ids.
         """
         row_of = {scenario: row for row, scenario in enumerate(self.ids.tolist())}
-        return np.array([row_of[int(i)] for i in scenarios if int(i) in row_of], dtype=np.int64)
+        return np.array([row_of[int(i)] for i in scenario_ids if int(i) in row_of], dtype=np.int64)
 
     def __repr__(self) -> str:
         clustering = self.clustering
@@ -95,17 +95,17 @@ class Analysis:
         )
 
 
-def stored_analysis(
-    study: Study, analysis: Analysis, compared: FloatArray, distances: Distances
+def analysis_to_storage(
+    study: Study, analysis: Analysis, dtw_distances: FloatArray, distances: Distances
 ) -> tuple[dict[str, npt.ArrayLike], dict[str, Any]]:
     """Return the arrays and the info that `Study.save_analysis` stores of an analysis.
 
     `dtw_distances` are between all scenarios or the landmarks, `distances` between all scenarios.
     """
     clustering = analysis.clustering
-    arrays: dict[str, npt.ArrayLike] = {"ids": analysis.ids, "distances": compared}
-    if isinstance(distances, PlacedDistances):
-        arrays = {"ids": analysis.ids, "between": compared, "places": distances.places}
+    arrays: dict[str, npt.ArrayLike] = {"ids": analysis.ids, "distances": dtw_distances}
+    if isinstance(distances, EmbeddedDistances):
+        arrays = {"ids": analysis.ids, "between": dtw_distances, "places": distances.coordinates}
     arrays |= {
         "labels": clustering.labels,
         "embedding": clustering.embedding,
@@ -124,12 +124,12 @@ def stored_analysis(
         "landmarks": len(clustering.landmarks),
         "error": clustering.error,
         "candidates": [asdict(item) for item in clustering.candidates],
-        "fitted": analysis.fitted.tolist(),
+        "fitted": analysis.fitted_ids.tolist(),
         "profiles": [asdict(item) for item in analysis.profiles],
-        "tells": dict(analysis.tells),
+        "tells": dict(analysis.fact_agreement),
     }
-    if analysis.inexact is not None:
-        info |= {"every": analysis.every, "inexact": analysis.inexact}
+    if analysis.embedding_error is not None:
+        info |= {"every": analysis.stride, "inexact": analysis.embedding_error}
     if study.critical != study.meta.critical:
         info["critical_threshold"] = study.critical
     return arrays, info
@@ -155,66 +155,66 @@ def read_analysis(study: Study, by: str) -> Analysis:
     InputError
         The study was not analysed by it, or what it holds is damaged.
     """
-    run = {row.id for row in study.done()}
-    arrays, info = study.analysis(by, "ids", "labels", "embedding", "landmarks")
-    with damage_told(study.path):
+    run = {row.id for row in study.finished_rows()}
+    arrays, info = study.read_analysis(by, "ids", "labels", "embedding", "landmarks")
+    with reraise_as_damage(study.path):
         ids, labels, embedding = arrays["ids"], arrays["labels"], arrays["embedding"]
         n = len(ids)
-        require(
+        require_value(
             {array.dtype.kind for array in (ids, labels, arrays["landmarks"])} == {"i"}, "labels that are no integers"
         )
-        require(
+        require_value(
             ids.ndim == 1 and set(ids.tolist()) <= run and len(set(ids.tolist())) == n, "scenarios that were not run"
         )
-        require(n > 0, "an analysis without scenarios")
-        require(
+        require_value(n > 0, "an analysis without scenarios")
+        require_value(
             labels.shape == (n,) and labels.min(initial=-1) >= -1 and labels.max(initial=-1) < n, "unsuitable labels"
         )
-        require(embedding.ndim == 2 and len(embedding) == n and embedding.dtype.kind == "f", "an unsuitable embedding")
+        require_value(embedding.ndim == 2 and len(embedding) == n and embedding.dtype.kind == "f", "an unsuitable embedding")
         window = None if info["window"] is None else float(info["window"])
         tells = {str(fact): float(mutual) for fact, mutual in info["tells"].items()}
-        clustering, profiles = _clustering(arrays, info), _profiles(info)
+        clustering, profiles = _clustering_from_storage(arrays, info), _profiles_from_storage(info)
         fitted = np.array([int(i) for i in info["fitted"]], dtype=np.int64)
         clusters, sizes = np.unique(labels, return_counts=True)
         described = sorted((profile.cluster, profile.size) for profile in profiles)
-        require(
+        require_value(
             described in ([], list(zip(clusters.tolist(), sizes.tolist(), strict=True))), "profiles of other clusters"
         )
-        require({profile.example for profile in profiles} <= {None, *ids.tolist()}, "an example that is not a scenario")
-        require(isinstance(info["unit"], str), "a unit that is not a string")
+        require_value({profile.example for profile in profiles} <= {None, *ids.tolist()}, "an example that is not a scenario")
+        require_value(isinstance(info["unit"], str), "a unit that is not a string")
         stride, embedding_error = int(info.get("every", 1)), info.get("inexact")
-        require(stride >= 1, "a stride below 1")
+        require_value(stride >= 1, "a stride below 1")
         embedding_error = None if embedding_error is None else float(embedding_error)
         analysis = Analysis(by, info["unit"], window, ids, clustering, fitted, profiles, tells, stride, embedding_error)
         threshold = info.get("critical_threshold", study.meta.critical)
     if not tells or threshold == study.critical:
         return analysis
     facts = {fact: mutual for fact, mutual in tells.items() if fact != "critical"}
-    return replace(analysis, tells=facts | agree_with_critical(study, ids, labels))
+    return replace(analysis, fact_agreement=facts | mutual_information_with_critical(study, ids, labels))
 
 
-def _clustering(arrays: Mapping[str, Any], info: Mapping[str, Any]) -> Clustering:
+def _clustering_from_storage(arrays: Mapping[str, Any], info: Mapping[str, Any]) -> Clustering:
     numbers = {name: float(info[name]) for name in ("gamma", "eps", "scale", "explained", "error")}
-    require(info["method"] in ("dbscan", "hdbscan"), "an unknown clustering method")
+    require_value(info["method"] in ("dbscan", "hdbscan"), "an unknown clustering method")
     return Clustering(
         labels=arrays["labels"],
         embedding=arrays["embedding"],
         min_samples=int(info["min_samples"]),
-        candidates=tuple(made(Candidate, item) for item in info["candidates"]),
+        candidates=tuple(dataclass_from_json(Candidate, item) for item in info["candidates"]),
         method=info["method"],
         landmarks=arrays["landmarks"],
         **numbers,
     )
 
 
-def _profiles(info: Mapping[str, Any]) -> tuple[Profile, ...]:
+def _profiles_from_storage(info: Mapping[str, Any]) -> tuple[Profile, ...]:
     profiles = []
     for item in info["profiles"]:
         scores = {name: (float(low), float(mid), float(high)) for name, (low, mid, high) in item["scores"].items()}
         outcomes = {outcome: int(count) for outcome, count in item["outcomes"].items()}
-        require(min(outcomes.values(), default=0) >= 0, "a negative number of scenarios")
-        rules = tuple(made(Rule, rule) for rule in item["rules"])
-        profiles.append(made(Profile, {**item, "scores": scores, "outcomes": outcomes, "rules": rules}))
+        require_value(min(outcomes.values(), default=0) >= 0, "a negative number of scenarios")
+        rules = tuple(dataclass_from_json(Rule, rule) for rule in item["rules"])
+        profiles.append(dataclass_from_json(Profile, {**item, "scores": scores, "outcomes": outcomes, "rules": rules}))
     return tuple(profiles)
 
 
@@ -231,7 +231,7 @@ def read_analyses(study: Study) -> dict[str, Analysis]:
     dict of str to Analysis
         By aspect: the ego's trajectory first, the metrics last.
     """
-    return {by: read_analysis(study, by) for by in study.analyses()}
+    return {by: read_analysis(study, by) for by in study.analyzed_aspects()}
 
 
 def read_distances(study: Study, by: str) -> Distances:
@@ -255,31 +255,31 @@ def read_distances(study: Study, by: str) -> Distances:
     InputError
         The study was not analysed by it, or what it holds is damaged.
     """
-    if study.analysis(by, "ids")[1].get("inexact") is not None:
-        arrays, _ = study.analysis(by, "ids", "places")
-        with damage_told(study.path):
+    if study.read_analysis(by, "ids")[1].get("inexact") is not None:
+        arrays, _ = study.read_analysis(by, "ids", "places")
+        with reraise_as_damage(study.path):
             coordinates = arrays["places"]
-            require(coordinates.ndim == 2 and len(coordinates) == len(arrays["ids"]), "an unsuitable embedding")
-            require(
+            require_value(coordinates.ndim == 2 and len(coordinates) == len(arrays["ids"]), "an unsuitable embedding")
+            require_value(
                 coordinates.dtype.kind == "f" and bool(np.isfinite(coordinates).all()), "an embedding without numbers"
             )
-            return PlacedDistances(coordinates)
-    arrays, _ = study.analysis(by, "ids", "distances")
+            return EmbeddedDistances(coordinates)
+    arrays, _ = study.read_analysis(by, "ids", "distances")
     distances: FloatArray = arrays["distances"]
-    with damage_told(study.path):
+    with reraise_as_damage(study.path):
         _require_distances(distances, len(arrays["ids"]))
     return distances
 
 
-def read_between(study: Study, by: str) -> FloatArray:
+def read_landmark_distances(study: Study, by: str) -> FloatArray:
     """Read the distances between the landmarks of an analysis, shape (m, m)."""
-    arrays, _ = study.analysis(by, "landmarks", "between")
+    arrays, _ = study.read_analysis(by, "landmarks", "between")
     distances: FloatArray = arrays["between"]
-    with damage_told(study.path):
+    with reraise_as_damage(study.path):
         _require_distances(distances, len(arrays["landmarks"]))
     return distances
 
 
-def _require_distances(distances: FloatArray, n: int) -> None:
-    require(distances.shape == (n, n) and distances.dtype.kind == "f", "distances of other scenarios")
-    require(bool((np.isfinite(distances) & (distances >= 0.0)).all()), "distances that are negative or not finite")
+def _require_distances(distances: FloatArray, n_scenarios: int) -> None:
+    require_value(distances.shape == (n_scenarios, n_scenarios) and distances.dtype.kind == "f", "distances of other scenarios")
+    require_value(bool((np.isfinite(distances) & (distances >= 0.0)).all()), "distances that are negative or not finite")

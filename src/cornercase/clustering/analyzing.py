@@ -10,47 +10,47 @@ from typing import TYPE_CHECKING, Final, Literal
 
 import numpy as np
 
-from cornercase._common.arguments import texts
-from cornercase._common.dask_client import connected
+from cornercase._common.arguments import check_str_sequence
+from cornercase._common.dask_client import open_connection
 from cornercase._common.errors import InputError
 from cornercase._common.memory import DEFAULT_MEMORY, MemoryLimit
-from cornercase._common.progress import ProgressBar, bars_wanted
+from cornercase._common.progress import ProgressBar, show_bars
 from cornercase._common.typing import FloatArray, IntArray
-from cornercase.clustering.agreement import agree_with_facts, find_facts
-from cornercase.clustering.analysis import Analysis, read_analysis, read_between, read_distances, stored_analysis
-from cornercase.clustering.clauses import Account
+from cornercase.clustering.agreement import mutual_information_with_facts, collect_facts
+from cornercase.clustering.analysis import Analysis, read_analysis, read_landmark_distances, read_distances, analysis_to_storage
+from cornercase.clustering.clauses import NamingFacts
 from cornercase.clustering.clusters import Clustering, ClusteringMethod
 from cornercase.clustering.comparing import (
     default_aspects,
-    instants_apart,
-    instants_within,
-    make_aspect,
+    downsampling_stride,
+    window_in_instants,
+    create_aspect,
     require_aspect,
     require_same_channels,
-    series_in,
-    series_of,
-    thinned,
-    unit_of,
+    aspect_series,
+    read_series,
+    downsample,
+    distance_unit,
 )
 from cornercase.clustering.estimator import ScenarioClustering
-from cornercase.clustering.joining import fit_again
-from cornercase.clustering.landmarks import MOST_COMPARED, Comparing, find_by_landmarks, join_landmarks
+from cornercase.clustering.joining import refit
+from cornercase.clustering.landmarks import MAX_ALL_PAIRS, PairwiseComparer, cluster_by_landmarks, assign_by_landmarks
 from cornercase.clustering.outcomes import Outcome, find_outcome
-from cornercase.clustering.places import Distances, PlacedDistances
-from cornercase.clustering.profiles import describe_clusters
-from cornercase.clustering.traits import measure_traits
+from cornercase.clustering.places import Distances, EmbeddedDistances
+from cornercase.clustering.profiles import profile_clusters
+from cornercase.clustering.traits import measure_features
 from cornercase.study import Study, open_study
 
 if TYPE_CHECKING:
     from distributed import Client
 
 # Recordings from which the length and memory of all are estimated.
-_LOOKED_AT: Final = 100
+_SAMPLED_RECORDINGS: Final = 100
 # Bytes per pair in the matrix and in what is derived from it, per pair of a further aspect that waits to be stored, and
 # per scenario besides its series.
-_OF_A_PAIR: Final = 80
-_OF_A_STORED_PAIR: Final = 20
-_OF_A_SCENARIO: Final = 8_000
+_BYTES_PER_PAIR: Final = 80
+_BYTES_PER_WAITING_PAIR: Final = 20
+_BYTES_PER_SCENARIO: Final = 8_000
 
 
 def analyze(
@@ -62,7 +62,7 @@ def analyze(
     min_samples: int | Literal["auto"] = "auto",
     method: ClusteringMethod | None = None,
     window: float | None = None,
-    keep: bool = False,
+    keep_clusters: bool = False,
     critical: float | None = None,
     workers: int = 1,
     cluster: str | Client | None = None,
@@ -131,62 +131,62 @@ def analyze(
     2023, section "Scenario Clustering".
     """
     model = ScenarioClustering(gamma, eps, min_samples, method="dbscan" if method is None else method)
-    model.require_settings()
-    limit = MemoryLimit.of(memory)
-    requested = None if by is None else tuple(dict.fromkeys(texts("by", by)))
+    model.check_settings()
+    limit = MemoryLimit.from_value(memory)
+    requested = None if by is None else tuple(dict.fromkeys(check_str_sequence("by", by)))
     with open_study(study, critical=critical) as opened:
         aspects = default_aspects(opened) if requested is None else requested
         for aspect in aspects:
             require_aspect(opened, aspect)
-        existing = set(aspects) & set(opened.analyses())
-        if keep and existing and ({gamma, eps, min_samples} != {"auto"} or method is not None or window is not None):
+        existing = set(aspects) & set(opened.analyzed_aspects())
+        if keep_clusters and existing and ({gamma, eps, min_samples} != {"auto"} or method is not None or window is not None):
             raise InputError(
                 "`keep`: the settings of kept clusters cannot change;"
                 " leave out `gamma`, `eps`, `min_samples`, `method` and `window`."
             )
-        with bars_wanted(progress), connected(cluster, workers, else_none=True) as client:
-            return _analyzed(opened, aspects, model, window, keep, limit, client, progress)
+        with show_bars(progress), open_connection(cluster, workers, else_none=True) as client:
+            return _analyze_by_aspects(opened, aspects, model, window, keep_clusters, limit, client, progress)
 
 
 @dataclass(frozen=True, eq=False)
-class _Seen:
+class _Inputs:
     """Inputs read from the recordings of all scenarios that were run."""
 
     outcomes: list[Outcome]
-    account: Account
+    naming_facts: NamingFacts
     times: list[FloatArray]
     """Times of each recording in s; empty without a window."""
     series: dict[str, list[FloatArray]]
     """By aspect, without metrics."""
 
 
-def _analyzed(
+def _analyze_by_aspects(
     study: Study,
     aspects: Sequence[str],
     model: ScenarioClustering,
     window: float | None,
-    keep: bool,
-    limit: MemoryLimit,
+    keep_clusters: bool,
+    memory_limit: MemoryLimit,
     client: Client | None,
     progress: bool,
 ) -> dict[str, Analysis]:
-    ids = np.array([row.id for row in study.done()], dtype=np.int64)
+    ids = np.array([row.id for row in study.finished_rows()], dtype=np.int64)
     if len(ids) < 2:
-        ran, failed = "1 scenario was" if len(ids) else "no scenario was", study.failed()
+        ran, failed = "1 scenario was" if len(ids) else "no scenario was", study.failed_rows()
         failures = f", {len(failed)} failed, the first one with: {failed[0].error}" if failed else ""
         raise InputError(f"{study.path}: {ran} run{failures}; clustering needs at least 2.")
     start = time.monotonic()
-    previous = {aspect: read_analysis(study, aspect) for aspect in aspects if keep and aspect in study.analyses()}
-    stride = _instants_apart(study, ids)
-    strides = {aspect: previous[aspect].every if aspect in previous else stride for aspect in aspects}
-    bar = ProgressBar(len(ids), "reading", "scenarios") if progress and len(ids) > MOST_COMPARED else None
+    previous = {aspect: read_analysis(study, aspect) for aspect in aspects if keep_clusters and aspect in study.analyzed_aspects()}
+    stride = _choose_stride(study, ids)
+    strides = {aspect: previous[aspect].stride if aspect in previous else stride for aspect in aspects}
+    bar = ProgressBar(len(ids), "reading", "scenarios") if progress and len(ids) > MAX_ALL_PAIRS else None
     try:
-        inputs = _read(study, ids, strides, limit, bar, with_times=window is not None or keep)
+        inputs = _read_inputs(study, ids, strides, memory_limit, bar, with_times=window is not None or keep_clusters)
     finally:
         if bar:
             bar.stop()
-    instants_within(inputs.times, window)
-    facts = find_facts(study, inputs.outcomes)
+    window_in_instants(inputs.times, window)
+    facts = collect_facts(study, inputs.outcomes)
     spent = {"read": time.monotonic() - start, "compare": 0.0, "cluster": 0.0}
     results, to_store = {}, {}
     for name in aspects:
@@ -196,116 +196,116 @@ def _analyzed(
         series = (
             inputs.series.pop(name)
             if name in inputs.series
-            else [thinned(aspect, strides[name]) for aspect in series_of(study, name)]
+            else [downsample(aspect, strides[name]) for aspect in read_series(study, name)]
         )
-        window_instants = instants_within([thinned(times, strides[name]) for times in inputs.times], dtw_window)
-        comparing = Comparing(series, strides[name], window_instants, client, name if progress else None)
-        clustering, fitted, stored_distances, distances, embedding_error = _clustered(
+        window_instants = window_in_instants([downsample(times, strides[name]) for times in inputs.times], dtw_window)
+        comparing = PairwiseComparer(series, strides[name], window_instants, client, name if progress else None)
+        clustering, fitted, stored_distances, distances, embedding_error = _cluster_by_aspect(
             study, ids, comparing, model, name, existing
         )
-        profiles = describe_clusters(study, clustering.labels, inputs.account, distances)
-        agreements = agree_with_facts(clustering.labels, facts)
-        unit = unit_of(study, name)
+        profiles = profile_clusters(study, clustering.labels, inputs.naming_facts, distances)
+        agreements = mutual_information_with_facts(clustering.labels, facts)
+        unit = distance_unit(study, name)
         results[name] = Analysis(
             name, unit, dtw_window, ids, clustering, fitted, profiles, agreements, strides[name], embedding_error
         )
-        to_store[name] = stored_analysis(study, results[name], stored_distances, distances)
+        to_store[name] = analysis_to_storage(study, results[name], stored_distances, distances)
         spent["compare"] += comparing.seconds
         spent["cluster"] += time.monotonic() - start - comparing.seconds
     outcomes = {i: outcome.text for i, outcome in zip(ids.tolist(), inputs.outcomes, strict=True)}
     study.writer.save_analyses(to_store, outcomes)
-    study.writer.add_all_elapsed(spent)
+    study.writer.add_elapsed_times(spent)
     return results
 
 
-def _instants_apart(study: Study, ids: IntArray) -> int:
+def _choose_stride(study: Study, ids: IntArray) -> int:
     """Stride of the series, from the lengths of some of the recordings; 1 if all pairs are compared."""
-    if len(ids) <= MOST_COMPARED:
+    if len(ids) <= MAX_ALL_PAIRS:
         return 1
-    sample = ids[np.linspace(0, len(ids) - 1, _LOOKED_AT).astype(np.int64)]
-    return instants_apart([len(study.recording(scenario).time) for scenario in sample.tolist()])
+    sample = ids[np.linspace(0, len(ids) - 1, _SAMPLED_RECORDINGS).astype(np.int64)]
+    return downsampling_stride([len(study.recording(scenario).time) for scenario in sample.tolist()])
 
 
-def _read(
+def _read_inputs(
     study: Study,
     ids: IntArray,
-    every: dict[str, int],
-    limit: MemoryLimit,
+    strides: dict[str, int],
+    memory_limit: MemoryLimit,
     bar: ProgressBar | None,
     *,
     with_times: bool,
-) -> _Seen:
+) -> _Inputs:
     outcomes, traits, times = [], [], []
-    main = study.main_other()
-    aspects = {name: make_aspect(name) for name in every if name not in study.meta.metrics}
+    main = study.primary_other()
+    aspects = {name: create_aspect(name) for name in strides if name not in study.meta.metrics}
     series_by_aspect: dict[str, list[FloatArray]] = {name: [] for name in aspects}
     # Each recording is decompressed once.
     for count, i in enumerate(ids.tolist(), 1):
-        recording = study.recording(i).with_absent(study.meta.others)
+        recording = study.recording(i).with_absent_entities(study.meta.others)
         outcomes.append(find_outcome(recording, study.meta.ego, main))
-        traits.append(measure_traits(recording, outcomes[-1]))
+        traits.append(measure_features(recording, outcomes[-1]))
         if with_times:
             times.append(recording.time)
         for name, aspect in aspects.items():
-            series_by_aspect[name].append(thinned(series_in(study, i, recording, aspect, main), every[name]))
-        if count == _LOOKED_AT:
-            _require_memory(study, series_by_aspect, len(every), len(ids), limit)
+            series_by_aspect[name].append(downsample(aspect_series(study, i, recording, aspect, main), strides[name]))
+        if count == _SAMPLED_RECORDINGS:
+            _require_memory(study, series_by_aspect, len(strides), len(ids), memory_limit)
         if bar:
             bar.update(count, "read")
     for name, series in series_by_aspect.items():
         require_same_channels(study, name, ids.tolist(), series)
-    account = Account.of(outcomes, traits, study.space, [row.values for row in study.done()])
-    return _Seen(outcomes, account, times, series_by_aspect)
+    account = NamingFacts.from_scenarios(outcomes, traits, study.space, [row.values for row in study.finished_rows()])
+    return _Inputs(outcomes, account, times, series_by_aspect)
 
 
 def _require_memory(
-    study: Study, seen: dict[str, list[FloatArray]], aspects: int, count: int, limit: MemoryLimit
+    study: Study, series_by_aspect: dict[str, list[FloatArray]], n_aspects: int, n_scenarios: int, memory_limit: MemoryLimit
 ) -> None:
     """Raise an error if all series will not fit, judged by the first ones."""
-    first = max(map(len, seen.values()), default=0)
-    series = sum(values.nbytes for series in seen.values() for values in series) / max(first, 1)
-    pairs = min(count, MOST_COMPARED) ** 2 * (_OF_A_PAIR + (aspects - 1) * _OF_A_STORED_PAIR)
-    advice = ", or analyze by fewer aspects at a time with `by`" if count * series > pairs and len(seen) > 1 else ""
-    limit.require(
-        pairs + count * (series + _OF_A_SCENARIO),
-        f"{study.path}: the series of {count} scenarios",
+    first = max(map(len, series_by_aspect.values()), default=0)
+    series = sum(values.nbytes for series in series_by_aspect.values() for values in series) / max(first, 1)
+    pairs = min(n_scenarios, MAX_ALL_PAIRS) ** 2 * (_BYTES_PER_PAIR + (n_aspects - 1) * _BYTES_PER_WAITING_PAIR)
+    advice = ", or analyze by fewer aspects at a time with `by`" if n_scenarios * series > pairs and len(series_by_aspect) > 1 else ""
+    memory_limit.check_fits(
+        pairs + n_scenarios * (series + _BYTES_PER_SCENARIO),
+        f"{study.path}: the series of {n_scenarios} scenarios",
         f"give more{advice}",
     )
 
 
-def _clustered(
-    study: Study, ids: IntArray, comparing: Comparing, model: ScenarioClustering, by: str, before: Analysis | None
+def _cluster_by_aspect(
+    study: Study, ids: IntArray, comparer: PairwiseComparer, model: ScenarioClustering, by: str, existing: Analysis | None
 ) -> tuple[Clustering, IntArray, FloatArray, Distances, float | None]:
     """Return clusters, ids they were found in, distances to store, all distances, and the error of these."""
-    if before is None and len(ids) > MOST_COMPARED:
-        result = find_by_landmarks(comparing, model)
-        return result.clustering, ids, result.between, PlacedDistances(result.places), result.error
-    if before is not None and (before.inexact is not None or len(ids) > MOST_COMPARED):
+    if existing is None and len(ids) > MAX_ALL_PAIRS:
+        result = cluster_by_landmarks(comparer, model)
+        return result.clustering, ids, result.landmark_distances, EmbeddedDistances(result.embedding), result.embedding_error
+    if existing is not None and (existing.embedding_error is not None or len(ids) > MAX_ALL_PAIRS):
         # An analysis without landmarks uses all its scenarios as landmarks.
-        references = before.ids[before.clustering.landmarks] if before.inexact is not None else before.fitted
-        rows = before.rows_of(references.tolist())
-        if before.inexact is not None:
-            stored = read_between(study, by)
+        references = existing.ids[existing.clustering.landmarks] if existing.embedding_error is not None else existing.fitted_ids
+        rows = existing.rows_of(references.tolist())
+        if existing.embedding_error is not None:
+            stored = read_landmark_distances(study, by)
         else:
             stored = read_distances(study, by)[np.ix_(rows, rows)]
         landmarks = np.flatnonzero(np.isin(ids, references))
-        result = join_landmarks(comparing, landmarks, stored, before.clustering, before.labels[rows])
-        return result.clustering, before.fitted, stored, PlacedDistances(result.places), result.error
-    distances = comparing.between(np.arange(len(ids)), shown=True)
-    if before is None:
+        result = assign_by_landmarks(comparer, landmarks, stored, existing.clustering, existing.labels[rows])
+        return result.clustering, existing.fitted_ids, stored, EmbeddedDistances(result.embedding), result.embedding_error
+    distances = comparer.distances_between(np.arange(len(ids)), show_progress=True)
+    if existing is None:
         return model.fit(distances).result_, ids, distances, distances, None
     # Known distances are reused, since the kept clusters were found with them to the last digit.
-    known, rows = np.flatnonzero(np.isin(ids, before.ids)), before.rows_of(ids.tolist())
+    known, rows = np.flatnonzero(np.isin(ids, existing.ids)), existing.rows_of(ids.tolist())
     distances[np.ix_(known, known)] = read_distances(study, by)[np.ix_(rows, rows)]
-    return *_joined(before, ids, distances), distances, distances, None
+    return *_extend_clusters(existing, ids, distances), distances, distances, None
 
 
-def _joined(before: Analysis, ids: IntArray, distances: FloatArray) -> tuple[Clustering, IntArray]:
+def _extend_clusters(existing: Analysis, ids: IntArray, distances: FloatArray) -> tuple[Clustering, IntArray]:
     """Extend the clusters of an earlier analysis to scenarios run since; also return the ids they were found in."""
     # A failed scenario may have been run again since, so the earlier ones need not come first.
-    is_fitted = np.isin(ids, before.fitted)
-    clustering = before.clustering
-    model = fit_again(before, distances[np.ix_(is_fitted, is_fitted)])
+    is_fitted = np.isin(ids, existing.fitted_ids)
+    clustering = existing.clustering
+    model = refit(existing, distances[np.ix_(is_fitted, is_fitted)])
     labels, embedding = np.empty(len(ids), dtype=np.int64), np.empty((len(ids), clustering.embedding.shape[1]))
     labels[is_fitted], embedding[is_fitted] = model.labels_, model.embedding_
     to_earlier = distances[np.ix_(~is_fitted, is_fitted)]

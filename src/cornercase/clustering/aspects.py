@@ -16,8 +16,8 @@ EGO_TRAJECTORY: Final = "ego-trajectory"
 
 # Fixed, so that distances mean the same in every study, and chosen without data: a speed difference counts as the
 # distance that it makes in a driver's look-ahead time (s), a second of waiting as the distance of a slow vehicle (m/s).
-_LOOK_AHEAD: Final = 3.0
-_SLOW: Final = 5.0
+_LOOK_AHEAD_TIME: Final = 3.0
+_SLOW_SPEED: Final = 5.0
 
 
 class Aspect(ABC):
@@ -83,7 +83,7 @@ class EgoTrajectory(Aspect):
 
     def series(self, recording: Recording, ego: str, other: str) -> FloatArray:
         """Return the ego's position, shape (T, 2)."""
-        return _place(recording, ego)
+        return _positions(recording, ego)
 
 
 class EgoSpeed(Aspect):
@@ -93,7 +93,7 @@ class EgoSpeed(Aspect):
 
     def series(self, recording: Recording, ego: str, other: str) -> FloatArray:
         """Return the ego's speed, shape (T, 1)."""
-        return _speed(recording, ego)
+        return _speeds(recording, ego)
 
 
 class EgoMotion(Aspect):
@@ -103,7 +103,7 @@ class EgoMotion(Aspect):
 
     def series(self, recording: Recording, ego: str, other: str) -> FloatArray:
         """Return the ego's position and scaled speed, shape (T, 3)."""
-        return np.hstack((_place(recording, ego), _LOOK_AHEAD * _speed(recording, ego)))
+        return np.hstack((_positions(recording, ego), _LOOK_AHEAD_TIME * _speeds(recording, ego)))
 
 
 class Interaction(Aspect):
@@ -113,7 +113,7 @@ class Interaction(Aspect):
 
     def series(self, recording: Recording, ego: str, other: str) -> FloatArray:
         """Return both positions, shape (T, 4)."""
-        return np.hstack((_place(recording, ego), _place(recording, other, ego)))
+        return np.hstack((_positions(recording, ego), _positions(recording, other, ego)))
 
 
 class Relative(Aspect):
@@ -123,7 +123,7 @@ class Relative(Aspect):
 
     def series(self, recording: Recording, ego: str, other: str) -> FloatArray:
         """Return the other's position in the ego's frame, shape (T, 2)."""
-        return _seen(recording, ego, other)
+        return _relative_positions(recording, ego, other)
 
 
 class Bearing(Aspect):
@@ -137,7 +137,7 @@ class Bearing(Aspect):
 
     def series(self, recording: Recording, ego: str, other: str) -> FloatArray:
         """Return the direction, shape (T, 2)."""
-        relative = _seen(recording, ego, other)
+        relative = _relative_positions(recording, ego, other)
         distance = np.hypot(relative[:, :1], relative[:, 1:])
         return np.divide(relative, distance, out=np.zeros_like(relative), where=distance > 0.0)
 
@@ -153,39 +153,39 @@ class Behaviour(Aspect):
 
     def series(self, recording: Recording, ego: str, other: str) -> FloatArray:
         """Return the distance travelled and the scaled time, shape (T, 2)."""
-        position = _place(recording, ego)
+        position = _positions(recording, ego)
         steps = np.hypot(*np.diff(position, axis=0).T)
-        return np.column_stack((np.r_[0.0, np.cumsum(steps)], _SLOW * (recording.time - recording.time[0])))
+        return np.column_stack((np.r_[0.0, np.cumsum(steps)], _SLOW_SPEED * (recording.time - recording.time[0])))
 
 
-ASPECTS: Final[Registry[Aspect]] = Registry("aspect", "cornercase.aspects", Aspect)
+ASPECTS: Final[Registry[Aspect]] = Registry("aspect", "cornercase.n_aspects", Aspect)
 """Aspects by name; the course of each metric of a study can be compared, too."""
 
 for _class in (EgoTrajectory, EgoSpeed, EgoMotion, Interaction, Relative, Bearing, Behaviour):
     ASPECTS.register(_class.name, _class)
 
 
-def _place(recording: Recording, entity: str, instead: str | None = None) -> FloatArray:
+def _positions(recording: Recording, entity: str, fallback_entity: str | None = None) -> FloatArray:
     """Centre of an entity's box, shape (T, 2); of `fallback_entity` if it never exists."""
-    center = recording.center(entity)
-    if instead is not None and not np.isfinite(center).all(axis=1).any():
-        return _place(recording, instead)
-    return _held(center)
+    center = recording.box_center(entity)
+    if fallback_entity is not None and not np.isfinite(center).all(axis=1).any():
+        return _positions(recording, fallback_entity)
+    return _fill_missing(center)
 
 
-def _speed(recording: Recording, entity: str) -> FloatArray:
-    return _held(recording.speed[recording.index(entity)][:, None])
+def _speeds(recording: Recording, entity: str) -> FloatArray:
+    return _fill_missing(recording.speed[recording.entity_index(entity)][:, None])
 
 
-def _seen(recording: Recording, ego: str, other: str) -> FloatArray:
+def _relative_positions(recording: Recording, ego: str, other: str) -> FloatArray:
     """Position of the other in the ego's frame, shape (T, 2)."""
-    x, y = (_place(recording, other, ego) - _place(recording, ego)).T
-    heading = _held(recording.heading[recording.index(ego)][:, None])[:, 0]
+    x, y = (_positions(recording, other, ego) - _positions(recording, ego)).T
+    heading = _fill_missing(recording.heading[recording.entity_index(ego)][:, None])[:, 0]
     cos, sin = np.cos(heading), np.sin(heading)
     return np.column_stack((cos * x + sin * y, cos * y - sin * x))
 
 
-def _held(values: FloatArray) -> FloatArray:
+def _fill_missing(values: FloatArray) -> FloatArray:
     """Fill instants at which an entity does not exist with its last values, or its first ones before it appears."""
     exists = np.isfinite(values).all(axis=1)
     if not exists.any():

@@ -10,7 +10,7 @@ import numpy as np
 
 from cornercase._common.typing import FloatArray, IntArray
 
-NOISE: Final = -1
+NOISE_LABEL: Final = -1
 """Label of a scenario that is in no cluster."""
 
 ClusteringMethod = Literal["dbscan", "hdbscan"]
@@ -117,12 +117,12 @@ class Clustering:
     @property
     def n_clusters(self) -> int:
         """Number of clusters, without noise."""
-        return int(self.labels.max(initial=NOISE)) + 1
+        return int(self.labels.max(initial=NOISE_LABEL)) + 1
 
     @property
     def noise(self) -> float:
         """Share of the scenarios that are in no cluster."""
-        return float(np.mean(self.labels == NOISE)) if len(self.labels) else 0.0
+        return float(np.mean(self.labels == NOISE_LABEL)) if len(self.labels) else 0.0
 
     def __repr__(self) -> str:
         return (

@@ -8,25 +8,25 @@ from typing import Final
 
 import numpy as np
 
-from cornercase._common.errors import InputError, suggestion
-from cornercase._common.interrupts import requests_heard
-from cornercase._common.parts import raise_if_request
-from cornercase._common.texts import in_one_line
+from cornercase._common.errors import InputError, suggest_name
+from cornercase._common.interrupts import count_requests
+from cornercase._common.parts import reraise_termination_request
+from cornercase._common.texts import format_exception
 from cornercase._common.typing import FloatArray
 from cornercase.clustering.aspects import ASPECTS, EGO_TRAJECTORY, Aspect
 from cornercase.metrics import METRICS
-from cornercase.recordings import MOTION, Recording
+from cornercase.recordings import MOTION_ARRAYS, Recording
 from cornercase.study import Study
 
-BY_DEFAULT: Final = (EGO_TRAJECTORY, "bearing", "interaction")
+DEFAULT_ASPECTS: Final = (EGO_TRAJECTORY, "bearing", "interaction")
 """Aspects that `analyze` uses besides the metrics of the study."""
-INSTANTS: Final = 100
+MAX_INSTANTS: Final = 100
 """Largest number of instants of a series of median length."""
 
 
 def default_aspects(study: Study) -> tuple[str, ...]:
     """Return the aspects that `analyze` uses by default: `DEFAULT_ASPECTS`, then the metrics of the study."""
-    return (*BY_DEFAULT, *study.meta.metrics)
+    return (*DEFAULT_ASPECTS, *study.meta.metrics)
 
 
 def require_aspect(study: Study, aspect: str) -> None:
@@ -35,11 +35,11 @@ def require_aspect(study: Study, aspect: str) -> None:
         return
     if aspect.partition(":")[0] not in ASPECTS:
         names = sorted({*ASPECTS.names(), *study.meta.metrics})
-        raise InputError(f"`by` {aspect}: {study.path} has no such aspect or metric; {suggestion(aspect, names)}")
-    make_aspect(aspect)
+        raise InputError(f"`by` {aspect}: {study.path} has no such aspect or metric; {suggest_name(aspect, names)}")
+    create_aspect(aspect)
 
 
-def make_aspect(name: str) -> Aspect:
+def create_aspect(name: str) -> Aspect:
     """Create an aspect of `ASPECTS` and check its name and unit; another package may have registered it."""
     try:
         aspect = ASPECTS.create(name)
@@ -47,46 +47,46 @@ def make_aspect(name: str) -> Aspect:
     except InputError:
         raise
     except Exception as error:
-        raise InputError(f"The aspect '{name}' cannot be created: {in_one_line(error)}.") from error
+        raise InputError(f"The aspect '{name}' cannot be created: {format_exception(error)}.") from error
     if not isinstance(unit, str):
         raise InputError(f"The aspect '{name}' has {unit!r} as its unit; it has to be a string.")
     return aspect
 
 
-def series_of(
-    study: Study, aspect: str, ids: Sequence[int] | None = None, other: str | None = None
+def read_series(
+    study: Study, aspect: str, ids: Sequence[int] | None = None, other_entity: str | None = None
 ) -> list[FloatArray]:
     """Return one time series per finished scenario, or per scenario of `ids`: shape (T_i, k); (T_i,) for a metric.
 
     `other_entity` is the entity that aspects look at besides the ego, by default the main other one of the study.
     """
     require_aspect(study, aspect)
-    ids = [row.id for row in study.done()] if ids is None else ids
+    ids = [row.id for row in study.finished_rows()] if ids is None else ids
     if aspect in study.meta.metrics:
         metric = METRICS.create(aspect)
-        return [metric.capped(study.course(scenario, aspect)) for scenario in ids]
-    aspect_object, other = make_aspect(aspect), study.main_other() if other is None else other
-    series = [series_in(study, scenario, study.recording(scenario), aspect_object, other) for scenario in ids]
+        return [metric.clip_course(study.course(scenario, aspect)) for scenario in ids]
+    aspect_object, other_entity = create_aspect(aspect), study.primary_other() if other_entity is None else other_entity
+    series = [aspect_series(study, scenario, study.recording(scenario), aspect_object, other_entity) for scenario in ids]
     require_same_channels(study, aspect, ids, series)
     return series
 
 
-def series_in(study: Study, scenario: int, recording: Recording, aspect: Aspect, other: str) -> FloatArray:
+def aspect_series(study: Study, scenario: int, recording: Recording, aspect: Aspect, other_entity: str) -> FloatArray:
     """Return the time series of one scenario for an aspect, shape (T, k), checked.
 
     `other_entity` is the entity that the aspect looks at besides the ego; it is the same in all scenarios that are
     compared.
     """
     # Read-only, since all aspects get the same recording.
-    for name in MOTION:
+    for name in MOTION_ARRAYS:
         getattr(recording, name).flags.writeable = False
-    requests = requests_heard()
+    requests = count_requests()
     try:
-        values = aspect.series(recording.with_absent([other]), study.meta.ego, other)
+        values = aspect.series(recording.with_absent_entities([other_entity]), study.meta.ego, other_entity)
     except BaseException as error:
-        raise_if_request(error, requests)
+        reraise_termination_request(error, requests)
         raise InputError(
-            f"The aspect '{aspect.name}' fails for scenario {scenario} of {study.path}: {in_one_line(error)}."
+            f"The aspect '{aspect.name}' fails for scenario {scenario} of {study.path}: {format_exception(error)}."
         ) from error
     try:
         series = np.asarray(values).astype(np.float64, casting="same_kind")
@@ -113,18 +113,18 @@ def require_same_channels(study: Study, aspect: str, ids: Sequence[int], series:
             )
 
 
-def unit_of(study: Study, aspect: str) -> str:
+def distance_unit(study: Study, aspect: str) -> str:
     """Return the unit of DTW distances by an aspect: that of its series, since they are sums; "1" for none."""
     require_aspect(study, aspect)
-    return METRICS.create(aspect).unit if aspect in study.meta.metrics else make_aspect(aspect).unit
+    return METRICS.create(aspect).unit if aspect in study.meta.metrics else create_aspect(aspect).unit
 
 
-def instants_within(times: Sequence[FloatArray], window: float | None) -> int | None:
+def window_in_instants(times: Sequence[FloatArray], window_seconds: float | None) -> int | None:
     """Convert a DTW window in s into instants, for `cornercase.dtw.distance_matrix`; None for no window."""
-    if window is None:
+    if window_seconds is None:
         return None
-    if isinstance(window, bool) or not isinstance(window, int | float | np.number) or not 0.0 <= window < math.inf:
-        raise InputError(f"`window` {window!r}: give a time in s of at least 0.")
+    if isinstance(window_seconds, bool) or not isinstance(window_seconds, int | float | np.number) or not 0.0 <= window_seconds < math.inf:
+        raise InputError(f"`window` {window_seconds!r}: give a time in s of at least 0.")
     steps = [float(np.median(np.diff(time))) for time in times if len(time) > 1]
     if not steps:
         return 1
@@ -133,16 +133,16 @@ def instants_within(times: Sequence[FloatArray], window: float | None) -> int | 
             f"`window`: the recordings have time steps from {min(steps):.4g} s to {max(steps):.4g} s; leave it out."
         )
     # The cap avoids an overflow; no recording has that many instants.
-    return math.floor(min(float(window) / steps[0], 1e9) + 1e-6) + 1
+    return math.floor(min(float(window_seconds) / steps[0], 1e9) + 1e-6) + 1
 
 
-def instants_apart(lengths: Sequence[int]) -> int:
+def downsampling_stride(lengths: Sequence[int]) -> int:
     """Return the stride, at least 1, that leaves at most 100 instants of a series of median length."""
-    return max(1, math.ceil(float(np.median(lengths)) / INSTANTS))
+    return max(1, math.ceil(float(np.median(lengths)) / MAX_INSTANTS))
 
 
-def thinned(series: FloatArray, every: int) -> FloatArray:
+def downsample(series: FloatArray, stride: int) -> FloatArray:
     """Take every `stride`-th instant of a series, shape (T,) or (T, k), and the last one."""
-    if every == 1:
+    if stride == 1:
         return series
-    return np.concatenate((series[:-1:every], series[-1:]))
+    return np.concatenate((series[:-1:stride], series[-1:]))

@@ -9,18 +9,18 @@ import math
 
 import numpy as np
 
-from cornercase._common.box_tree import next_near, node_after, with_run
+from cornercase._common.box_tree import next_overlapping_leaf, node_after_subtree, append_run
 from cornercase._common.compiling import kernel
 
 _MARGIN = 1e-3
 """Margin of the bounding circles in m, far more than rounding."""
 
-_HALVINGS = 20
+_N_BISECTIONS = 20
 """Number of bisections of a step to find the instant of contact, to a millionth of the step."""
 
 
 @kernel(error_model="numpy")
-def find_overlaps(a, size_a, b, size_b, tree):
+def find_overlap_runs(poses_a, size_a, poses_b, size_b, tree):
     """Return which boxes of path a overlap which of path b, as runs for `OverlapRuns`.
 
     `poses_a`, shape (4, n), and `poses_b`, shape (4, m), have rows x, y, cosine and sine of the heading; sizes are
@@ -30,37 +30,37 @@ def find_overlaps(a, size_a, b, size_b, tree):
     wide = reach + _MARGIN
     leaves, count = len(tree) // 2, 0
     runs = np.empty((64, 3), dtype=np.int64)
-    for i in range(a.shape[1]):
-        low_x, low_y, high_x, high_y = a[0, i] - wide, a[1, i] - wide, a[0, i] + wide, a[1, i] + wide
+    for i in range(poses_a.shape[1]):
+        low_x, low_y, high_x, high_y = poses_a[0, i] - wide, poses_a[1, i] - wide, poses_a[0, i] + wide, poses_a[1, i] + wide
         last = -2
-        node = next_near(tree, 1, low_x, low_y, high_x, high_y)
+        node = next_overlapping_leaf(tree, 1, low_x, low_y, high_x, high_y)
         while node > 0:
             j = node - leaves
-            x, y = b[0, j] - a[0, i], b[1, j] - a[1, i]
-            if x * x + y * y <= reach * reach and _overlap(x, y, a[2, i], a[3, i], size_a, b[2, j], b[3, j], size_b):
+            x, y = poses_b[0, j] - poses_a[0, i], poses_b[1, j] - poses_a[1, i]
+            if x * x + y * y <= reach * reach and _boxes_overlap(x, y, poses_a[2, i], poses_a[3, i], size_a, poses_b[2, j], poses_b[3, j], size_b):
                 if j != last + 1:
-                    runs = with_run(runs, count, i, j)
+                    runs = append_run(runs, count, i, j)
                     count += 1
                 runs[count - 1, 2] = last = j
-            node = next_near(tree, node_after(node), low_x, low_y, high_x, high_y)
+            node = next_overlapping_leaf(tree, node_after_subtree(node), low_x, low_y, high_x, high_y)
     return runs[:count]
 
 
 @kernel(error_model="numpy", _nrt=False)
-def touching_share(a, size_a, before, after, b, size_b, meets):
+def contact_fraction(poses_a, size_a, before, after, poses_b, size_b, is_touched):
     """Return the fraction of a step of path a at which it first touches a box of path b in `is_touched`."""
     low, high = 0.0, 1.0
-    for _ in range(_HALVINGS):
+    for _ in range(_N_BISECTIONS):
         share = 0.5 * (low + high)
-        x = a[0, before] + share * (a[0, after] - a[0, before])
-        y = a[1, before] + share * (a[1, after] - a[1, before])
-        cos = a[2, before] + share * (a[2, after] - a[2, before])
-        sin = a[3, before] + share * (a[3, after] - a[3, before])
+        x = poses_a[0, before] + share * (poses_a[0, after] - poses_a[0, before])
+        y = poses_a[1, before] + share * (poses_a[1, after] - poses_a[1, before])
+        cos = poses_a[2, before] + share * (poses_a[2, after] - poses_a[2, before])
+        sin = poses_a[3, before] + share * (poses_a[3, after] - poses_a[3, before])
         norm = math.hypot(cos, sin)
         touches = False
-        for j in range(b.shape[1]):
-            if meets[j] and _overlap(
-                b[0, j] - x, b[1, j] - y, cos / norm, sin / norm, size_a, b[2, j], b[3, j], size_b
+        for j in range(poses_b.shape[1]):
+            if is_touched[j] and _boxes_overlap(
+                poses_b[0, j] - x, poses_b[1, j] - y, cos / norm, sin / norm, size_a, poses_b[2, j], poses_b[3, j], size_b
             ):
                 touches = True
                 break
@@ -72,7 +72,7 @@ def touching_share(a, size_a, before, after, b, size_b, meets):
 
 
 @kernel(error_model="numpy", _nrt=False)
-def _overlap(x, y, cos_a, sin_a, size_a, cos_b, sin_b, size_b):
+def _boxes_overlap(x, y, cos_a, sin_a, size_a, cos_b, sin_b, size_b):
     """Separating-axis test of two boxes whose centres differ by (x, y)."""
     cos, sin = abs(cos_a * cos_b + sin_a * sin_b), abs(cos_a * sin_b - sin_a * cos_b)
     length_a, width_a, length_b, width_b = 0.5 * size_a[0], 0.5 * size_a[1], 0.5 * size_b[0], 0.5 * size_b[1]

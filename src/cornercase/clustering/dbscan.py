@@ -13,20 +13,20 @@ _NOISE = -1
 
 
 @kernel(error_model="numpy")
-def find_clusters(points, reach, needed, labels):
+def dbscan_labels(points, eps, min_samples, labels):
     """Fill `labels`, shape (n,), with DBSCAN clusters of points, shape (n, k); -1 is noise.
 
     Clusters are numbered in the order of their first dense points. A border point belongs to the first cluster in which
     it has a dense neighbour.
     """
     count = len(points)
-    square = reach * reach
+    square = eps * eps
     dense = np.empty(count, dtype=np.bool_)
     for i in range(count):
         n_near = 0
         for j in range(count):
-            n_near += _square(points, i, j) <= square
-        dense[i] = n_near >= needed
+            n_near += _squared_distance(points, i, j) <= square
+        dense[i] = n_near >= min_samples
     labels[:] = _NOISE
     waiting = np.empty(count, dtype=np.int64)
     number = 0
@@ -38,7 +38,7 @@ def find_clusters(points, reach, needed, labels):
             n_waiting -= 1
             i = waiting[n_waiting]
             for j in range(count):
-                if labels[j] == _NOISE and _square(points, i, j) <= square:
+                if labels[j] == _NOISE and _squared_distance(points, i, j) <= square:
                     labels[j] = number
                     if dense[j]:
                         waiting[n_waiting] = j
@@ -47,7 +47,7 @@ def find_clusters(points, reach, needed, labels):
 
 
 @kernel(error_model="numpy")
-def _square(points, i, j):
+def _squared_distance(points, i, j):
     total = 0.0
     for k in range(points.shape[1]):
         difference = points[i, k] - points[j, k]

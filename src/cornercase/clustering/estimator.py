@@ -11,18 +11,18 @@ import numpy.typing as npt
 from sklearn.base import BaseEstimator, ClusterMixin
 from threadpoolctl import threadpool_limits
 
-from cornercase._common.errors import InputError, suggestion
+from cornercase._common.errors import InputError, suggest_name
 from cornercase._common.typing import FloatArray, IntArray
 from cornercase.clustering.clusters import Clustering, ClusteringMethod
-from cornercase.clustering.density import join_nearest, order_by_size
-from cornercase.clustering.kernel_space import KernelSpace
-from cornercase.clustering.search import MOST_SCORED, canonical_order, search_settings
+from cornercase.clustering.density import assign_to_nearest_cluster, renumber_by_size
+from cornercase.clustering.kernel_space import KernelPca
+from cornercase.clustering.search import MAX_SCORED, canonical_order, search_settings
 
 # With more than MOST_EXACT scenarios, LANDMARKS of them span the kernel space.
-MOST_EXACT: Final = 5000
-LANDMARKS: Final = 2000
+MAX_WITHOUT_LANDMARKS: Final = 5000
+N_KERNEL_LANDMARKS: Final = 2000
 # Singular values below this share of the largest are rounding errors of single-precision distances.
-_SMALLEST: Final = 1e-7
+_SINGULAR_VALUE_TOLERANCE: Final = 1e-7
 
 
 class ScenarioClustering(ClusterMixin, BaseEstimator):  # type: ignore[misc]
@@ -152,11 +152,11 @@ class ScenarioClustering(ClusterMixin, BaseEstimator):  # type: ignore[misc]
         InputError
             Not a distance matrix, or a parameter out of range.
         """
-        self.require_settings()
-        matrix = _checked(distances)
+        self.check_settings()
+        matrix = _check_distance_matrix(distances)
         # The canonical order decides to which of two touching clusters a border point belongs.
         self._kernel_rows = canonical_order(matrix)
-        count = self._landmark_count(len(matrix))
+        count = self._choose_n_landmarks(len(matrix))
         if count < len(matrix):
             self._kernel_rows = self._kernel_rows[
                 np.sort(np.random.default_rng(0).choice(len(matrix), count, replace=False))
@@ -172,17 +172,17 @@ class ScenarioClustering(ClusterMixin, BaseEstimator):  # type: ignore[misc]
         )
         self._scale = self._fitted_clustering.scale or 1.0
         with threadpool_limits(limits=1):
-            self._space = KernelSpace(self._fitted_clustering.gamma, self._fitted_clustering.embedding.shape[1]).fit(
+            self._space = KernelPca(self._fitted_clustering.gamma, self._fitted_clustering.embedding.shape[1]).fit(
                 within / self._scale
             )
-            result = self._extended(matrix) if count < len(matrix) else self._as_given()
+            result = self._extend_to_all(matrix) if count < len(matrix) else self._in_given_order()
         self.result_: Clustering = result
         self.labels_, self.embedding_, self.candidates_ = result.labels, result.embedding, result.candidates
         self.gamma_, self.eps_, self.min_samples_ = result.gamma, result.eps, result.min_samples
         self.landmarks_, self.n_features_in_ = result.landmarks, len(matrix)
         return self
 
-    def require_settings(self) -> None:
+    def check_settings(self) -> None:
         """Check the settings; `fit` does it too.
 
         Raises
@@ -191,8 +191,8 @@ class ScenarioClustering(ClusterMixin, BaseEstimator):  # type: ignore[misc]
             A setting is out of range.
         """
         if self.method not in get_args(ClusteringMethod):
-            raise InputError(f"`method` {self.method}: {suggestion(str(self.method), get_args(ClusteringMethod))}")
-        if not _whole(self.n_components, 1) and self.n_components != "auto":
+            raise InputError(f"`method` {self.method}: {suggest_name(str(self.method), get_args(ClusteringMethod))}")
+        if not _is_int_at_least(self.n_components, 1) and self.n_components != "auto":
             raise InputError(f"`n_components` {self.n_components!r}: give a whole number of at least 1, or 'auto'.")
         # For HDBSCAN a radius of 0 is valid: then it merges no clusters.
         for name, value, zero_allowed in (("gamma", self.gamma, False), ("eps", self.eps, self.method == "hdbscan")):
@@ -201,9 +201,9 @@ class ScenarioClustering(ClusterMixin, BaseEstimator):  # type: ignore[misc]
             is_number = isinstance(value, (int, float, np.number)) and not isinstance(value, bool)
             if not is_number or not (0 < value < math.inf or (zero_allowed and value == 0)):
                 raise InputError(f"`{name}` {value!r}: give a number above 0, or 'auto'.")
-        if not _whole(self.min_samples, 1) and self.min_samples != "auto":
+        if not _is_int_at_least(self.min_samples, 1) and self.min_samples != "auto":
             raise InputError(f"`min_samples` {self.min_samples!r}: give a whole number of at least 1, or 'auto'.")
-        if self.landmarks not in ("auto", None) and not _whole(self.landmarks, 2):
+        if self.landmarks not in ("auto", None) and not _is_int_at_least(self.landmarks, 2):
             raise InputError(f"`landmarks` {self.landmarks!r}: give a whole number of at least 2, None or 'auto'.")
 
     def transform(self, distances: npt.ArrayLike) -> FloatArray:
@@ -255,9 +255,9 @@ class ScenarioClustering(ClusterMixin, BaseEstimator):  # type: ignore[misc]
         InputError
             As `transform`.
         """
-        return join_nearest(self.transform(distances), self._fitted_clustering)
+        return assign_to_nearest_cluster(self.transform(distances), self._fitted_clustering)
 
-    def kernel_lost(self, distances: FloatArray, between: FloatArray) -> float:
+    def kernel_approximation_error(self, distances: FloatArray, distances_between_new: FloatArray) -> float:
         """Return the relative error of the kernel of new scenarios, approximated from the clustered ones.
 
         Parameters
@@ -273,9 +273,9 @@ class ScenarioClustering(ClusterMixin, BaseEstimator):  # type: ignore[misc]
             As `Clustering.error`.
         """
         with threadpool_limits(limits=1):
-            return self._space.error(distances[:, self._kernel_rows] / self._scale, between / self._scale, _SMALLEST)
+            return self._space.approximation_error(distances[:, self._kernel_rows] / self._scale, distances_between_new / self._scale, _SINGULAR_VALUE_TOLERANCE)
 
-    def _as_given(self) -> Clustering:
+    def _in_given_order(self) -> Clustering:
         """Clusters of all scenarios, in the order in which these were given."""
         order = np.argsort(self._kernel_rows)
         return replace(
@@ -284,28 +284,28 @@ class ScenarioClustering(ClusterMixin, BaseEstimator):  # type: ignore[misc]
             embedding=self._fitted_clustering.embedding[order],
         )
 
-    def _extended(self, matrix: FloatArray) -> Clustering:
+    def _extend_to_all(self, matrix: FloatArray) -> Clustering:
         """Clusters of the landmarks, extended to all other scenarios."""
         landmarks = self._kernel_rows
         embedding = self._space.transform(matrix[:, landmarks] / self._scale)
         embedding[landmarks] = self._fitted_clustering.embedding
-        labels = join_nearest(embedding, self._fitted_clustering)
+        labels = assign_to_nearest_cluster(embedding, self._fitted_clustering)
         labels[landmarks] = self._fitted_clustering.labels
         others = np.setdiff1d(np.arange(len(matrix)), landmarks)
-        sample = others[:: math.ceil(len(others) / MOST_SCORED)]
-        error = self._space.error(
+        sample = others[:: math.ceil(len(others) / MAX_SCORED)]
+        error = self._space.approximation_error(
             matrix[np.ix_(sample, landmarks)] / self._scale, matrix[np.ix_(sample, sample)] / self._scale
         )
-        labels = order_by_size(labels)
+        labels = renumber_by_size(labels)
         # With all scenarios the order of sizes may differ; new ones are assigned to the final labels.
         self._fitted_clustering = replace(self._fitted_clustering, labels=labels[landmarks])
         return replace(
             self._fitted_clustering, labels=labels, embedding=embedding, landmarks=np.sort(landmarks), error=error
         )
 
-    def _landmark_count(self, n: int) -> int:
+    def _choose_n_landmarks(self, n: int) -> int:
         if self.landmarks == "auto":
-            return LANDMARKS if n > MOST_EXACT else n
+            return N_KERNEL_LANDMARKS if n > MAX_WITHOUT_LANDMARKS else n
         return n if self.landmarks is None else int(self.landmarks)
 
 
@@ -353,11 +353,11 @@ def cluster(
     return model.fit(distances).result_
 
 
-def _whole(value: object, least: int) -> bool:
-    return isinstance(value, (int, np.integer)) and not isinstance(value, bool) and bool(value >= least)
+def _is_int_at_least(value: object, minimum: int) -> bool:
+    return isinstance(value, (int, np.integer)) and not isinstance(value, bool) and bool(value >= minimum)
 
 
-def _checked(distances: npt.ArrayLike) -> FloatArray:
+def _check_distance_matrix(distances: npt.ArrayLike) -> FloatArray:
     array = np.asarray(distances, dtype=np.float64)
     if array.ndim != 2 or array.shape[0] != array.shape[1] or not len(array):
         raise InputError(f"A distance matrix of shape {array.shape} is not square; give shape (n, n), n >= 1.")

@@ -8,16 +8,16 @@ from dataclasses import replace
 import numpy as np
 
 from cornercase._common.typing import FloatArray, IntArray
-from cornercase.clustering.analysis import Analysis, read_between, read_distances
-from cornercase.clustering.comparing import instants_within, series_of, thinned
-from cornercase.clustering.density import join_nearest
+from cornercase.clustering.analysis import Analysis, read_landmark_distances, read_distances
+from cornercase.clustering.comparing import window_in_instants, read_series, downsample
+from cornercase.clustering.density import assign_to_nearest_cluster
 from cornercase.clustering.estimator import ScenarioClustering
-from cornercase.clustering.landmarks import Comparing
+from cornercase.clustering.landmarks import PairwiseComparer
 from cornercase.dtw import distance_matrix
 from cornercase.study import Study
 
 
-def fit_again(analysis: Analysis, distances: FloatArray) -> ScenarioClustering:
+def refit(analysis: Analysis, distances: FloatArray) -> ScenarioClustering:
     """Refit the clusters of an analysis, so that further scenarios can be assigned to them.
 
     `distances`, shape (m, m), are those of the scenarios that it was fitted on, or of the landmarks.
@@ -29,7 +29,7 @@ def fit_again(analysis: Analysis, distances: FloatArray) -> ScenarioClustering:
     ).fit(distances)
 
 
-def join_kinds(study: Study, analysis: Analysis, other: Study, ids: Sequence[int]) -> IntArray:
+def assign_to_clusters(study: Study, analysis: Analysis, other_study: Study, ids: Sequence[int]) -> IntArray:
     """Assign scenarios `ids` of another study to the clusters of an analysis; -1 is noise.
 
     Works as `ScenarioClustering.predict`. The other study has the same entities, and the same metric if the analysis is
@@ -37,24 +37,24 @@ def join_kinds(study: Study, analysis: Analysis, other: Study, ids: Sequence[int
     """
     if not len(ids):
         return np.zeros(0, dtype=np.int64)
-    uses_landmarks = analysis.inexact is not None
-    reference_ids = analysis.ids[analysis.clustering.landmarks] if uses_landmarks else analysis.fitted
+    uses_landmarks = analysis.embedding_error is not None
+    reference_ids = analysis.ids[analysis.clustering.landmarks] if uses_landmarks else analysis.fitted_ids
     references = reference_ids.tolist()
     series: list[FloatArray] = []
     times: list[FloatArray] = []
-    for source, scenarios in ((study, references), (other, list(ids))):
-        series += series_of(source, analysis.by, scenarios, study.main_other())
+    for source, scenarios in ((study, references), (other_study, list(ids))):
+        series += read_series(source, analysis.by, scenarios, study.primary_other())
         times += [source.recording(scenario).time for scenario in scenarios]
-    series, times = ([thinned(values, analysis.every) for values in columns] for columns in (series, times))
-    window = instants_within(times, analysis.window)
+    series, times = ([downsample(values, analysis.stride) for values in columns] for columns in (series, times))
+    window = window_in_instants(times, analysis.window)
     rows, count = analysis.rows_of(references), len(references)
     if uses_landmarks:
-        comparing = Comparing(series, analysis.every, window)
-        to_landmarks = comparing.to(np.arange(count), np.arange(count, len(series)))
-        model = fit_again(analysis, read_between(study, analysis.by))
+        comparing = PairwiseComparer(series, analysis.stride, window)
+        to_landmarks = comparing.distances_to_landmarks(np.arange(count), np.arange(count, len(series)))
+        model = refit(analysis, read_landmark_distances(study, analysis.by))
         reference_clustering = replace(model.result_, labels=analysis.labels[rows])
-        return join_nearest(model.transform(to_landmarks), reference_clustering)
+        return assign_to_nearest_cluster(model.transform(to_landmarks), reference_clustering)
     # In single precision, as in `analyze`.
     distances = distance_matrix(series, window=window, dtype="float32").astype(np.float64)
-    model = fit_again(analysis, read_distances(study, analysis.by)[np.ix_(rows, rows)])
+    model = refit(analysis, read_distances(study, analysis.by)[np.ix_(rows, rows)])
     return model.predict(distances[count:, :count])

@@ -11,7 +11,7 @@ from sklearn.decomposition import KernelPCA
 from cornercase._common.typing import FloatArray
 
 
-class KernelSpace:
+class KernelPca:
     """Leading components of the kernel ``exp(-gamma * d**2)``, by kernel PCA.
 
     After `fit`, `embedding`, shape (n, n_components), has the coordinates (0 on axes beyond the rank of the kernel),
@@ -27,7 +27,7 @@ class KernelSpace:
 
     def fit(self, distances: FloatArray) -> Self:
         """Fit the components to distances, shape (n, n), divided by their scale."""
-        kernel = self._kernel(distances)
+        kernel = self._gaussian_kernel(distances)
         n = len(kernel)
         self._fitted_kernel = kernel
         self.embedding, self.explained, self._pca = np.zeros((n, self._n_components)), 1.0, None
@@ -35,7 +35,7 @@ class KernelSpace:
         variance = float(np.trace(centred - centred.mean(axis=1)[:, None]))
         # Without variance there is no component.
         if n >= 2 and variance > 1e-12 * n:
-            self._pca, coordinates = _fitted(
+            self._pca, coordinates = _fit_kernel_pca(
                 kernel, centred - centred.mean(axis=1)[:, None], min(self._n_components, n)
             )
             self.embedding[:, : coordinates.shape[1]] = coordinates
@@ -46,32 +46,32 @@ class KernelSpace:
         """Project further scenarios by their distances to the fitted ones, shape (m, n), divided by the same scale."""
         embedding = np.zeros((len(distances), self._n_components))
         if self._pca is not None and len(distances):
-            coordinates = self._pca.transform(self._kernel(distances))
+            coordinates = self._pca.transform(self._gaussian_kernel(distances))
             embedding[:, : coordinates.shape[1]] = coordinates
         return embedding
 
-    def error(self, to_known: FloatArray, between: FloatArray, smallest: float = 1e-10) -> float:
+    def approximation_error(self, to_fitted: FloatArray, between: FloatArray, tolerance: float = 1e-10) -> float:
         """Return the relative error (Frobenius norm) of the kernel of further scenarios, rebuilt from the fitted ones.
 
         Singular values below the share `tolerance` of the largest one count as rounding.
         """
-        cross, kernel = self._kernel(to_known), self._kernel(between)
-        weights = lstsq(self._fitted_kernel, cross.T, cond=smallest)[0]
+        cross, kernel = self._gaussian_kernel(to_fitted), self._gaussian_kernel(between)
+        weights = lstsq(self._fitted_kernel, cross.T, cond=tolerance)[0]
         return float(np.linalg.norm(kernel - cross @ weights) / np.linalg.norm(kernel))
 
-    def _kernel(self, distances: FloatArray) -> FloatArray:
+    def _gaussian_kernel(self, distances: FloatArray) -> FloatArray:
         # The kernel of a distance whose square overflows is 0.
         with np.errstate(over="ignore"):
             return np.asarray(np.exp(-self._gamma * distances**2))
 
 
-def _fitted(kernel: FloatArray, centred: FloatArray, count: int) -> tuple[KernelPCA, FloatArray]:
+def _fit_kernel_pca(kernel: FloatArray, centred_kernel: FloatArray, n_components: int) -> tuple[KernelPCA, FloatArray]:
     """Kernel PCA with `n_components` components, or with as many as have a positive eigenvalue."""
-    model = KernelPCA(count, kernel="precomputed", random_state=0)
+    model = KernelPCA(n_components, kernel="precomputed", random_state=0)
     try:
         return model, model.fit_transform(kernel)
     except ValueError:
         # A kernel of DTW distances need not be positive definite; only axes with positive eigenvalues are usable.
-        values = eigvalsh(centred)
+        values = eigvalsh(centred_kernel)
         model = KernelPCA(max(1, int((values > 1e-9 * values[-1]).sum())), kernel="precomputed", random_state=0)
         return model, model.fit_transform(kernel)

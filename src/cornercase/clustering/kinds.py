@@ -12,37 +12,37 @@ from scipy.sparse.csgraph import connected_components
 from scipy.stats import gamma
 
 from cornercase._common.typing import BoolArray, FloatArray, IntArray
-from cornercase.clustering.spanning_tree import find_tree
+from cornercase.clustering.spanning_tree import fill_spanning_tree
 
-LEAST_MEMBERS: Final = 4
+MIN_MEMBERS: Final = 4
 # Scenarios that a gap may contain: few reveal small separate clusters, many reveal clusters with points between them.
-NEIGHBOURS: Final = (3, 6, 12, 24)
+NEIGHBOUR_COUNTS: Final = (3, 6, 12, 24)
 # A gap below this share of the median distance separates no clusters, however clear: scenarios that differ by one time
 # step have such gaps. Calibrated on the T-intersection (at most 0.02 between time steps, 0.37 between outcomes) and on
 # the twelve clusters of benchmarks/kinds.py (0.11).
-LEAST_GAP: Final = 0.05
+MIN_GAP: Final = 0.05
 # Strength that one of ten data sets without structure exceeds, for 1, 2 and 3 dimensions: factor of ln(n), constant,
 # and increase per neighbour beyond six. Calibrated on uniform and normal points, n from 60 to 1,000.
-CHANCE: Final = ((4.5, -3.0, 1.0), (1.6, 1.5, 0.5), (1.2, 1.0, 0.4))
+CHANCE_STRENGTH: Final = ((4.5, -3.0, 1.0), (1.6, 1.5, 0.5), (1.2, 1.0, 0.4))
 # Families of trajectories are less even than such points: a split must be stronger by the factor CLEAR, or by FAIR if
 # it is STANDS_OUT times as strong as the next one. Calibrated on benchmarks/kinds.py with odd seeds.
-CLEAR, FAIR, STANDS_OUT = 1.4, 1.15, 2.0
+CLEAR_FACTOR, FAIR_FACTOR, STANDOUT_RATIO = 1.4, 1.15, 2.0
 # Smallest number of members at the seam to the other group, and the factor of their neighbours. Calibrated on the
 # T-intersection and on braking of benchmarks/kinds.py with odd seeds.
-LEAST_AT_SEAM, SEAM_SHARE = 10, 1.15
+MIN_SEAM_MEMBERS, SEAM_FACTOR = 10, 1.15
 # Splits are tested together for at most FEW scenarios, with groups of at least FEWEST: with more, large clusters show
 # by themselves, and three points that are close by accident are frequent. Calibrated on two rings of 300 points.
-FEW, FEWEST = 100, 3
+MAX_JOINT_TEST, MIN_JOINT_MEMBERS = 100, 3
 # Significance level of the joint test. Calibrated on families and clusters of sixty scenarios of benchmarks/kinds.py
 # with odd seeds.
-RARE: Final = 0.001
-_MOST_CENTRES: Final = 300
+SIGNIFICANCE_LEVEL: Final = 0.001
+_MAX_SAMPLED_MEMBERS: Final = 300
 _DIMENSION_NEIGHBOURS: Final = 6
 # Two, since in clusters of a handful of members the sixth neighbour belongs to another cluster.
-_NEAREST_NEIGHBOURS: Final = 2
+_JOINT_TEST_NEIGHBOURS: Final = 2
 
 
-def find_kinds(distances: FloatArray) -> IntArray:
+def estimate_clusters(distances: FloatArray) -> IntArray:
     """Divide scenarios into clusters if there is evidence for more than one; all 0 if there is no structure.
 
     `distances`, shape (n, n), may have any unit; at equal distances the order of the scenarios may matter.
@@ -69,12 +69,12 @@ def find_kinds(distances: FloatArray) -> IntArray:
     positive = distances[distances > 0.0]
     if not len(positive):
         return labels
-    least_gap = LEAST_GAP * float(np.median(positive))
-    initial = _judged_together(distances, least_gap)
+    least_gap = MIN_GAP * float(np.median(positive))
+    initial = _test_gaps_jointly(distances, least_gap)
     queue, count = [np.flatnonzero(initial == group) for group in range(int(initial.max()), -1, -1)], 0
     while queue:
         members = queue.pop()
-        parts = _divided(distances[np.ix_(members, members)] if len(members) < n else distances, least_gap)
+        parts = _split_by_density(distances[np.ix_(members, members)] if len(members) < n else distances, least_gap)
         if parts.max() > 0:
             queue.extend(members[parts == part] for part in range(int(parts.max()), -1, -1))
         else:
@@ -83,32 +83,32 @@ def find_kinds(distances: FloatArray) -> IntArray:
     return labels
 
 
-def _judged_together(distances: FloatArray, least_gap: float) -> IntArray:
+def _test_gaps_jointly(distances: FloatArray, min_gap: float) -> IntArray:
     """Groups of up to a hundred scenarios between which the gaps, taken together, are longer than by chance."""
     n = len(distances)
     undivided = best = np.zeros(n, dtype=np.int64)
-    if not 2 * FEWEST <= n <= FEW:
+    if not 2 * MIN_JOINT_MEMBERS <= n <= MAX_JOINT_TEST:
         return undivided
     # Imported here, since importing scikit-learn takes as long as many commands.
     from sklearn.metrics import silhouette_score
 
-    dimension = min(max(_dimension(distances, _NEAREST_NEIGHBOURS), 1.0), float(len(CHANCE)))
+    dimension = min(max(_intrinsic_dimension(distances, _JOINT_TEST_NEIGHBOURS), 1.0), float(len(CHANCE_STRENGTH)))
     ends, lengths = np.empty((2, n - 1), dtype=np.int64), np.empty(n - 1)
-    find_tree(distances, ends, lengths)
+    fill_spanning_tree(distances, ends, lengths)
     order = np.argsort(-lengths, kind="stable")
     # Steps between identical scenarios have no logarithm.
     ends, lengths = ends[:, order], np.maximum(lengths[order], 1e-12 * lengths.max())
     best_worth, p_value = 0.0, 1.0
-    for count in range(2, n // FEWEST + 1):
+    for count in range(2, n // MIN_JOINT_MEMBERS + 1):
         gaps, longest = lengths[: count - 1], lengths[count - 1]
-        if gaps[-1] < least_gap:
+        if gaps[-1] < min_gap:
             break
         # A split between two equal lengths would depend only on their order.
         if longest >= (1.0 - 1e-9) * gaps[-1]:
             continue
         within = coo_matrix((np.ones(n - count), ends[:, count - 1 :]), shape=(n, n))
         groups = connected_components(within, directed=False)[1].astype(np.int64)
-        if np.bincount(groups).min() < FEWEST:
+        if np.bincount(groups).min() < MIN_JOINT_MEMBERS:
             continue
         evidence = dimension * math.log(n / count) * float(np.log(gaps / longest).sum())
         p_value = min(p_value, float(gamma.sf(evidence, count - 1)))
@@ -116,49 +116,49 @@ def _judged_together(distances: FloatArray, least_gap: float) -> IntArray:
         quality = evidence * float(silhouette_score(distances, groups, metric="precomputed"))
         if quality > best_worth:
             best, best_worth = groups, quality
-    return best if p_value < RARE else undivided
+    return best if p_value < SIGNIFICANCE_LEVEL else undivided
 
 
-def _divided(distances: FloatArray, least_gap: float) -> IntArray:
+def _split_by_density(distances: FloatArray, min_gap: float) -> IntArray:
     """Split scenarios with the smallest number of neighbours that divides them; parts are numbered from 0."""
     n = len(distances)
-    if n >= 2 * LEAST_MEMBERS:
-        dimension = _dimension(distances, _DIMENSION_NEIGHBOURS)
-        for n_neighbours in NEIGHBOURS:
+    if n >= 2 * MIN_MEMBERS:
+        dimension = _intrinsic_dimension(distances, _DIMENSION_NEIGHBOURS)
+        for n_neighbours in NEIGHBOUR_COUNTS:
             if 4 * n_neighbours > n:
                 break
-            chance = _by_chance(n, n_neighbours, dimension)
-            hierarchy = _Hierarchy(distances, n_neighbours, least_gap)
-            required = CLEAR * chance
-            groups, strengths = hierarchy.divide(required)
-            relaxed = _standing_out(strengths, FAIR * chance, required)
+            chance = _split_strength_by_chance(n, n_neighbours, dimension)
+            hierarchy = _ReachabilityHierarchy(distances, n_neighbours, min_gap)
+            required = CLEAR_FACTOR * chance
+            groups, strengths = hierarchy.split(required)
+            relaxed = _lowest_accepted_strength(strengths, FAIR_FACTOR * chance, required)
             if relaxed < required:
-                groups, _ = hierarchy.divide(relaxed)
+                groups, _ = hierarchy.split(relaxed)
             names, parts = np.unique(groups, return_inverse=True)
             if len(names) > 1:
                 return parts.astype(np.int64)
     return np.zeros(n, dtype=np.int64)
 
 
-def _by_chance(n: int, needed: int, dimension: float) -> float:
+def _split_strength_by_chance(n: int, n_neighbours: int, dimension: float) -> float:
     """Strength of the strongest split within a single cluster, at least that of twice the density."""
-    by_dimension = [a * math.log(n) + b + c * max(needed - 6, 0) for a, b, c in CHANCE]
-    return max(float(np.exp(np.interp(dimension, [1.0, 2.0, 3.0], np.log(by_dimension)))), 2.0 * needed)
+    by_dimension = [a * math.log(n) + b + c * max(n_neighbours - 6, 0) for a, b, c in CHANCE_STRENGTH]
+    return max(float(np.exp(np.interp(dimension, [1.0, 2.0, 3.0], np.log(by_dimension)))), 2.0 * n_neighbours)
 
 
-def _standing_out(strengths: list[float], fair: float, clear: float) -> float:
+def _lowest_accepted_strength(strengths: list[float], fair: float, clear: float) -> float:
     """Smallest accepted strength: below `clear` if a split is much stronger than all weaker ones."""
     accepted = clear
     descending = [*sorted(strengths, reverse=True), 0.0]
     for strength, weaker in itertools.pairwise(descending):
-        if fair <= strength < clear and strength >= STANDS_OUT * weaker:
+        if fair <= strength < clear and strength >= STANDOUT_RATIO * weaker:
             accepted = strength
     return accepted
 
 
-def _dimension(distances: FloatArray, neighbours: int) -> float:
+def _intrinsic_dimension(distances: FloatArray, n_neighbours: int) -> float:
     """Intrinsic dimension (Levina and Bickel 2005); 1 if scenarios are identical."""
-    k = min(neighbours, len(distances) - 2)
+    k = min(n_neighbours, len(distances) - 2)
     neighbour_distances = np.sort(np.partition(distances, k, axis=1)[:, : k + 1], axis=1)[:, 1:]
     neighbour_distances = neighbour_distances[neighbour_distances[:, 0] > 0.0]
     growth = (
@@ -167,22 +167,22 @@ def _dimension(distances: FloatArray, neighbours: int) -> float:
     return float(1.0 / growth) if growth > 0.0 else 1.0
 
 
-class _Hierarchy:
+class _ReachabilityHierarchy:
     """Single-linkage hierarchy of scenarios by mutual reachability with `n_neighbours` neighbours."""
 
-    def __init__(self, distances: FloatArray, needed: int, least_gap: float) -> None:
+    def __init__(self, distances: FloatArray, n_neighbours: int, min_gap: float) -> None:
         n = len(distances)
-        core = np.partition(distances, needed - 1, axis=1)[:, needed - 1]
+        core = np.partition(distances, n_neighbours - 1, axis=1)[:, n_neighbours - 1]
         # One core distance makes many values equal; the small term lets the nearer pair merge first.
         reachability = np.maximum(distances, np.maximum(core[:, None], core)) + 1e-6 * distances
         edges, lengths = np.empty((2, n - 1), dtype=np.int64), np.empty(n - 1)
-        find_tree(reachability, edges, lengths)
+        fill_spanning_tree(reachability, edges, lengths)
         order = np.argsort(lengths, kind="stable")
         self._edges = list(zip(*edges[:, order].tolist(), lengths[order].tolist(), strict=True))
-        self._distances, self._least_gap = distances, least_gap
-        self._least = max(LEAST_MEMBERS, needed)
+        self._distances, self._least_gap = distances, min_gap
+        self._least = max(MIN_MEMBERS, n_neighbours)
 
-    def divide(self, accepted: float) -> tuple[IntArray, list[float]]:
+    def split(self, min_strength: float) -> tuple[IntArray, list[float]]:
         """Return groups separated by splits of at least the accepted strength, and the strengths of all splits."""
         n = len(self._distances)
         label, tree = np.arange(n), np.arange(n)
@@ -201,12 +201,12 @@ class _Hierarchy:
             if not (settled and small_settled):
                 of_small = of_large = 0.0
                 if len(members[small]) >= self._least and length >= self._least_gap:
-                    of_small = self._neighbours(members[small], members[large], length)
-                    of_large = self._neighbours(members[large], members[small], length)
+                    of_small = self._count_neighbours(members[small], members[large], length)
+                    of_large = self._count_neighbours(members[large], members[small], length)
                     strengths.append(min(of_small, of_large))
-                is_split = (small_settled or of_small >= accepted) and of_large >= accepted
+                is_split = (small_settled or of_small >= min_strength) and of_large >= min_strength
                 if not is_split:
-                    if small_settled or (not settled and of_small >= accepted):
+                    if small_settled or (not settled and of_small >= min_strength):
                         large, small = small, large
                     label[members[small]] = large
                     members[large] = np.concatenate((members[large], members.pop(small)))
@@ -217,23 +217,23 @@ class _Hierarchy:
             branches[tree_a] = np.concatenate((branches[tree_a], branches.pop(tree_b)))
         return label, strengths
 
-    def _neighbours(self, members: IntArray, others: IntArray, length: float) -> float:
+    def _count_neighbours(self, members: IntArray, others: IntArray, radius: float) -> float:
         """Number of members within `radius` of a typical member, extrapolated if `radius` exceeds their extent.
 
         Limited by the number at the members nearest to the others: where a dense part meets a sparse one, or a few
         points lie at a sparse edge, there is no gap between two clusters, though most members of one lie close
         together.
         """
-        distances = self._distances[np.ix_(members[:: math.ceil(len(members) / _MOST_CENTRES)], members)]
-        typical = float(np.median((distances <= length).sum(axis=1)))
+        distances = self._distances[np.ix_(members[:: math.ceil(len(members) / _MAX_SAMPLED_MEMBERS)], members)]
+        typical = float(np.median((distances <= radius).sum(axis=1)))
         for count in {math.ceil(len(members) / 2), len(members)}:
             extent = float(np.median(np.partition(distances, count - 1, axis=1)[:, count - 1]))
-            if extent <= length:
-                typical = max(typical, count * length / max(extent, 1e-12 * length))
-        seam = max(LEAST_AT_SEAM, min(2 * len(others), len(members) // 10))
+            if extent <= radius:
+                typical = max(typical, count * radius / max(extent, 1e-12 * radius))
+        seam = max(MIN_SEAM_MEMBERS, min(2 * len(others), len(members) // 10))
         if seam >= len(members):
             return typical
         to_others = self._distances[np.ix_(members, others)].min(axis=1)
         seam_members = members[np.argsort(to_others, kind="stable")[:seam]]
-        at_seam = float(np.median((self._distances[np.ix_(seam_members, members)] <= length).sum(axis=1)))
-        return typical if at_seam >= len(members) else min(typical, SEAM_SHARE * at_seam)
+        at_seam = float(np.median((self._distances[np.ix_(seam_members, members)] <= radius).sum(axis=1)))
+        return typical if at_seam >= len(members) else min(typical, SEAM_FACTOR * at_seam)

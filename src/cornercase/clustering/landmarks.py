@@ -15,23 +15,23 @@ import numpy as np
 from cornercase._common.progress import ProgressBar
 from cornercase._common.typing import FloatArray, IntArray
 from cornercase.clustering.clusters import Clustering
-from cornercase.clustering.density import join_nearest, order_by_size
+from cornercase.clustering.density import assign_to_nearest_cluster, renumber_by_size
 from cornercase.clustering.estimator import ScenarioClustering
-from cornercase.clustering.places import PlacedDistances, Placing
+from cornercase.clustering.places import EmbeddedDistances, LandmarkMDS
 from cornercase.dtw import distance_matrix, distances_to
 
-MOST_COMPARED: Final = 2000
+MAX_ALL_PAIRS: Final = 2000
 """Largest number of scenarios for which all pairs are compared; with more, each is compared with the landmarks."""
-LANDMARKS: Final = 500
+N_LANDMARKS: Final = 500
 """Number of landmarks."""
 # Scenarios, other than landmarks, on which the error of the embedding is measured.
-_JUDGING: Final = 200
+_N_ERROR_SCENARIOS: Final = 200
 # Scenarios that are compared with the landmarks at a time; takes some seconds.
-_AT_ONCE: Final = 1000
+_BATCH_SIZE: Final = 1000
 
 
 @dataclass(frozen=True, eq=False)
-class Compared:
+class ComparisonResult:
     """Clusters and embedding of scenarios that were compared with landmarks.
 
     `embedding`, shape (n, p), are coordinates for `EmbeddedDistances`; `landmark_distances`, shape (m, m), are the
@@ -40,99 +40,99 @@ class Compared:
     """
 
     clustering: Clustering
-    places: FloatArray
-    between: FloatArray
-    error: float
+    embedding: FloatArray
+    landmark_distances: FloatArray
+    embedding_error: float
 
 
 @dataclass(eq=False)
-class Comparing:
+class PairwiseComparer:
     """DTW comparison of downsampled series; distances are multiplied by the stride `stride`.
 
     `window` is in instants; `progress` is the label of a bar, None for no bar; `seconds` is the time spent so far.
     """
 
     series: Sequence[FloatArray]
-    every: int
+    stride: int
     window: int | None
     client: Any = None
     progress: str | None = None
     seconds: float = 0.0
 
-    def between(self, some: IntArray, *, shown: bool = False) -> FloatArray:
+    def distances_between(self, scenario_indices: IntArray, *, show_progress: bool = False) -> FloatArray:
         """Return the distances between some scenarios, shape (m, m)."""
         start = time.monotonic()
-        selected_series = [self.series[i] for i in some.tolist()]
+        selected_series = [self.series[i] for i in scenario_indices.tolist()]
         # Single precision is several times as fast, and its seventh digit decides nothing here.
         distances = distance_matrix(
             selected_series,
             window=self.window,
             dtype="float32",
-            progress=shown and self.progress is not None,
-            **self._elsewhere,
+            progress=show_progress and self.progress is not None,
+            **self._client_options,
         ).astype(np.float64)
         self.seconds += time.monotonic() - start
-        return distances * self.every if self.every > 1 else distances
+        return distances * self.stride if self.stride > 1 else distances
 
-    def to(self, landmarks: IntArray, some: IntArray) -> FloatArray:
+    def distances_to_landmarks(self, landmarks: IntArray, scenario_indices: IntArray) -> FloatArray:
         """Return the distances from some scenarios to the landmarks, shape (n, m)."""
-        rows, columns = ([self.series[i] for i in indices.tolist()] for indices in (some, landmarks))
+        rows, columns = ([self.series[i] for i in indices.tolist()] for indices in (scenario_indices, landmarks))
         start = time.monotonic()
-        distances = distances_to(rows, columns, window=self.window, dtype="float32", **self._elsewhere).astype(
+        distances = distances_to(rows, columns, window=self.window, dtype="float32", **self._client_options).astype(
             np.float64
         )
         self.seconds += time.monotonic() - start
-        return distances * self.every
+        return distances * self.stride
 
     @property
-    def _elsewhere(self) -> dict[str, Any]:
+    def _client_options(self) -> dict[str, Any]:
         return {} if self.client is None else {"client": self.client}
 
 
-def draw_landmarks(count: int) -> IntArray:
+def draw_landmarks(n_scenarios: int) -> IntArray:
     """Draw landmark scenarios at random, in rising order; so they are dense where scenarios are."""
-    drawn = np.random.default_rng(0).choice(count, min(LANDMARKS, count), replace=False)
+    drawn = np.random.default_rng(0).choice(n_scenarios, min(N_LANDMARKS, n_scenarios), replace=False)
     return np.sort(drawn).astype(np.int64)
 
 
-def find_by_landmarks(comparing: Comparing, model: ScenarioClustering) -> Compared:
+def cluster_by_landmarks(comparer: PairwiseComparer, model: ScenarioClustering) -> ComparisonResult:
     """Cluster the landmarks with the settings of `model`, and assign all other scenarios to their clusters."""
-    landmarks = draw_landmarks(len(comparing.series))
-    landmark_distances = comparing.between(landmarks)
+    landmarks = draw_landmarks(len(comparer.series))
+    landmark_distances = comparer.distances_between(landmarks)
     fitted = ScenarioClustering(**{**model.get_params(), "landmarks": None}).fit(landmark_distances)
-    clustering, coordinates, error = _joined(comparing, landmarks, landmark_distances, fitted)
-    return Compared(
-        replace(clustering, labels=order_by_size(clustering.labels)), coordinates, landmark_distances, error
+    clustering, coordinates, error = _assign_all(comparer, landmarks, landmark_distances, fitted)
+    return ComparisonResult(
+        replace(clustering, labels=renumber_by_size(clustering.labels)), coordinates, landmark_distances, error
     )
 
 
-def join_landmarks(
-    comparing: Comparing, landmarks: IntArray, between: FloatArray, known: Clustering, labels: IntArray
-) -> Compared:
+def assign_by_landmarks(
+    comparer: PairwiseComparer, landmarks: IntArray, landmark_distances: FloatArray, existing: Clustering, labels: IntArray
+) -> ComparisonResult:
     """Assign scenarios to clusters of an earlier analysis; landmarks keep their `labels`, shape (m,)."""
-    dimensions = known.embedding.shape[1]
-    fitted = ScenarioClustering(known.gamma, known.eps, known.min_samples, dimensions, method=known.method).fit(between)
+    dimensions = existing.embedding.shape[1]
+    fitted = ScenarioClustering(existing.gamma, existing.eps, existing.min_samples, dimensions, method=existing.method).fit(landmark_distances)
     fitted.result_ = replace(fitted.result_, labels=labels)
-    clustering, coordinates, error = _joined(comparing, landmarks, between, fitted)
-    return Compared(replace(clustering, candidates=known.candidates), coordinates, between, error)
+    clustering, coordinates, error = _assign_all(comparer, landmarks, landmark_distances, fitted)
+    return ComparisonResult(replace(clustering, candidates=existing.candidates), coordinates, landmark_distances, error)
 
 
-def _joined(
-    comparing: Comparing, landmarks: IntArray, between: FloatArray, fitted: ScenarioClustering
+def _assign_all(
+    comparer: PairwiseComparer, landmarks: IntArray, landmark_distances: FloatArray, fitted: ScenarioClustering
 ) -> tuple[Clustering, FloatArray, float]:
     """Clusters and coordinates of all scenarios, and the error of embedded distances."""
-    n = len(comparing.series)
-    clustering, embedder = fitted.result_, Placing(between)
+    n = len(comparer.series)
+    clustering, embedder = fitted.result_, LandmarkMDS(landmark_distances)
     labels, embedding = np.empty(n, dtype=np.int64), np.empty((n, clustering.embedding.shape[1]))
     blocks = []
-    bar = ProgressBar(n, f"by {comparing.progress}", "scenarios") if comparing.progress else None
+    bar = ProgressBar(n, f"by {comparer.progress}", "scenarios") if comparer.progress else None
     try:
-        for first in range(0, n, _AT_ONCE):
-            batch = np.arange(first, min(first + _AT_ONCE, n))
-            to_landmarks = comparing.to(landmarks, batch)
+        for first in range(0, n, _BATCH_SIZE):
+            batch = np.arange(first, min(first + _BATCH_SIZE, n))
+            to_landmarks = comparer.distances_to_landmarks(landmarks, batch)
             embedding[batch] = fitted.transform(to_landmarks)
-            labels[batch] = join_nearest(embedding[batch], clustering)
-            blocks.append(embedder.place(to_landmarks))
+            labels[batch] = assign_to_nearest_cluster(embedding[batch], clustering)
+            blocks.append(embedder.embed(to_landmarks))
             if bar:
                 bar.update(first + len(batch), "")
     finally:
@@ -141,11 +141,11 @@ def _joined(
     embedding[landmarks], labels[landmarks] = clustering.embedding, clustering.labels
     coordinates = np.concatenate(blocks)
     non_landmarks = np.setdiff1d(np.arange(n), landmarks)
-    sample = non_landmarks[np.linspace(0, len(non_landmarks) - 1, min(_JUDGING, len(non_landmarks))).astype(np.int64)]
+    sample = non_landmarks[np.linspace(0, len(non_landmarks) - 1, min(_N_ERROR_SCENARIOS, len(non_landmarks))).astype(np.int64)]
     kernel_error = error = 0.0
     if len(sample) > 1:
-        true, estimated = comparing.between(sample), PlacedDistances(coordinates[sample])[:]
+        true, estimated = comparer.distances_between(sample), EmbeddedDistances(coordinates[sample])[:]
         error = float(np.abs(true - estimated).sum() / max(float(true.sum()), 1e-300))
-        kernel_error = fitted.kernel_lost(comparing.to(landmarks, sample), true)
+        kernel_error = fitted.kernel_approximation_error(comparer.distances_to_landmarks(landmarks, sample), true)
     extended = replace(clustering, labels=labels, embedding=embedding, landmarks=landmarks, error=kernel_error)
     return extended, coordinates, error

@@ -8,13 +8,13 @@ from typing import Final, Literal
 
 import numpy as np
 
-from cornercase._common.geometry import within_half_turn
-from cornercase._common.texts import quoted_name
+from cornercase._common.geometry import wrap_angle
+from cornercase._common.texts import quote_name
 from cornercase._common.typing import BoolArray, FloatArray, IntArray
-from cornercase.clustering.crossing import Way, find_crossing
+from cornercase.clustering.crossing import BoxPath, find_path_crossing
 from cornercase.recordings import Collision, Recording
 
-STANDING: Final = 0.1
+STANDING_SPEED: Final = 0.1
 """Speed in m/s below which an entity stands."""
 
 Relation = Literal["crossing", "lane", "apart", "absent"]
@@ -22,10 +22,10 @@ Manner = Literal["from behind", "its rear", "while it stands", "otherwise"]
 
 # Largest heading difference of entities that move in the same direction, and largest lateral distance of centres, in m,
 # of entities in one lane or in adjacent ones.
-_ALIKE: Final = math.pi / 4
-_ACROSS: Final = 5.0
+_SAME_DIRECTION_ANGLE: Final = math.pi / 4
+_ADJACENT_LANE_DISTANCE: Final = 5.0
 # Largest share of its speed that an entity keeps when it slows down for another.
-_SLOWED: Final = 0.8
+_SLOWDOWN_SHARE: Final = 0.8
 
 
 @dataclass(frozen=True)
@@ -78,7 +78,7 @@ class Outcome:
     encounter: Encounter
     others: tuple[Encounter, ...]
     impacts: tuple[Impact, ...]
-    elsewhere: tuple[Collision, ...]
+    other_collisions: tuple[Collision, ...]
     exists: bool
     moves: bool
     stops: bool
@@ -95,14 +95,14 @@ class Outcome:
         """With whom the ego collides first; if it does not, which others collide."""
         if self.impacts:
             return self.impacts[0].entity
-        return " and ".join(self.elsewhere[0].entities) if self.elsewhere else None
+        return " and ".join(self.other_collisions[0].entities) if self.other_collisions else None
 
     @property
     def text(self) -> str:
         """The ending in words, as ``"Ego and Pedestrian collide"`` or ``"Pedestrian first"``."""
-        encounter, ego, other = self.encounter, quoted_name(self.ego), quoted_name(self.encounter.entity)
+        encounter, ego, other = self.encounter, quote_name(self.ego), quote_name(self.encounter.entity)
         if self.impacts:
-            return f"{ego} and {quoted_name(self.impacts[0].entity)} collide"
+            return f"{ego} and {quote_name(self.impacts[0].entity)} collide"
         if encounter.relation == "absent":
             return f"{other if self.exists else ego} is never there"
         if encounter.first is None:
@@ -118,31 +118,31 @@ def find_outcome(recording: Recording, ego: str, other: str, *, others: bool = T
 
     `others=False` skips encounters with further entities, each of which takes as long again.
     """
-    exists = there(recording, ego)
-    path = Way.of(recording, ego, exists)
-    encounter = _meet(recording, path, ego, other, foresees=True)
+    exists = existence_mask(recording, ego)
+    path = BoxPath.from_recording(recording, ego, exists)
+    encounter = _find_encounter(recording, path, ego, other, extrapolate=True)
     other_names = [name for name in recording.names if name not in (ego, other)] if others else []
-    moving = [name for name in other_names if _fastest(recording, name) >= STANDING]
-    speed = np.nan_to_num(np.abs(recording.speed[recording.index(ego)]))
-    has_moved = np.maximum.accumulate(speed) >= STANDING
-    waits, yields = _gives_way(recording.time, speed, has_moved, ego, encounter)
+    moving = [name for name in other_names if _highest_speed(recording, name) >= STANDING_SPEED]
+    speed = np.nan_to_num(np.abs(recording.speed[recording.entity_index(ego)]))
+    has_moved = np.maximum.accumulate(speed) >= STANDING_SPEED
+    waits, yields = _find_yielding(recording.time, speed, has_moved, ego, encounter)
     return Outcome(
         ego=ego,
         encounter=encounter,
-        others=tuple(_meet(recording, path, ego, name) for name in moving),
+        others=tuple(_find_encounter(recording, path, ego, name) for name in moving),
         impacts=tuple(
-            _impact(recording, ego, collision) for collision in recording.collisions if ego in collision.entities
+            _impact_from_collision(recording, ego, collision) for collision in recording.collisions if ego in collision.entities
         ),
-        elsewhere=tuple(collision for collision in recording.collisions if ego not in collision.entities),
+        other_collisions=tuple(collision for collision in recording.collisions if ego not in collision.entities),
         exists=bool(exists.any()),
         moves=bool(has_moved.any()),
-        stops=bool((has_moved & exists & (speed < STANDING)).any()),
+        stops=bool((has_moved & exists & (speed < STANDING_SPEED)).any()),
         waits=waits,
         yields=yields,
     )
 
 
-def tell_outcome(recording: Recording, ego: str, other: str) -> str:
+def describe_outcome(recording: Recording, ego: str, other: str) -> str:
     """Return the ending as text: who collided, else who was first where the paths cross.
 
     ``"Ego and Pedestrian collide"``, ``"Ego first"``, ``"Pedestrian first"``, ``"only Pedestrian crosses"`` (the ego
@@ -152,105 +152,105 @@ def tell_outcome(recording: Recording, ego: str, other: str) -> str:
     return find_outcome(recording, ego, other, others=False).text
 
 
-def there(recording: Recording, name: str) -> BoolArray:
+def existence_mask(recording: Recording, entity: str) -> BoolArray:
     """Mask of the instants at which an entity exists, shape (T,)."""
-    i = recording.index(name)
+    i = recording.entity_index(entity)
     # A sum is finite if all its terms are.
     exists: BoolArray = np.isfinite(recording.x[i] + recording.y[i] + recording.heading[i] + recording.speed[i])
     return exists
 
 
-def _fastest(recording: Recording, name: str) -> float:
-    return float(np.nan_to_num(np.abs(recording.speed[recording.index(name)])).max(initial=0.0))
+def _highest_speed(recording: Recording, entity: str) -> float:
+    return float(np.nan_to_num(np.abs(recording.speed[recording.entity_index(entity)])).max(initial=0.0))
 
 
-def _meet(recording: Recording, ego: Way, name: str, other: str, foresees: bool = False) -> Encounter:
-    same_direction = _go_together(recording, name, other)
+def _find_encounter(recording: Recording, ego_path: BoxPath, ego_name: str, other: str, extrapolate: bool = False) -> Encounter:
+    same_direction = _compare_directions(recording, ego_name, other)
     if same_direction is None:
-        both_exist = there(recording, name).any() and there(recording, other).any()
+        both_exist = existence_mask(recording, ego_name).any() and existence_mask(recording, other).any()
         return Encounter(other, "apart" if both_exist else "absent")
     is_same_direction, is_adjacent, lane_encounter = same_direction
     if is_same_direction and is_adjacent:
         return lane_encounter
-    other_path = Way.of(recording, other, there(recording, other))
-    crossing = find_crossing(ego, other_path)
+    other_path = BoxPath.from_recording(recording, other, existence_mask(recording, other))
+    crossing = find_path_crossing(ego_path, other_path)
     if is_same_direction:
         # On a bend, an entity far ahead is off to the side.
         return lane_encounter if crossing else Encounter(other, "apart")
     if crossing is None:
-        return _carried_on(recording, ego, other_path, name, other) if foresees else Encounter(other, "apart")
+        return _encounter_after_end(recording, ego_path, other_path, ego_name, other) if extrapolate else Encounter(other, "apart")
     if crossing.enters < crossing.other_enters:
-        first, gap = name, crossing.other_enters - crossing.leaves
+        first, gap = ego_name, crossing.other_enters - crossing.leaves
     else:
         first, gap = other, crossing.enters - crossing.other_leaves
     return Encounter(other, "crossing", first=first, enters=crossing.enters, leaves=crossing.other_leaves, gap=gap)
 
 
-def _carried_on(recording: Recording, ego: Way, way: Way, name: str, other: str) -> Encounter:
+def _encounter_after_end(recording: Recording, ego_path: BoxPath, other_path: BoxPath, ego_name: str, other: str) -> Encounter:
     """Who alone reached the point where both paths would cross if they went straight on after the end."""
     # An entity that never moves has no path to extrapolate.
-    if min(_fastest(recording, name), _fastest(recording, other)) < STANDING:
+    if min(_highest_speed(recording, ego_name), _highest_speed(recording, other)) < STANDING_SPEED:
         return Encounter(other, "apart")
-    crossing = find_crossing(ego.carried_on(), way.carried_on())
-    if crossing is None or min(crossing.enters, crossing.other_enters) > ego.end:
+    crossing = find_path_crossing(ego_path.extrapolate(), other_path.extrapolate())
+    if crossing is None or min(crossing.enters, crossing.other_enters) > ego_path.end_time:
         return Encounter(other, "apart")
     if crossing.enters < crossing.other_enters:
-        return Encounter(other, "crossing", first=name, enters=crossing.enters)
-    return Encounter(other, "crossing", first=other, leaves=min(crossing.other_leaves, ego.end))
+        return Encounter(other, "crossing", first=ego_name, enters=crossing.enters)
+    return Encounter(other, "crossing", first=other, leaves=min(crossing.other_leaves, ego_path.end_time))
 
 
-def _go_together(recording: Recording, ego: str, other: str) -> tuple[bool, bool, Encounter] | None:
+def _compare_directions(recording: Recording, ego: str, other: str) -> tuple[bool, bool, Encounter] | None:
     """Whether both move in the same direction, whether in one lane or adjacent ones, and their encounter if so."""
-    shared = np.flatnonzero(there(recording, ego) & there(recording, other))
+    shared = np.flatnonzero(existence_mask(recording, ego) & existence_mask(recording, other))
     if not len(shared):
         return None
     ends_of_shared = shared[[0, -1]]
     headings = recording.heading[:, ends_of_shared]
-    heading_difference = np.abs(within_half_turn(headings[recording.index(other)] - headings[recording.index(ego)]))
-    along, across = _seen_from(recording, ego, other, ends_of_shared)
+    heading_difference = np.abs(wrap_angle(headings[recording.entity_index(other)] - headings[recording.entity_index(ego)]))
+    along, across = _relative_position(recording, ego, other, ends_of_shared)
     first_ahead, last_ahead = (other if offset > 0.0 else ego for offset in along.tolist())
     encounter = Encounter(other, "lane", first=last_ahead, ahead=first_ahead)
-    return bool((heading_difference < _ALIKE).all()), bool((np.abs(across) <= _ACROSS).all()), encounter
+    return bool((heading_difference < _SAME_DIRECTION_ANGLE).all()), bool((np.abs(across) <= _ADJACENT_LANE_DISTANCE).all()), encounter
 
 
-def _seen_from(recording: Recording, ego: str, other: str, at: IntArray) -> tuple[FloatArray, FloatArray]:
+def _relative_position(recording: Recording, ego: str, other: str, instants: IntArray) -> tuple[FloatArray, FloatArray]:
     """Distance of the other's centre ahead of the ego's and to its left at some instants, in m, shape (k,) each."""
-    i, j = recording.index(ego), recording.index(other)
-    heading = recording.heading[:, at]
+    i, j = recording.entity_index(ego), recording.entity_index(other)
+    heading = recording.heading[:, instants]
     cos, sin, center_offset = np.cos(heading), np.sin(heading), recording.center_x[:, None]
-    x, y = recording.x[:, at] + center_offset * cos, recording.y[:, at] + center_offset * sin
+    x, y = recording.x[:, instants] + center_offset * cos, recording.y[:, instants] + center_offset * sin
     x, y = x[j] - x[i], y[j] - y[i]
     return cos[i] * x + sin[i] * y, cos[i] * y - sin[i] * x
 
 
-def _gives_way(time: FloatArray, speed: FloatArray, went: BoolArray, ego: str, met: Encounter) -> tuple[bool, bool]:
-    if met.relation != "crossing" or met.first == ego:
+def _find_yielding(time: FloatArray, speed: FloatArray, has_moved: BoolArray, ego: str, encounter: Encounter) -> tuple[bool, bool]:
+    if encounter.relation != "crossing" or encounter.first == ego:
         return False, False
-    deadline = time[-1] if math.isnan(met.enters) else met.enters
-    before = np.flatnonzero(went & (time <= min(deadline, met.leaves)))
+    deadline = time[-1] if math.isnan(encounter.enters) else encounter.enters
+    before = np.flatnonzero(has_moved & (time <= min(deadline, encounter.leaves)))
     if not len(before):
         return False, False
     slowest = before[speed[before].argmin()]
-    if speed[slowest] < STANDING:
+    if speed[slowest] < STANDING_SPEED:
         return True, True
-    slows_down = speed[slowest] <= _SLOWED * speed[: slowest + 1].max()
-    speeds_up = math.isnan(met.enters) or speed[slowest] <= _SLOWED * np.interp(met.enters, time, speed)
+    slows_down = speed[slowest] <= _SLOWDOWN_SHARE * speed[: slowest + 1].max()
+    speeds_up = math.isnan(encounter.enters) or speed[slowest] <= _SLOWDOWN_SHARE * np.interp(encounter.enters, time, speed)
     return False, bool(slows_down and speeds_up)
 
 
-def _impact(recording: Recording, ego: str, collision: Collision) -> Impact:
+def _impact_from_collision(recording: Recording, ego: str, collision: Collision) -> Impact:
     (entity,) = (name for name in collision.entities if name != ego)
     instant = int(np.abs(recording.time - collision.time).argmin())
-    i, j = recording.index(ego), recording.index(entity)
+    i, j = recording.entity_index(ego), recording.entity_index(entity)
     velocities = [
         recording.speed[k, instant]
         * np.array([np.cos(recording.heading[k, instant]), np.sin(recording.heading[k, instant])])
         for k in (i, j)
     ]
     manner: Manner = "otherwise"
-    if abs(recording.speed[i, instant]) < STANDING:
+    if abs(recording.speed[i, instant]) < STANDING_SPEED:
         manner = "while it stands"
-    elif abs(within_half_turn(recording.heading[j, instant] - recording.heading[i, instant])) < _ALIKE:
-        along, _ = _seen_from(recording, ego, entity, np.array([instant]))
+    elif abs(wrap_angle(recording.heading[j, instant] - recording.heading[i, instant])) < _SAME_DIRECTION_ANGLE:
+        along, _ = _relative_position(recording, ego, entity, np.array([instant]))
         manner = "from behind" if along[0] > 0.0 else "its rear"
     return Impact(entity, collision.time, float(np.hypot(*(velocities[1] - velocities[0]))), manner)

@@ -10,25 +10,25 @@ import numpy as np
 import numpy.typing as npt
 from scipy.linalg import eigh
 
-from cornercase._common.threads import one_thread
+from cornercase._common.threads import single_threaded_blas
 from cornercase._common.typing import FloatArray, IntArray
-from cornercase.clustering.place_kernels import nearest_chosen
+from cornercase.clustering.place_kernels import fill_nearest_distances
 
-DIMENSIONS: Final = 48
+MAX_DIMENSIONS: Final = 48
 """Largest number of coordinates."""
 
 # Axes with a variance below this share of the largest one are rounding errors.
-_FLAT: Final = 1e-9
+_AXIS_TOLERANCE: Final = 1e-9
 # Distances per block: 64 MB.
-_AT_ONCE: Final = 2**23
+_BLOCK_SIZE: Final = 2**23
 # One of the 64 nearest scenarios is nearly always in a random choice, unless that has fewer than one in twenty.
-_NEAR: Final = 64
-_RARE: Final = 0.05
-_WALKS: Final = 8
-_ROUNDS: Final = 30
+_N_NEAREST: Final = 64
+_SPARSE_SHARE: Final = 0.05
+_N_WALKS: Final = 8
+_KMEANS_ITERATIONS: Final = 30
 
 
-class PlacedDistances:
+class EmbeddedDistances:
     """Squared Euclidean distances of embedded scenarios, computed on demand; behaves like a matrix of shape (n, m).
 
     `rows`, shape (n, p), and `columns`, shape (m, p), are coordinates; by default both are the same scenarios. Supports
@@ -47,7 +47,7 @@ class PlacedDistances:
         return len(self._rows), len(self._columns)
 
     @property
-    def places(self) -> FloatArray:
+    def coordinates(self) -> FloatArray:
         """Coordinates of the scenarios of the rows, shape (n, p)."""
         return self._rows
 
@@ -62,28 +62,28 @@ class PlacedDistances:
         if isinstance(rows, (int, np.integer)):
             row: FloatArray = self[[int(rows)]][0]
             return row
-        distances = self._products(rows, columns)
+        distances = self._inner_products(rows, columns)
         distances *= -2.0
         distances += self._row_norms[rows][:, None]
         distances += self._column_norms[columns]
         np.maximum(distances, 0.0, out=distances)
         return distances
 
-    def _products(self, rows: Any, columns: Any) -> FloatArray:
-        with one_thread():
+    def _inner_products(self, rows: Any, columns: Any) -> FloatArray:
+        with single_threaded_blas():
             products: FloatArray = self._rows[rows] @ self._columns[columns].T
         return products
 
     def __array__(self, dtype: npt.DTypeLike = None, copy: bool | None = None) -> FloatArray:
         return self[:] if dtype is None else self[:].astype(dtype)
 
-    def part(self, rows: IntArray, columns: IntArray) -> PlacedDistances:
+    def subset(self, rows: IntArray, columns: IntArray) -> EmbeddedDistances:
         """Return the distances of some of the rows and columns."""
-        return PlacedDistances(self._rows[rows], self._columns[columns])
+        return EmbeddedDistances(self._rows[rows], self._columns[columns])
 
-    def blocks(self) -> Iterator[slice]:
+    def row_blocks(self) -> Iterator[slice]:
         """Yield slices of the rows such that the distances of each take at most 64 MB."""
-        step = max(1, _AT_ONCE // max(1, len(self._columns)))
+        step = max(1, _BLOCK_SIZE // max(1, len(self._columns)))
         for first in range(0, len(self), step):
             yield slice(first, min(first + step, len(self)))
 
@@ -93,36 +93,36 @@ class PlacedDistances:
         Walks from eight scenarios to the farthest one until that leads no farther; all pairs would take n² time.
         """
         largest = 0.0
-        for start in np.linspace(0, len(self) - 1, _WALKS).astype(np.int64).tolist():
+        for start in np.linspace(0, len(self) - 1, _N_WALKS).astype(np.int64).tolist():
             current, longest = start, -1.0
             while (row := self[current]).max(initial=0.0) > longest:
                 current, longest = int(row.argmax()), float(row.max(initial=0.0))
             largest = max(largest, longest)
         return largest
 
-    def middle(self, members: IntArray) -> int:
+    def medoid(self, members: IntArray) -> int:
         """Return the medoid of some scenarios: the member nearest to their mean, since the distances are squares."""
         points = self._rows[members]
         return int(members[((points - points.mean(axis=0)) ** 2).sum(axis=1).argmin()])
 
-    def nearest(self, choice: IntArray) -> FloatArray:
+    def distances_to_nearest(self, rows: IntArray) -> FloatArray:
         """Return the distance of every column to the nearest of some rows, shape (m,)."""
-        transposed = PlacedDistances(self._columns, self._rows[choice])
-        return np.concatenate([transposed[block].min(axis=1) for block in transposed.blocks()])
+        transposed = EmbeddedDistances(self._columns, self._rows[rows])
+        return np.concatenate([transposed[block].min(axis=1) for block in transposed.row_blocks()])
 
-    def nearest_of(self, choices: IntArray) -> FloatArray:
+    def distances_to_nearest_per_choice(self, row_choices: IntArray) -> FloatArray:
         """Return the distance of every column to the nearest row of each choice, shape (draws, m)."""
         n = len(self)
-        if choices.shape[1] < _RARE * n or n <= 2 * _NEAR:
-            return np.array([self.nearest(choice) for choice in choices])
-        is_chosen = np.zeros((len(choices), n), dtype=np.bool_)
-        np.put_along_axis(is_chosen, choices, True, axis=1)
-        distances = np.empty((len(choices), len(self._columns)))
-        transposed = PlacedDistances(self._columns, self._rows)
-        for block in transposed.blocks():
+        if row_choices.shape[1] < _SPARSE_SHARE * n or n <= 2 * _N_NEAREST:
+            return np.array([self.distances_to_nearest(choice) for choice in row_choices])
+        is_chosen = np.zeros((len(row_choices), n), dtype=np.bool_)
+        np.put_along_axis(is_chosen, row_choices, True, axis=1)
+        distances = np.empty((len(row_choices), len(self._columns)))
+        transposed = EmbeddedDistances(self._columns, self._rows)
+        for block in transposed.row_blocks():
             rows, columns = transposed._row_norms[block], transposed._column_norms
-            nearest_chosen(
-                transposed._products(block, slice(None)), rows, columns, is_chosen, _NEAR, distances[:, block]
+            fill_nearest_distances(
+                transposed._inner_products(block, slice(None)), rows, columns, is_chosen, _N_NEAREST, distances[:, block]
             )
         return distances
 
@@ -139,9 +139,9 @@ class PlacedDistances:
         from sklearn.exceptions import ConvergenceWarning
 
         # k-means warns if identical scenarios leave fewer groups than asked for.
-        with one_thread(), warnings.catch_warnings():
+        with single_threaded_blas(), warnings.catch_warnings():
             warnings.simplefilter("ignore", ConvergenceWarning)
-            model = KMeans(count, n_init=1, max_iter=_ROUNDS, random_state=0).fit(self._rows)
+            model = KMeans(count, n_init=1, max_iter=_KMEANS_ITERATIONS, random_state=0).fit(self._rows)
         groups = model.labels_
         squares = ((self._rows - model.cluster_centers_[groups]) ** 2).sum(axis=1)
         order = np.lexsort((squares, groups))
@@ -150,7 +150,7 @@ class PlacedDistances:
         return np.sort(np.concatenate((selected, remaining))).astype(np.int64)
 
 
-class Placing:
+class LandmarkMDS:
     """Landmark multidimensional scaling: coordinates of scenarios from their distances to some landmarks.
 
     `landmark_distances`, shape (m, m), are the distances of the landmarks. Uses the roots of the distances: DTW sums
@@ -159,32 +159,32 @@ class Placing:
     landmark points", 2004.
     """
 
-    def __init__(self, between: FloatArray) -> None:
-        self._means = between.mean(axis=0)
-        centred = -0.5 * (between - self._means - self._means[:, None] + self._means.mean())
-        m = len(between)
-        with one_thread():
-            values, vectors = eigh(centred, subset_by_index=[max(0, m - DIMENSIONS), m - 1])
+    def __init__(self, landmark_distances: FloatArray) -> None:
+        self._means = landmark_distances.mean(axis=0)
+        centred = -0.5 * (landmark_distances - self._means - self._means[:, None] + self._means.mean())
+        m = len(landmark_distances)
+        with single_threaded_blas():
+            values, vectors = eigh(centred, subset_by_index=[max(0, m - MAX_DIMENSIONS), m - 1])
         values, vectors = values[::-1], vectors[:, ::-1]
-        is_used = values > max(_FLAT * float(values[0]), 1e-300)
+        is_used = values > max(_AXIS_TOLERANCE * float(values[0]), 1e-300)
         # Each axis is signed so that its largest entry is positive, as in kernel space.
         signs = np.sign(vectors[np.abs(vectors).argmax(axis=0), np.arange(vectors.shape[1])])
         # If all landmarks are identical, all scenarios get the same coordinates.
         self._axes = (vectors * signs)[:, is_used] / np.sqrt(values[is_used]) if is_used.any() else np.zeros((m, 1))
-        embedded = PlacedDistances(self._placed(between))
+        embedded = EmbeddedDistances(self._project(landmark_distances))
         (rows, columns) = np.triu_indices(m, 1)
-        estimated, true = embedded[:][rows, columns], between[rows, columns]
+        estimated, true = embedded[:][rows, columns], landmark_distances[rows, columns]
         squares = float((estimated * estimated).sum())
         self._scale = np.sqrt((estimated * true).sum() / squares) if squares else 1.0
 
-    def _placed(self, to_landmarks: FloatArray) -> FloatArray:
-        with one_thread():
+    def _project(self, to_landmarks: FloatArray) -> FloatArray:
+        with single_threaded_blas():
             return np.asarray(-0.5 * (to_landmarks - self._means) @ self._axes)
 
-    def place(self, to_landmarks: FloatArray) -> FloatArray:
+    def embed(self, to_landmarks: FloatArray) -> FloatArray:
         """Embed scenarios by their distances to the landmarks, shape (n, m)."""
-        return self._placed(to_landmarks) * self._scale
+        return self._project(to_landmarks) * self._scale
 
 
-Distances = npt.NDArray[np.float64] | PlacedDistances
+Distances = npt.NDArray[np.float64] | EmbeddedDistances
 """Distances between scenarios: a full matrix, or computed from an embedding."""

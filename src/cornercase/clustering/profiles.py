@@ -8,9 +8,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from cornercase._common.typing import IntArray
-from cornercase.clustering.clauses import Account
-from cornercase.clustering.names import name_kinds
-from cornercase.clustering.places import Distances, PlacedDistances
+from cornercase.clustering.clauses import NamingFacts
+from cornercase.clustering.names import name_clusters
+from cornercase.clustering.places import Distances, EmbeddedDistances
 from cornercase.clustering.rules import Rule, find_rules
 from cornercase.study import Study
 
@@ -61,24 +61,24 @@ class Profile:
         return f"{self.name}; {self.collisions} of {self.size} collide"
 
 
-def describe_clusters(study: Study, labels: IntArray, account: Account, distances: Distances) -> tuple[Profile, ...]:
+def profile_clusters(study: Study, labels: IntArray, facts: NamingFacts, distances: Distances) -> tuple[Profile, ...]:
     """Return the profile of each cluster, noise last; `distances` are those they were clustered by."""
-    ids = [row.id for row in study.done()]
+    ids = [row.id for row in study.finished_rows()]
     scores = {name: study.scores(name) for name in study.meta.metrics}
     clusters = sorted(np.unique(labels).tolist(), key=lambda label: (label < 0, label))
-    examples = [ids[_medoid(distances, np.flatnonzero(labels == label))] for label in clusters if label >= 0]
-    names = name_kinds(account, labels, examples)
+    examples = [ids[_find_medoid(distances, np.flatnonzero(labels == label))] for label in clusters if label >= 0]
+    names = name_clusters(facts, labels, examples)
     profiles = []
     for label in clusters:
         members = labels == label
-        endings = [account.outcomes[k].text for k in np.flatnonzero(members)]
+        endings = [facts.outcomes[k].text for k in np.flatnonzero(members)]
         quartiles = {name: np.percentile(values[members], (25, 50, 75)).tolist() for name, values in scores.items()}
         profile = Profile(
             label,
             int(members.sum()),
             {name: (low, median, high) for name, (low, median, high) in quartiles.items()},
             {end: endings.count(end) for end in sorted(set(endings), key=lambda text: (-endings.count(text), text))},
-            find_rules(study.space, account.values, members) if label >= 0 else (),
+            find_rules(study.space, facts.values, members) if label >= 0 else (),
         )
         if label >= 0:
             name, others = names[label], (labels >= 0) & ~members
@@ -93,7 +93,7 @@ def describe_clusters(study: Study, labels: IntArray, account: Account, distance
     return tuple(profiles)
 
 
-def _medoid(distances: Distances, members: IntArray) -> int:
-    if isinstance(distances, PlacedDistances):
-        return distances.middle(members)
+def _find_medoid(distances: Distances, members: IntArray) -> int:
+    if isinstance(distances, EmbeddedDistances):
+        return distances.medoid(members)
     return int(members[distances[np.ix_(members, members)].sum(axis=1).argmin()])

@@ -8,23 +8,23 @@ from typing import Any, Final
 
 import numpy as np
 
-from cornercase._common.texts import quoted_name
+from cornercase._common.texts import quote_name
 from cornercase._common.typing import BoolArray, FloatArray, IntArray
 from cornercase.scenario import ParameterSpace, Value
 
-EVERYWHERE: Final = "everywhere"
+EVERYWHERE_TEXT: Final = "everywhere"
 """Text of the rule that all scenarios follow."""
 
-_DEPTH: Final = 3
-_LEAST_SHARE: Final = 0.03
-_FEWEST: Final = 3
-_FOLDS: Final = 10
+_MAX_DEPTH: Final = 3
+_MIN_LEAF_SHARE: Final = 0.03
+_MIN_LEAF: Final = 3
+_N_FOLDS: Final = 10
 # Largest p-value of a rule. Folds share most of their scenarios, so labels of pure noise get a rule about ten times as
 # often as this.
-_CHANCE: Final = 0.001
+_MAX_P_VALUE: Final = 0.001
 
 _Bounds = dict[int, tuple[float, float]]
-_Part = tuple[BoolArray, _Bounds]
+_Region = tuple[BoolArray, _Bounds]
 
 
 @dataclass(frozen=True)
@@ -48,7 +48,7 @@ class Rule:
     purity: float
 
 
-def find_rules(space: ParameterSpace, values: Sequence[Mapping[str, Value]], members: BoolArray) -> tuple[Rule, ...]:
+def find_rules(space: ParameterSpace, values: Sequence[Mapping[str, Value]], is_member: BoolArray) -> tuple[Rule, ...]:
     """Find the parts of the parameter space in which members prevail, by a shallow decision tree.
 
     Rules are judged by ten-fold cross-validation: each tenth is judged by the rules of the other nine, and each of
@@ -59,70 +59,70 @@ def find_rules(space: ParameterSpace, values: Sequence[Mapping[str, Value]], mem
     # Imported here, since opening an analysis does not need it.
     from scipy.stats import hypergeom
 
-    columns, names = _columns(space, values)
-    everywhere = Rule(EVERYWHERE, 1.0, float(members.mean()))
-    if members.all() or not members.any() or not columns.shape[1]:
+    columns, names = _encode_parameters(space, values)
+    everywhere = Rule(EVERYWHERE_TEXT, 1.0, float(is_member.mean()))
+    if is_member.all() or not is_member.any() or not columns.shape[1]:
         return (everywhere,)
-    parts = _prevailing(columns, members)
-    judged = _judged_by_others(columns, members, parts)
+    parts = _find_prevailing_regions(columns, is_member)
+    judged = _cross_validated_regions(columns, is_member, parts)
     rules = []
     for k, (_, bounds) in enumerate(parts):
         is_inside = judged == k
-        count, hits = int(is_inside.sum()), int((is_inside & members).sum())
-        p_value = float(hypergeom.sf(hits - 1, len(members), int(members.sum()), count))
-        if count and p_value <= _CHANCE / len(parts):
-            rules.append(Rule(_text(names, bounds), hits / int(members.sum()), hits / count))
+        count, hits = int(is_inside.sum()), int((is_inside & is_member).sum())
+        p_value = float(hypergeom.sf(hits - 1, len(is_member), int(is_member.sum()), count))
+        if count and p_value <= _MAX_P_VALUE / len(parts):
+            rules.append(Rule(_format_bounds(names, bounds), hits / int(is_member.sum()), hits / count))
     return tuple(sorted(rules, key=lambda rule: (-rule.covers, rule.text))) or (everywhere,)
 
 
-def _prevailing(columns: FloatArray, members: BoolArray) -> list[_Part]:
+def _find_prevailing_regions(columns: FloatArray, is_member: BoolArray) -> list[_Region]:
     """Parts of the space, with bounds, in which the share of members is above average."""
     from sklearn.tree import DecisionTreeClassifier
 
-    if members.all() or not members.any():
+    if is_member.all() or not is_member.any():
         return []
-    min_leaf = max(_FEWEST, round(_LEAST_SHARE * len(members)))
+    min_leaf = max(_MIN_LEAF, round(_MIN_LEAF_SHARE * len(is_member)))
     tree = DecisionTreeClassifier(
-        max_depth=_DEPTH, min_samples_leaf=min_leaf, class_weight="balanced", random_state=0
-    ).fit(columns, members)
-    parts = _parts(tree.tree_, columns, members, 0, np.ones(len(members), dtype=np.bool_), {})
-    return [(is_inside, bounds) for is_inside, bounds in parts if bounds and members[is_inside].mean() > members.mean()]
+        max_depth=_MAX_DEPTH, min_samples_leaf=min_leaf, class_weight="balanced", random_state=0
+    ).fit(columns, is_member)
+    parts = _collect_leaves(tree.tree_, columns, is_member, 0, np.ones(len(is_member), dtype=np.bool_), {})
+    return [(is_inside, bounds) for is_inside, bounds in parts if bounds and is_member[is_inside].mean() > is_member.mean()]
 
 
-def _judged_by_others(columns: FloatArray, members: BoolArray, parts: Sequence[_Part]) -> IntArray:
+def _cross_validated_regions(columns: FloatArray, is_member: BoolArray, regions: Sequence[_Region]) -> IntArray:
     """Part in which each scenario lies by the rules of the other folds; -1 for none, shape (n,)."""
-    judged = np.full(len(members), -1)
-    fold = _folds(members)
+    judged = np.full(len(is_member), -1)
+    fold = _stratified_folds(is_member)
     for k in range(int(fold.max()) + 1):
         training = fold != k
-        for _, bounds in _prevailing(columns[training], members[training]):
-            is_inside = _within(columns, bounds)
+        for _, bounds in _find_prevailing_regions(columns[training], is_member[training]):
+            is_inside = _is_within_bounds(columns, bounds)
             overlaps = [
                 float((is_inside & members_of_part)[training].sum() / (is_inside | members_of_part)[training].sum())
-                for members_of_part, _ in parts
+                for members_of_part, _ in regions
             ]
             if max(overlaps, default=0.0) > 0.0:
                 judged[is_inside & ~training] = int(np.argmax(overlaps))
     return judged
 
 
-def _folds(members: BoolArray) -> IntArray:
+def _stratified_folds(is_member: BoolArray) -> IntArray:
     """Fold of each scenario; stratified, so that all folds have equally many members, give or take one."""
     rng = np.random.default_rng(0)
-    order = np.concatenate([rng.permutation(np.flatnonzero(members)), rng.permutation(np.flatnonzero(~members))])
-    fold = np.empty(len(members), dtype=np.int64)
-    fold[order] = np.arange(len(order)) % _FOLDS
+    order = np.concatenate([rng.permutation(np.flatnonzero(is_member)), rng.permutation(np.flatnonzero(~is_member))])
+    fold = np.empty(len(is_member), dtype=np.int64)
+    fold[order] = np.arange(len(order)) % _N_FOLDS
     return fold
 
 
-def _within(columns: FloatArray, bounds: _Bounds) -> BoolArray:
+def _is_within_bounds(columns: FloatArray, bounds: _Bounds) -> BoolArray:
     is_inside = np.ones(len(columns), dtype=np.bool_)
     for column, (low, high) in bounds.items():
         is_inside &= (columns[:, column] > low) & (columns[:, column] <= high)
     return is_inside
 
 
-def _columns(
+def _encode_parameters(
     space: ParameterSpace, values: Sequence[Mapping[str, Value]]
 ) -> tuple[FloatArray, list[tuple[str, str, str]]]:
     """Numeric columns for a tree, and for each column its parameter, unit and the choice that it encodes."""
@@ -130,36 +130,36 @@ def _columns(
     for parameter in space.parameters:
         if parameter.size == 1:
             continue
-        column = [parameter.read(row) for row in values]
+        column = [parameter.extract_value(row) for row in values]
         for choice in parameter.choices:
             columns.append([float(str(value) == choice) for value in column])
-            names.append((quoted_name(parameter.name), "", quoted_name(choice)))
+            names.append((quote_name(parameter.name), "", quote_name(choice)))
         if not parameter.choices:
             columns.append([float(value) for value in column])
-            names.append((quoted_name(parameter.name), parameter.unit, ""))
+            names.append((quote_name(parameter.name), parameter.unit, ""))
     return np.array(columns, dtype=np.float64).reshape(len(columns), len(values)).T, names
 
 
-def _parts(
-    tree: Any, columns: FloatArray, members: BoolArray, node: int, inside: BoolArray, bounds: _Bounds
-) -> list[_Part]:
+def _collect_leaves(
+    tree: Any, columns: FloatArray, is_member: BoolArray, node: int, is_inside: BoolArray, bounds: _Bounds
+) -> list[_Region]:
     """Leaves of the tree in which the members prevail, with the bounds of each column; siblings are merged."""
     left, right = int(tree.children_left[node]), int(tree.children_right[node])
     if left < 0:
-        prevails = members[inside].mean() >= 0.5 or members[inside].sum() >= 0.5 * members.sum()
-        return [(inside, bounds)] if prevails else []
+        prevails = is_member[is_inside].mean() >= 0.5 or is_member[is_inside].sum() >= 0.5 * is_member.sum()
+        return [(is_inside, bounds)] if prevails else []
     column, threshold = int(tree.feature[node]), float(tree.threshold[node])
     low, high = bounds.get(column, (-np.inf, np.inf))
-    below = inside & (columns[:, column] <= threshold)
-    left_parts = _parts(tree, columns, members, left, below, bounds | {column: (low, min(high, threshold))})
-    right_parts = _parts(tree, columns, members, right, inside & ~below, bounds | {column: (max(low, threshold), high)})
+    below = is_inside & (columns[:, column] <= threshold)
+    left_parts = _collect_leaves(tree, columns, is_member, left, below, bounds | {column: (low, min(high, threshold))})
+    right_parts = _collect_leaves(tree, columns, is_member, right, is_inside & ~below, bounds | {column: (max(low, threshold), high)})
     mergeable = len(left_parts) == len(right_parts) == 1 and np.array_equal(
-        left_parts[0][0] | right_parts[0][0], inside
+        left_parts[0][0] | right_parts[0][0], is_inside
     )
-    return [(inside, bounds)] if mergeable else [*left_parts, *right_parts]
+    return [(is_inside, bounds)] if mergeable else [*left_parts, *right_parts]
 
 
-def _text(names: list[tuple[str, str, str]], bounds: _Bounds) -> str:
+def _format_bounds(names: list[tuple[str, str, str]], bounds: _Bounds) -> str:
     parts = []
     for column, (low, high) in sorted(bounds.items()):
         name, unit, choice = names[column]

@@ -11,37 +11,37 @@ import numpy as np
 from scipy.spatial.distance import pdist, squareform
 from threadpoolctl import threadpool_limits
 
-from cornercase._common.progress import step
+from cornercase._common.progress import progress_step
 from cornercase._common.typing import FloatArray, IntArray
-from cornercase.clustering.clusters import NOISE, Candidate, Clustering, ClusteringMethod
-from cornercase.clustering.density import find_dense_regions
-from cornercase.clustering.kernel_space import KernelSpace
-from cornercase.clustering.kinds import find_kinds
-from cornercase.clustering.spanning_tree import find_tree
-from cornercase.clustering.stability import Stability
-from cornercase.clustering.validity import Validity
+from cornercase.clustering.clusters import NOISE_LABEL, Candidate, Clustering, ClusteringMethod
+from cornercase.clustering.density import cluster_by_density
+from cornercase.clustering.kernel_space import KernelPca
+from cornercase.clustering.kinds import estimate_clusters
+from cornercase.clustering.spanning_tree import fill_spanning_tree
+from cornercase.clustering.stability import StabilityScorer
+from cornercase.clustering.validity import ValidityScorer
 
 # Grid of ``"auto"``. Three components, as in the paper, can separate a few clusters; a dozen clusters need more.
 GAMMAS: Final = (0.25, 0.5, 1.0, 2.0, 4.0, 8.0, 16.0, 32.0)
 COMPONENTS: Final = (3, 6, 12, 24)
 # With a single cluster, the kernel has fallen to 1/e at the median distance.
-GAMMA_OF_ONE: Final = 1.0
+SINGLE_CLUSTER_GAMMA: Final = 1.0
 # Share of the edges within clusters that a radius covers: all, or all but those to a few points that become noise.
 EPS_QUANTILES: Final = (1.0, 0.99, 0.97, 0.94, 0.9, 0.8)
 # Agreement with the expected clusters that ends the search.
-GOOD: Final = 0.97
+GOOD_AGREEMENT: Final = 0.97
 NOISE_COST: Final = 1.0
 # Breaks ties between equal agreements in favour of the wider gap.
 MARGIN_SHARE: Final = 0.02
-LEAST_SCORE: Final = 0.0
-LEAST_STABILITY: Final = 0.5
-# The first candidate that is this stable is taken, of at most `MOST_JUDGED`.
-STABLE: Final = 0.9
-UNSTABLE_COST: Final = 0.1
-MOST_JUDGED: Final = 6
+MIN_SCORE: Final = 0.0
+MIN_STABILITY: Final = 0.5
+# The first candidate that is this stable is taken, of at most `MAX_JUDGED`.
+GOOD_STABILITY: Final = 0.9
+INSTABILITY_COST: Final = 0.1
+MAX_JUDGED: Final = 6
 # Largest number of scenarios on which validity and the error of landmarks are computed.
-MOST_SCORED: Final = 1000
-_FEWEST: Final = 5
+MAX_SCORED: Final = 1000
+_MIN_SCENARIOS: Final = 5
 
 _Auto = Literal["auto"]
 
@@ -64,24 +64,24 @@ def search_settings(
     positive = distances[distances > 0.0]
     scale = float(np.median(positive)) if len(positive) else 0.0
     scaled = distances / scale if scale else distances
-    searching = "auto" in (gamma, eps) and n >= _FEWEST
-    search = _Search(scaled, searching, method)
-    spaces = list(_spaces(n, n_components, min_samples, search.smallest if searching else 0))
-    has_structure = search.kinds.max() > 0 or eps != "auto"
-    widths = (gamma,) if gamma != "auto" else GAMMAS if searching and has_structure else (GAMMA_OF_ONE,)
+    searching = "auto" in (gamma, eps) and n >= _MIN_SCENARIOS
+    search = _SettingsSearch(scaled, searching, method)
+    spaces = list(_candidate_spaces(n, n_components, min_samples, search.smallest if searching else 0))
+    has_structure = search.expected.max() > 0 or eps != "auto"
+    widths = (gamma,) if gamma != "auto" else GAMMAS if searching and has_structure else (SINGLE_CLUSTER_GAMMA,)
     # The last digits would depend on the number of BLAS threads.
     with (
         threadpool_limits(limits=1),
-        step(len(spaces) * len(widths), "clustering", "settings at most") as update_progress,
+        progress_step(len(spaces) * len(widths), "clustering", "settings at most") as update_progress,
     ):
         for k, (dimensions, neighbours) in enumerate(spaces):
             for i, width in enumerate(widths, start=1):
-                search.try_width(width, eps, dimensions, neighbours)
+                search.evaluate_kernel(width, eps, dimensions, neighbours)
                 update_progress(k * len(widths) + i)
-            if not searching or search.best_score >= GOOD:
+            if not searching or search.best_score >= GOOD_AGREEMENT:
                 break
-        best = search.choose(settled="auto" not in (gamma, eps)) if searching else 0
-    settings, labels, space = search.tried[best]
+        best = search.best_candidate(settings_given="auto" not in (gamma, eps)) if searching else 0
+    settings, labels, space = search.candidates[best]
     return Clustering(
         labels=labels,
         embedding=space.points,
@@ -90,7 +90,7 @@ def search_settings(
         min_samples=settings.min_samples,
         scale=scale,
         explained=space.explained,
-        candidates=tuple(candidate for candidate, _, _ in search.tried),
+        candidates=tuple(candidate for candidate, _, _ in search.candidates),
         method=method,
         landmarks=np.zeros(0, dtype=np.int64),
         error=0.0,
@@ -102,25 +102,25 @@ def canonical_order(distances: FloatArray) -> IntArray:
     return np.argsort(distances.sum(axis=1), kind="stable").astype(np.int64)
 
 
-def _spaces(n: int, n_components: int | _Auto, min_samples: int | _Auto, smallest: int) -> Iterator[tuple[int, int]]:
+def _candidate_spaces(n_scenarios: int, n_components: int | _Auto, min_samples: int | _Auto, smallest_cluster: int) -> Iterator[tuple[int, int]]:
     """Yield pairs of dimensions and `min_samples` to try, the usual ones first."""
-    usual = max(3, math.ceil(math.log(n))) if n >= _FEWEST else 1
+    usual = max(3, math.ceil(math.log(n_scenarios))) if n_scenarios >= _MIN_SCENARIOS else 1
     # A cluster of five is not dense if six are needed; clusters that touch need more neighbours to be separated.
-    neighbours = [value for value in (usual, 3, 2 * usual) if value <= max(smallest, 1)]
+    neighbours = [value for value in (usual, 3, 2 * usual) if value <= max(smallest_cluster, 1)]
     neighbours = list(dict.fromkeys(neighbours)) or [usual]
     for value in neighbours if min_samples == "auto" else (min_samples,):
         for dimensions in COMPONENTS if n_components == "auto" else (n_components,):
             yield dimensions, value
 
 
-def _agreement(labels: IntArray, kinds: IntArray) -> float:
+def _mean_f_measure(labels: IntArray, expected: IntArray) -> float:
     """Smaller of two mean F-measures: of each expected cluster with its best match, and vice versa."""
-    shared = np.zeros((int(kinds.max()) + 1, int(labels.max()) + 1))
+    shared = np.zeros((int(expected.max()) + 1, int(labels.max()) + 1))
     if not shared.size:
         return 0.0
-    is_member = labels != NOISE
-    np.add.at(shared, (kinds[is_member], labels[is_member]), 1.0)
-    sizes = np.bincount(kinds)[:, None] + np.bincount(labels[is_member], minlength=shared.shape[1])
+    is_member = labels != NOISE_LABEL
+    np.add.at(shared, (expected[is_member], labels[is_member]), 1.0)
+    sizes = np.bincount(expected)[:, None] + np.bincount(labels[is_member], minlength=shared.shape[1])
     matches = 2.0 * shared / sizes
     return float(min(matches.max(axis=1).mean(), matches.max(axis=0).mean()))
 
@@ -132,106 +132,106 @@ class _Embedding(NamedTuple):
     explained: float
 
 
-class _Search:
+class _SettingsSearch:
     """Candidate settings and how well each shows the clusters that the distances show."""
 
-    def __init__(self, scaled: FloatArray, searching: bool, method: ClusteringMethod) -> None:
-        self._scaled, self._searching, self._method = scaled, searching, method
-        self.kinds = find_kinds(scaled) if searching else np.zeros(len(scaled), dtype=np.int64)
-        self.smallest = int(np.bincount(self.kinds).min())
-        self.tried: list[tuple[Candidate, IntArray, _Embedding]] = []
-        self._known: dict[tuple[float, int], _Embedding] = {}
+    def __init__(self, distances: FloatArray, searching: bool, method: ClusteringMethod) -> None:
+        self._scaled, self._searching, self._method = distances, searching, method
+        self.expected = estimate_clusters(distances) if searching else np.zeros(len(distances), dtype=np.int64)
+        self.smallest = int(np.bincount(self.expected).min())
+        self.candidates: list[tuple[Candidate, IntArray, _Embedding]] = []
+        self._embeddings: dict[tuple[float, int], _Embedding] = {}
 
     @property
     def best_score(self) -> float:
         """Highest score of all candidates so far."""
-        return max(candidate.score for candidate, _, _ in self.tried)
+        return max(candidate.score for candidate, _, _ in self.candidates)
 
-    def try_width(self, gamma: float, eps: float | _Auto, axes: int, needed: int) -> None:
+    def evaluate_kernel(self, gamma: float, eps: float | _Auto, n_components: int, min_samples: int) -> None:
         """Try all neighbourhood radii for one kernel."""
-        if (gamma, axes) not in self._known:
-            fitted = KernelSpace(gamma, axes).fit(self._scaled)
-            self._known[gamma, axes] = _Embedding(fitted.embedding, fitted.explained)
-        space = self._known[gamma, axes]
-        steps = _Steps(space.points, self.kinds, needed)
-        for radius in steps.radii(self._method) if eps == "auto" else (eps,):
-            labels = find_dense_regions(space.points, radius, needed, self._method)
-            clusters, noise = int(labels.max()) + 1, float(np.mean(labels == NOISE))
+        if (gamma, n_components) not in self._embeddings:
+            fitted = KernelPca(gamma, n_components).fit(self._scaled)
+            self._embeddings[gamma, n_components] = _Embedding(fitted.embedding, fitted.explained)
+        space = self._embeddings[gamma, n_components]
+        steps = _TreeEdges(space.points, self.expected, min_samples)
+        for radius in steps.candidate_radii(self._method) if eps == "auto" else (eps,):
+            labels = cluster_by_density(space.points, radius, min_samples, self._method)
+            clusters, noise = int(labels.max()) + 1, float(np.mean(labels == NOISE_LABEL))
             agreement, score = math.nan, -math.inf
             if self._searching:
-                agreement = _agreement(labels, self.kinds)
-                score = agreement - NOISE_COST * noise + MARGIN_SHARE * steps.margin
+                agreement = _mean_f_measure(labels, self.expected)
+                score = agreement - NOISE_COST * noise + MARGIN_SHARE * steps.gap_clearness
             candidate = Candidate(
-                gamma, radius, clusters, noise, math.nan, math.nan, math.nan, score, axes, needed, agreement
+                gamma, radius, clusters, noise, math.nan, math.nan, math.nan, score, n_components, min_samples, agreement
             )
-            self.tried.append((candidate, labels, space))
+            self.candidates.append((candidate, labels, space))
 
-    def choose(self, settled: bool) -> int:
+    def best_candidate(self, settings_given: bool) -> int:
         """Return the index of the best candidate, after judging the best few by stability and validity."""
         indices = np.arange(len(self._scaled))
-        self._stability = Stability(self._scaled, indices, method=self._method, most=MOST_SCORED)
+        self._stability = StabilityScorer(self._scaled, indices, method=self._method, max_part_size=MAX_SCORED)
         # At equal scores the wider radius is more robust when scenarios are left out.
-        by_score = sorted(range(len(self.tried)), key=lambda k: (-self.tried[k][0].score, -self.tried[k][0].eps))
-        highest = self.tried[by_score[0]][0].score
+        by_score = sorted(range(len(self.candidates)), key=lambda k: (-self.candidates[k][0].score, -self.candidates[k][0].eps))
+        highest = self.candidates[by_score[0]][0].score
         judged: dict[tuple[float, int, int], int] = {}
         for k in by_score:
-            candidate, _, _ = self.tried[k]
-            if candidate.score < highest - UNSTABLE_COST or len(judged) == MOST_JUDGED:
+            candidate, _, _ = self.candidates[k]
+            if candidate.score < highest - INSTABILITY_COST or len(judged) == MAX_JUDGED:
                 break
             key = (candidate.gamma, candidate.n_components, candidate.min_samples)
             if key in judged:
                 continue
             judged[key] = k
-            if self._judge(k) >= STABLE:
+            if self._add_stability(k) >= GOOD_STABILITY:
                 break
-        best = max(judged.values(), key=lambda k: self.tried[k][0].score)
-        best_by_count = {candidate.clusters: k for k in reversed(by_score) for candidate in [self.tried[k][0]]}
-        best_by_count[self.tried[best][0].clusters] = best
-        compared = sorted(best_by_count.values(), key=lambda k: -self.tried[k][0].score)[:MOST_JUDGED]
-        validity = Validity(self._scaled, indices[:: math.ceil(len(indices) / MOST_SCORED)])
+        best = max(judged.values(), key=lambda k: self.candidates[k][0].score)
+        best_by_count = {candidate.clusters: k for k in reversed(by_score) for candidate in [self.candidates[k][0]]}
+        best_by_count[self.candidates[best][0].clusters] = best
+        compared = sorted(best_by_count.values(), key=lambda k: -self.candidates[k][0].score)[:MAX_JUDGED]
+        validity = ValidityScorer(self._scaled, indices[:: math.ceil(len(indices) / MAX_SCORED)])
         for k in {*compared, *([best_by_count[1]] if 1 in best_by_count else [])}:
-            self._judge(k)
-            candidate, labels, space = self.tried[k]
+            self._add_stability(k)
+            candidate, labels, space = self.candidates[k]
             if candidate.clusters > 1:
-                dbcv, silhouette = validity.of(labels)
-                self.tried[k] = replace(candidate, dbcv=dbcv, silhouette=silhouette), labels, space
-        winner = self.tried[best][0]
-        if not settled and 1 in best_by_count and (winner.score < LEAST_SCORE or winner.stability < LEAST_STABILITY):
+                dbcv, silhouette = validity.dbcv_and_silhouette(labels)
+                self.candidates[k] = replace(candidate, dbcv=dbcv, silhouette=silhouette), labels, space
+        winner = self.candidates[best][0]
+        if not settings_given and 1 in best_by_count and (winner.score < MIN_SCORE or winner.stability < MIN_STABILITY):
             return best_by_count[1]
         return best
 
-    def _judge(self, k: int) -> float:
+    def _add_stability(self, index: int) -> float:
         """Add the stability of a candidate to it and to its score."""
-        candidate, labels, space = self.tried[k]
+        candidate, labels, space = self.candidates[index]
         if math.isnan(candidate.stability):
-            stability = self._stability.of(candidate, labels)
+            stability = self._stability.mean_rand_index(candidate, labels)
             candidate = replace(
-                candidate, stability=stability, score=candidate.score - UNSTABLE_COST * (1.0 - stability)
+                candidate, stability=stability, score=candidate.score - INSTABILITY_COST * (1.0 - stability)
             )
-            self.tried[k] = candidate, labels, space
+            self.candidates[index] = candidate, labels, space
         return candidate.stability
 
 
-class _Steps:
+class _TreeEdges:
     """Edges of the minimum spanning tree in an embedding: within the expected clusters, and between them."""
 
-    def __init__(self, points: FloatArray, kinds: IntArray, needed: int) -> None:
+    def __init__(self, points: FloatArray, expected: IntArray, min_samples: int) -> None:
         n, distances = len(points), squareform(pdist(points))
         self._largest = float(distances.max(initial=0.0))
-        core = np.partition(distances, min(needed, n) - 1, axis=1)[:, min(needed, n) - 1]
+        core = np.partition(distances, min(min_samples, n) - 1, axis=1)[:, min(min_samples, n) - 1]
         edges, lengths = np.empty((2, n - 1), dtype=np.int64), np.empty(n - 1)
-        find_tree(np.maximum(distances, np.maximum(core[:, None], core)), edges, lengths)
-        is_across = kinds[edges[0]] != kinds[edges[1]]
+        fill_spanning_tree(np.maximum(distances, np.maximum(core[:, None], core)), edges, lengths)
+        is_across = expected[edges[0]] != expected[edges[1]]
         self._within, self._across = lengths[~is_across], lengths[is_across]
 
     @property
-    def margin(self) -> float:
+    def gap_clearness(self) -> float:
         """How clear the gap between clusters is, 0 to 1."""
         if not len(self._across) or not len(self._within):
             return 0.0
         return max(0.0, 1.0 - float(self._within.max() / max(self._across.min(), 1e-300)))
 
-    def radii(self, method: ClusteringMethod) -> Iterable[float]:
+    def candidate_radii(self, method: ClusteringMethod) -> Iterable[float]:
         """Radii to try: between the edges within clusters and those across; the largest connects everything."""
         tiny = 1e-9 + 1e-6 * self._largest
         # A radius equal to a distance would make neighbours depend on the last digits.

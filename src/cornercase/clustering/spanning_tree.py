@@ -11,10 +11,10 @@ from cornercase._common.compiling import kernel
 
 
 @kernel(error_model="numpy")
-def find_tree(between, ends, lengths):
+def fill_spanning_tree(distances, ends, lengths):
     """Fill `ends`, shape (2, n - 1), and `lengths` with the tree's edges; `distances`, shape (n, n), is symmetric."""
-    count = len(between)
-    nearest, reach = np.zeros(count, dtype=np.int64), between[0].copy()
+    count = len(distances)
+    nearest, reach = np.zeros(count, dtype=np.int64), distances[0].copy()
     outside = np.ones(count, dtype=np.bool_)
     outside[0] = False
     for edge in range(count - 1):
@@ -25,5 +25,5 @@ def find_tree(between, ends, lengths):
         ends[0, edge], ends[1, edge], lengths[edge] = nearest[nearest_outside], nearest_outside, reach[nearest_outside]
         outside[nearest_outside] = False
         for i in range(count):
-            if outside[i] and between[nearest_outside, i] < reach[i]:
-                nearest[i], reach[i] = nearest_outside, between[nearest_outside, i]
+            if outside[i] and distances[nearest_outside, i] < reach[i]:
+                nearest[i], reach[i] = nearest_outside, distances[nearest_outside, i]

@@ -6,20 +6,20 @@ import numpy as np
 from sklearn.metrics import silhouette_samples
 
 from cornercase._common.typing import FloatArray, IntArray
-from cornercase.clustering.spanning_tree import find_tree
+from cornercase.clustering.spanning_tree import fill_spanning_tree
 
-_CLOSEST = 1e-5
+_MIN_DISTANCE = 1e-5
 
 
-class Validity:
+class ValidityScorer:
     """DBCV and silhouette of labellings on a subset of the scenarios; results are cached by labelling."""
 
-    def __init__(self, distances: FloatArray, some: IntArray) -> None:
-        self._some = some
-        self._distances = distances[np.ix_(some, some)]
+    def __init__(self, distances: FloatArray, sample: IntArray) -> None:
+        self._some = sample
+        self._distances = distances[np.ix_(sample, sample)]
         self._known: dict[bytes, tuple[float, float]] = {}
 
-    def of(self, labels: IntArray) -> tuple[float, float]:
+    def dbcv_and_silhouette(self, labels: IntArray) -> tuple[float, float]:
         """Return DBCV and silhouette, -1 to 1 each; noise counts as 0.
 
         Both are -1 if a cluster has fewer than three scenarios.
@@ -37,10 +37,10 @@ class Validity:
         is_member = labels >= 0
         inner = self._distances[np.ix_(is_member, is_member)]
         silhouettes = silhouette_samples(inner, labels[is_member], metric="precomputed")
-        return density_validity(self._distances, labels), float(silhouettes.sum() / len(labels))
+        return dbcv(self._distances, labels), float(silhouettes.sum() / len(labels))
 
 
-def density_validity(distances: FloatArray, labels: IntArray, *, dimensions: float = 3.0) -> float:
+def dbcv(distances: FloatArray, labels: IntArray, *, dimensions: float = 3.0) -> float:
     """Density-based clustering validation index (DBCV), -1 to 1, higher is better; noise counts as 0.
 
     `labels` has two or more clusters of three or more scenarios. Definitions 1 to 8 of Moulavi et al., "Density-based
@@ -53,7 +53,7 @@ def density_validity(distances: FloatArray, labels: IntArray, *, dimensions: flo
     groups = [np.flatnonzero(labels == name) for name in range(int(labels.max()) + 1)]
     for members in groups:
         # Identical scenarios would be infinitely dense and have no edge in the tree.
-        within = np.maximum(distances[np.ix_(members, members)], _CLOSEST)
+        within = np.maximum(distances[np.ix_(members, members)], _MIN_DISTANCE)
         np.fill_diagonal(within, np.inf)
         mean = (within**-dimensions).sum(axis=1) / (len(members) - 1)
         core[members] = mean ** (-1.0 / dimensions)
@@ -62,7 +62,7 @@ def density_validity(distances: FloatArray, labels: IntArray, *, dimensions: flo
         # term lets the nearer neighbour come first.
         reach += 1e-6 * within
         tree_edges, lengths = np.empty((2, len(members) - 1), dtype=np.int64), np.empty(len(members) - 1)
-        find_tree(reach, tree_edges, lengths)
+        fill_spanning_tree(reach, tree_edges, lengths)
         is_internal = np.bincount(tree_edges.ravel(), minlength=len(members)) > 1
         is_inner_edge = is_internal[tree_edges].all(axis=0)
         sparseness.append(lengths[is_inner_edge].max() if is_inner_edge.any() else lengths.max())

@@ -101,7 +101,7 @@ class Situation:
     others_length: FloatArray
     others_width: FloatArray
     others_center_x: FloatArray
-    others_kind: tuple[str, ...]
+    others_object_type: tuple[str, ...]
     active: BoolArray
 
 

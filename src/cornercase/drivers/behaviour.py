@@ -10,10 +10,10 @@ from typing import Any, Final, cast
 from cornercase._common.errors import InputError
 from cornercase._common.typing import BoolArray
 from cornercase.drivers.fleet import CompiledDriver
-from cornercase.drivers.parameters import AGGRESSIVE, CAUTIOUS, NORMAL, Behaviour, require_parameter
+from cornercase.drivers.parameters import AGGRESSIVE, CAUTIOUS, NORMAL, Behaviour, check_parameter
 from cornercase.drivers.traffic import BEHAVIOUR, KNOWN, YIELDING
 
-_MAY_BE_ZERO: Final = frozenset(
+_ALLOWED_ZERO: Final = frozenset(
     {"standing_caution", "reaction_time", "memory", "lateral_margin", "braking_distance", "safety_time"}
 )
 
@@ -38,36 +38,36 @@ class BehaviourDriver(CompiledDriver):
     kind = BEHAVIOUR
 
     def __init__(self, behaviour: Behaviour = NORMAL) -> None:
-        _check(behaviour)
+        _check_parameters(behaviour)
         self.settings = {"driver": "behaviour", **behaviour._asdict()}
         self.parameters = tuple(behaviour)
         self.start(0, 0)
 
     @property
-    def known(self) -> BoolArray:
+    def known_mask(self) -> BoolArray:
         """Entities that the driver knows of, ndarray of bool, shape (N, A)."""
         return self._fleet.awareness[0, :, KNOWN]
 
     @property
-    def yielding(self) -> BoolArray:
+    def yielding_mask(self) -> BoolArray:
         """Entities that the driver yields to, ndarray of bool, shape (N, A)."""
         return self._fleet.awareness[0, :, YIELDING]
 
 
-def _check(behaviour: Behaviour) -> None:
+def _check_parameters(behaviour: Behaviour) -> None:
     for name, value in behaviour._asdict().items():
-        require_parameter(name, value, name in _MAY_BE_ZERO)
+        check_parameter(name, value, name in _ALLOWED_ZERO)
     if behaviour.field_of_view > 2.0 * math.pi:
         raise InputError(
             f"The driver's field_of_view is {behaviour.field_of_view:g}; give an angle in rad of at most 6.2832."
         )
 
 
-def _with_options(behaviour: Behaviour) -> Callable[..., BehaviourDriver]:
+def _preset_factory(behaviour: Behaviour) -> Callable[..., BehaviourDriver]:
     """Return a function that builds a preset, with each parameter as an option."""
 
-    def build(**changed: float) -> BehaviourDriver:
-        return BehaviourDriver(behaviour._replace(**{name: float(value) for name, value in changed.items()}))
+    def build(**overrides: float) -> BehaviourDriver:
+        return BehaviourDriver(behaviour._replace(**{name: float(value) for name, value in overrides.items()}))
 
     factory: Any = build
     # The registry reads the options from the signature.
@@ -80,4 +80,4 @@ def _with_options(behaviour: Behaviour) -> Callable[..., BehaviourDriver]:
     return cast(Callable[..., BehaviourDriver], factory)
 
 
-cautious, normal, aggressive = map(_with_options, (CAUTIOUS, NORMAL, AGGRESSIVE))
+cautious, normal, aggressive = map(_preset_factory, (CAUTIOUS, NORMAL, AGGRESSIVE))

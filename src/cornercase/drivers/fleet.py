@@ -10,31 +10,31 @@ import numpy as np
 
 from cornercase._common.typing import BoolArray, FloatArray, IntArray
 from cornercase.drivers.base import DrivenPath, Driver, Situation
-from cornercase.drivers.deciding import accelerate_each
-from cornercase.drivers.parameters import Behaviour, Keeping
-from cornercase.drivers.route import count_samples, plan_route
+from cornercase.drivers.deciding import compute_accelerations
+from cornercase.drivers.parameters import Behaviour, FollowParameters
+from cornercase.drivers.route import count_route_samples, plan_route
 from cornercase.drivers.traffic import (
     AHEAD_FOR,
     BEHAVIOUR,
     CENTER_X,
     FIRST_SEEN,
-    FOREIGN,
+    NOT_COMPILED,
     HALF_LENGTH,
     HALF_WIDTH,
     LAST_SEEN,
-    SINCE,
+    CONFLICT_SINCE,
     TURN,
     VULNERABLE,
     Fleet,
     Routes,
 )
 
-_LEAST_LIMIT = 1e-3
+_MIN_LIMIT = 1e-3
 """Lowest limit in m/s², whatever the vehicle can do."""
-_VULNERABLE_KINDS = ("pedestrian", "bicycle")
+_VULNERABLE_TYPES = ("pedestrian", "bicycle")
 
 # Points and measures by path shared by all scenarios, then by lateral acceleration and deceleration.
-_PLANNED: WeakKeyDictionary[DrivenPath, dict[tuple[float, float], tuple[FloatArray, FloatArray]]] = WeakKeyDictionary()
+_ROUTE_CACHE: WeakKeyDictionary[DrivenPath, dict[tuple[float, float], tuple[FloatArray, FloatArray]]] = WeakKeyDictionary()
 
 
 class CompiledDriver(Driver):
@@ -54,7 +54,7 @@ class CompiledDriver(Driver):
         # Keep a reference to the path, so that its id stays unique.
         self._routes: dict[int, tuple[DrivenPath, int]] = {}
 
-    def join(self, fleet: Fleet, row: int) -> None:
+    def attach_to_fleet(self, fleet: Fleet, row: int) -> None:
         """Move the driver's state into a row of a fleet, and keep a view of it.
 
         Parameters
@@ -84,110 +84,110 @@ class CompiledDriver(Driver):
         fleet.own[0] = 0.5 * s.length, 0.5 * s.width, s.center_x
         fleet.boxes[0, HALF_LENGTH], fleet.boxes[0, HALF_WIDTH] = 0.5 * s.others_length, 0.5 * s.others_width
         fleet.boxes[0, CENTER_X] = s.others_center_x
-        fleet.boxes[0, VULNERABLE] = _vulnerable(s.others_kind)
-        track = self._planned(s.path)
+        fleet.boxes[0, VULNERABLE] = _is_vulnerable(s.others_object_type)
+        track = self._plan_route_index(s.path)
         driven = np.stack((s.distance, s.x, s.y, s.heading, s.speed, s.target_speed), axis=1)
         others = np.stack((s.others_x, s.others_y, s.others_heading, s.others_speed), axis=1)
         active = np.ascontiguousarray(s.active)
-        result: FloatArray = accelerate_each(self._fleet, track, s.time, s.time_step, driven, others, active)
+        result: FloatArray = compute_accelerations(self._fleet, track, s.time, s.time_step, driven, others, active)
         return result
 
-    def _planned(self, path: DrivenPath) -> int:
+    def _plan_route_index(self, path: DrivenPath) -> int:
         """Index of the route along a path among the driver's own routes; plans it if needed."""
         if self.kind != BEHAVIOUR:
             return 0
         if id(path) not in self._routes:
             self._routes[id(path)] = (path, len(self._routes))
-            self._fleet = with_route(self._fleet, 0, self._routes[id(path)][1], path)
+            self._fleet = set_route(self._fleet, 0, self._routes[id(path)][1], path)
         return self._routes[id(path)][1]
 
 
-def decides_in_fleet(driver: Driver) -> TypeGuard[CompiledDriver]:
+def is_compiled(driver: Driver) -> TypeGuard[CompiledDriver]:
     """Check whether compiled code decides for a driver: a derived class may override `acceleration`."""
     return isinstance(driver, CompiledDriver) and type(driver).acceleration is CompiledDriver.acceleration
 
 
-def limit_driver(driver: CompiledDriver, acceleration: float, deceleration: float) -> dict[str, float]:
+def limit_driver_acceleration(driver: CompiledDriver, max_acceleration: float, max_deceleration: float) -> dict[str, float]:
     """Limit a started driver to what its vehicle can do (m/s²), until it is started again.
 
     Returns the driver's own value for each limit that it exceeds: ``"acceleration"``, ``"deceleration"``. The driver
     must not be in a fleet yet.
     """
-    fields = Behaviour._fields if driver.kind == BEHAVIOUR else Keeping._fields
+    fields = Behaviour._fields if driver.kind == BEHAVIOUR else FollowParameters._fields
     parameters, exceeded = driver._fleet.parameters[0], dict[str, float]()
     for limit, bound, names in (
-        ("acceleration", acceleration, ("acceleration",)),
-        ("deceleration", deceleration, ("max_deceleration", "comfortable_deceleration")),
+        ("acceleration", max_acceleration, ("acceleration",)),
+        ("deceleration", max_deceleration, ("max_deceleration", "comfortable_deceleration")),
     ):
         rows = [fields.index(name) for name in names]
         if parameters[rows[0]] > bound:
             exceeded[limit] = float(parameters[rows[0]])
         # The formulas divide by these values.
-        parameters[rows] = np.minimum(parameters[rows], max(bound, _LEAST_LIMIT))
+        parameters[rows] = np.minimum(parameters[rows], max(bound, _MIN_LIMIT))
     return exceeded
 
 
-def form_fleet(
+def build_fleet(
     drivers: Sequence[Driver],
-    driven: Sequence[int],
+    driven_rows: Sequence[int],
     scenarios: int,
     length: FloatArray,
     width: FloatArray,
     center_x: FloatArray,
-    kinds: Sequence[str],
+    object_types: Sequence[str],
 ) -> Fleet:
     """Gather started drivers, so that kernels and `Driver.acceleration` share one state.
 
     The drivers' state moves into the fleet's arrays, of which they keep views. `driven_rows` is the row of the entity
     of each driver; the boxes of all E entities are in m. The fleet has no routes yet.
     """
-    fleet = _empty_fleet(len(drivers), scenarios, max(len(kinds) - 1, 0))
-    boxes = np.stack((0.5 * length, 0.5 * width, center_x, _vulnerable(kinds)))
-    for d, (driver, e) in enumerate(zip(drivers, driven, strict=True)):
+    fleet = _empty_fleet(len(drivers), scenarios, max(len(object_types) - 1, 0))
+    boxes = np.stack((0.5 * length, 0.5 * width, center_x, _is_vulnerable(object_types)))
+    for d, (driver, e) in enumerate(zip(drivers, driven_rows, strict=True)):
         fleet.own[d] = boxes[:VULNERABLE, e]
         fleet.boxes[d] = np.delete(boxes, e, axis=1)
-        if decides_in_fleet(driver):
-            driver.join(fleet, d)
+        if is_compiled(driver):
+            driver.attach_to_fleet(fleet, d)
     return fleet
 
 
-def with_route(fleet: Fleet, driver: int, track: int, path: DrivenPath, where: BoolArray | None = None) -> Fleet:
+def set_route(fleet: Fleet, driver: int, track: int, path: DrivenPath, changed: BoolArray | None = None) -> Fleet:
     """Plan a driver's route along a track, replacing the previous one for that track.
 
     `changed`: scenarios (N,) in which a path that differs between scenarios has changed; all by default. Returns a
     fleet with the route, in new arrays or in those of the given fleet.
     """
-    samples, rows = count_samples(path), len(np.atleast_2d(path.distance))
+    samples, rows = count_route_samples(path), len(np.atleast_2d(path.distance))
     routes, chosen = fleet.routes, np.arange(rows)
     first = routes.row[driver, track] if track < routes.row.shape[1] else -1
     if first >= 0 and (routes.rows[driver, track], routes.samples[first]) == (rows, samples):
-        if where is not None and rows > 1:
-            chosen = np.flatnonzero(where)
+        if changed is not None and rows > 1:
+            chosen = np.flatnonzero(changed)
     else:
         if first >= 0:
-            routes = _without(routes, driver, track)
+            routes = _remove_route(routes, driver, track)
         first = len(routes.begin)
-        routes = _with_room(routes, driver, track, rows, samples)
+        routes = _append_empty_route(routes, driver, track, rows, samples)
     if len(chosen):
         behaviour = Behaviour(*fleet.parameters[driver])
         points = routes.begin[first + chosen][:, None] + np.arange(samples)
-        routes.points[points], routes.measures[first + chosen] = _plan(path, behaviour, chosen)
+        routes.points[points], routes.measures[first + chosen] = _plan_route_points(path, behaviour, chosen)
     return fleet._replace(routes=routes)
 
 
-def _plan(path: DrivenPath, behaviour: Behaviour, rows: IntArray) -> tuple[FloatArray, FloatArray]:
+def _plan_route_points(path: DrivenPath, behaviour: Behaviour, rows: IntArray) -> tuple[FloatArray, FloatArray]:
     """Points and measures of rows of a path, as in `Routes`; cached across batches for lanes."""
     lateral, braking = behaviour.lateral_acceleration, behaviour.comfortable_deceleration
-    cache = _PLANNED.setdefault(path, {}) if path.distance.ndim == 1 else {}
+    cache = _ROUTE_CACHE.setdefault(path, {}) if path.distance.ndim == 1 else {}
     if (lateral, braking) not in cache:
         plan = plan_route(path, lateral_acceleration=lateral, deceleration=braking, rows=rows)
-        columns = plan.x, plan.y, plan.cos, plan.sin, plan.squared_speed, plan.straight
-        measures = plan.step, plan.longest, plan.sharpest
+        columns = plan.x, plan.y, plan.cos, plan.sin, plan.max_speed_squared, plan.straight_count
+        measures = plan.step, plan.max_spacing, plan.max_turn
         cache[lateral, braking] = np.stack(columns, axis=-1), np.stack(measures, axis=-1)
     return cache[lateral, braking]
 
 
-def _with_room(routes: Routes, driver: int, track: int, rows: int, samples: int) -> Routes:
+def _append_empty_route(routes: Routes, driver: int, track: int, rows: int, samples: int) -> Routes:
     """Append empty rows of `samples` points each as the route of a driver along a track."""
     padding = ((0, 0), (0, max(track + 1 - routes.row.shape[1], 0)))
     row, counts = np.pad(routes.row, padding, constant_values=-1), np.pad(routes.rows, padding)
@@ -202,7 +202,7 @@ def _with_room(routes: Routes, driver: int, track: int, rows: int, samples: int)
     )
 
 
-def _without(routes: Routes, driver: int, track: int) -> Routes:
+def _remove_route(routes: Routes, driver: int, track: int) -> Routes:
     """Remove the route of a driver along a track."""
     first, rows = int(routes.row[driver, track]), int(routes.rows[driver, track])
     removed = slice(first, first + rows)
@@ -223,11 +223,11 @@ def _without(routes: Routes, driver: int, track: int) -> Routes:
 def _empty_fleet(drivers: int, scenarios: int, others: int) -> Fleet:
     memory = np.full((drivers, scenarios, AHEAD_FOR + 1, others), np.nan)
     memory[:, :, TURN], memory[:, :, AHEAD_FOR] = 0.0, 0.0
-    memory[:, :, FIRST_SEEN], memory[:, :, LAST_SEEN], memory[:, :, SINCE] = np.inf, -np.inf, np.inf
+    memory[:, :, FIRST_SEEN], memory[:, :, LAST_SEEN], memory[:, :, CONFLICT_SINCE] = np.inf, -np.inf, np.inf
     none = np.empty(0, dtype=np.int64)
     unplanned = np.full((drivers, 1), -1, dtype=np.int64)
     return Fleet(
-        kind=np.full(drivers, FOREIGN, dtype=np.int64),
+        kind=np.full(drivers, NOT_COMPILED, dtype=np.int64),
         parameters=np.zeros((drivers, len(Behaviour._fields))),
         own=np.zeros((drivers, 3)),
         boxes=np.zeros((drivers, VULNERABLE + 1, others)),
@@ -237,5 +237,5 @@ def _empty_fleet(drivers: int, scenarios: int, others: int) -> Fleet:
     )
 
 
-def _vulnerable(kinds: Sequence[str]) -> BoolArray:
-    return np.array([object_type in _VULNERABLE_KINDS for object_type in kinds], dtype=np.bool_)
+def _is_vulnerable(object_types: Sequence[str]) -> BoolArray:
+    return np.array([object_type in _VULNERABLE_TYPES for object_type in object_types], dtype=np.bool_)

@@ -10,34 +10,34 @@ from typing import Final
 
 from cornercase.drivers.traffic import HEADING, SPEED, TURN, X, Y, inline_kernel
 
-STANDING: Final = 0.2
+STANDING_SPEED: Final = 0.2
 """Speed in m/s below which an entity counts as standing."""
 
-TURNING: Final = 2.0
+TURN_DURATION: Final = 2.0
 """Time in s for which a turning entity is predicted to keep turning."""
 
 TURN_LEGS: Final = 8
 """Number of straight legs for that time."""
 
-STRAIGHT: Final = 0.05
+MAX_STRAIGHT_TURN_RATE: Final = 0.05
 """Turn rate in rad/s up to which an entity is predicted to go straight."""
 
 
 @inline_kernel
-def foresee(memory, o, cos, sin, center_x, horizon, legs):
+def predict_legs(memory, other, cos, sin, center_x, horizon, legs):
     """Fill `legs` with the predicted motion of another entity up to `horizon` (s); return their number.
 
     The entity keeps its turn rate for some time, then goes straight. `cos` and `sin` are of its heading; `center_x` is
     the centre of its box in m.
     """
-    x, y, heading, speed, turn = memory[X, o], memory[Y, o], memory[HEADING, o], memory[SPEED, o], memory[TURN, o]
-    if not (abs(turn) > STRAIGHT and abs(speed) >= STANDING):
+    x, y, heading, speed, turn = memory[X, other], memory[Y, other], memory[HEADING, other], memory[SPEED, other], memory[TURN, other]
+    if not (abs(turn) > MAX_STRAIGHT_TURN_RATE and abs(speed) >= STANDING_SPEED):
         legs[0, 0], legs[0, 1] = x + center_x * cos, y + center_x * sin
         legs[0, 2], legs[0, 3] = cos, sin
         legs[0, 4], legs[0, 5] = 0.0, horizon
         return 1
     for k in range(TURN_LEGS + 1):
-        duration = TURNING / TURN_LEGS
+        duration = TURN_DURATION / TURN_LEGS
         # The first leg has the current heading of the box.
         if k > 0:
             towards = heading + 0.5 * turn * duration

@@ -21,48 +21,48 @@ from cornercase.drivers.traffic import (
 
 
 @plain_kernel
-def keep_distance(keeping, scene):
+def follow_with_idm(parameters, scene):
     """Acceleration in m/s² of a driver that brakes for what is straight ahead; updates its memory."""
     v, target_speed, memory, time_step = scene.driven.speed, scene.driven.target_speed, scene.memory, scene.time_step
     if not math.isfinite(target_speed):
         target_speed = v
-    max_acceleration, braking = keeping.acceleration, keeping.comfortable_deceleration
+    max_acceleration, braking = parameters.acceleration, parameters.comfortable_deceleration
     result = min(max((target_speed - v) / time_step, -braking), max_acceleration)
     count = scene.others.shape[1]
     if count == 0:
         return result
     for a in range(count):
-        gap, closing = _ahead(scene, a, keeping.sight_range)
+        gap, closing = _gap_and_closing_speed(scene, a, parameters.sight_range)
         if not gap < math.inf:
             memory[AHEAD_FOR, a] = 0.0
             continue
         memory[AHEAD_FOR, a] += time_step
-        if memory[AHEAD_FOR, a] > keeping.reaction_time:
-            dynamic = v * keeping.time_headway + v * closing / (2.0 * math.sqrt(max_acceleration * braking))
-            wanted_gap = keeping.min_gap + max(0.0, dynamic)
+        if memory[AHEAD_FOR, a] > parameters.reaction_time:
+            dynamic = v * parameters.time_headway + v * closing / (2.0 * math.sqrt(max_acceleration * braking))
+            wanted_gap = parameters.min_gap + max(0.0, dynamic)
             speed_ratio_squared = (v / max(target_speed, 0.1)) ** 2
             result = min(
                 result,
                 max_acceleration
                 * (1.0 - speed_ratio_squared * speed_ratio_squared - (wanted_gap / max(gap, 0.1)) ** 2),
             )
-    return min(max(result, -keeping.max_deceleration), max_acceleration)
+    return min(max(result, -parameters.max_deceleration), max_acceleration)
 
 
 @plain_kernel
-def _ahead(scene, a, sight_range):
+def _gap_and_closing_speed(scene, other, sight_range):
     """Gap in m to another entity in the lane ahead (infinite otherwise), and the closing speed."""
     own_box, boxes, others, driven, cos, sin = scene.own, scene.boxes, scene.others, scene.driven, scene.cos, scene.sin
-    heading = others[HEADING, a]
-    if math.isnan(others[X, a]) or math.isnan(heading):
+    heading = others[HEADING, other]
+    if math.isnan(others[X, other]) or math.isnan(heading):
         return math.inf, 0.0
-    x = others[X, a] + boxes[CENTER_X, a] * math.cos(heading) - driven.x - own_box[CENTER_X] * cos
-    y = others[Y, a] + boxes[CENTER_X, a] * math.sin(heading) - driven.y - own_box[CENTER_X] * sin
+    x = others[X, other] + boxes[CENTER_X, other] * math.cos(heading) - driven.x - own_box[CENTER_X] * cos
+    y = others[Y, other] + boxes[CENTER_X, other] * math.sin(heading) - driven.y - own_box[CENTER_X] * sin
     along, lateral = cos * x + sin * y, abs(cos * y - sin * x)
     turn_cos, turn_sin = math.cos(heading - driven.heading), abs(math.sin(heading - driven.heading))
-    reach = boxes[HALF_LENGTH, a] * abs(turn_cos) + boxes[HALF_WIDTH, a] * turn_sin
-    half = boxes[HALF_LENGTH, a] * turn_sin + boxes[HALF_WIDTH, a] * abs(turn_cos)
+    reach = boxes[HALF_LENGTH, other] * abs(turn_cos) + boxes[HALF_WIDTH, other] * turn_sin
+    half = boxes[HALF_LENGTH, other] * turn_sin + boxes[HALF_WIDTH, other] * abs(turn_cos)
     gap = along - reach - own_box[HALF_LENGTH]
     if lateral < half + own_box[HALF_WIDTH] and along > 0.0 and gap < sight_range:
-        return gap, driven.speed - others[SPEED, a] * turn_cos
+        return gap, driven.speed - others[SPEED, other] * turn_cos
     return math.inf, 0.0

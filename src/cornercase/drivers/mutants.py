@@ -9,16 +9,16 @@ from typing import Final
 
 import numpy as np
 
-from cornercase._common.arguments import text, whole_number
+from cornercase._common.arguments import check_str, check_int
 from cornercase._common.errors import InputError
 from cornercase.drivers.base import Driver
 from cornercase.drivers.fleet import CompiledDriver
-from cornercase.drivers.registry import DRIVERS, is_registered
+from cornercase.drivers.registry import DRIVERS, is_registered_driver
 
-MOST_MUTANTS: Final = 1000
+MAX_MUTANTS: Final = 1000
 """Maximum number of mutants of a driver."""
 
-_GOLDEN: Final = (math.sqrt(5.0) - 1.0) / 2.0
+_GOLDEN_RATIO: Final = (math.sqrt(5.0) - 1.0) / 2.0
 
 
 @dataclass(frozen=True)
@@ -29,15 +29,15 @@ class Mutation:
     unit.
     """
 
-    words: str
+    description: str
     parameter: str
     mild: float
     severe: float
-    adds: bool = False
+    is_offset: bool = False
 
 
 MUTATIONS: Final = (
-    Mutation("reacts later", "reaction_time", 0.1, 1.5, adds=True),
+    Mutation("reacts later", "reaction_time", 0.1, 1.5, is_offset=True),
     Mutation("foresees less", "horizon", 0.8, 0.1),
     Mutation("narrower view", "field_of_view", 0.8, 0.1),
     Mutation("shorter sight", "sight_range", 0.7, 0.1),
@@ -72,7 +72,7 @@ class Mutant:
     mutation: str
 
 
-def mutants_of(driver: str, count: int, seed: int = 0) -> tuple[Mutant, ...]:
+def generate_mutants(driver: str, count: int, seed: int = 0) -> tuple[Mutant, ...]:
     """Draw mutants of a driver.
 
     The mutations take turns in random order. The severity of a mutant, from mild to severe on a logarithmic scale,
@@ -109,13 +109,13 @@ def mutants_of(driver: str, count: int, seed: int = 0) -> tuple[Mutant, ...]:
     >>> [mutant.driver for mutant in mutants_of("normal:horizon=4", 2)]
     ['normal:horizon=4,field_of_view=2.86', 'normal:horizon=4,min_gap=0.338']
     """
-    count = whole_number("count", count, 1, MOST_MUTANTS)
-    rng = np.random.default_rng(whole_number("seed", seed, 0))
-    parameters = _parameters(text("driver", driver))
+    count = check_int("count", count, 1, MAX_MUTANTS)
+    rng = np.random.default_rng(check_int("seed", seed, 0))
+    parameters = _numeric_parameters(check_str("driver", driver))
     mutations = [
         mutation
         for mutation in MUTATIONS
-        if parameters.get(mutation.parameter, 0.0) or (mutation.adds and mutation.parameter in parameters)
+        if parameters.get(mutation.parameter, 0.0) or (mutation.is_offset and mutation.parameter in parameters)
     ]
     mutations = [mutations[i] for i in rng.permutation(len(mutations))]
     starts = rng.random(len(mutations))
@@ -123,9 +123,9 @@ def mutants_of(driver: str, count: int, seed: int = 0) -> tuple[Mutant, ...]:
     # Values are rounded to three digits, so some coincide; there are enough others.
     for round_number in range(2 * count):
         for mutation, start in zip(mutations, starts.tolist(), strict=True):
-            severity = math.fmod(start + round_number * _GOLDEN, 1.0)
-            value = float(f"{_worse(mutation, parameters[mutation.parameter], severity):.3g}")
-            name = _renamed(driver, mutation.parameter, value)
+            severity = math.fmod(start + round_number * _GOLDEN_RATIO, 1.0)
+            value = float(f"{_mutate_value(mutation, parameters[mutation.parameter], severity):.3g}")
+            name = _set_driver_option(driver, mutation.parameter, value)
             if value != parameters[mutation.parameter] and name not in mutants:
                 mutants[name] = Mutant(name, mutation.words)
             if len(mutants) == count:
@@ -133,12 +133,12 @@ def mutants_of(driver: str, count: int, seed: int = 0) -> tuple[Mutant, ...]:
     return tuple(mutants.values())
 
 
-def _worse(kind: Mutation, value: float, severity: float) -> float:
-    amount: float = kind.mild * (kind.severe / kind.mild) ** severity
-    return value + amount if kind.adds else value * amount
+def _mutate_value(mutation: Mutation, value: float, severity: float) -> float:
+    amount: float = mutation.mild * (mutation.severe / mutation.mild) ** severity
+    return value + amount if mutation.is_offset else value * amount
 
 
-def _renamed(driver: str, parameter: str, value: float) -> str:
+def _set_driver_option(driver: str, parameter: str, value: float) -> str:
     base, _, options = driver.partition(":")
     other_options = [
         option for option in options.split(",") if option and option.partition("=")[0].strip() != parameter
@@ -146,23 +146,23 @@ def _renamed(driver: str, parameter: str, value: float) -> str:
     return f"{base}:{','.join([*other_options, f'{parameter}={value:g}'])}"
 
 
-def name_driver(driver: str | Driver | Mapping[str, object]) -> str:
+def nearest_preset_name(driver: str | Driver | Mapping[str, object]) -> str:
     """Name of a driver that can have mutants: the nearest preset, with options for what differs.
 
     Accepts a name, a driver, or its settings as stored in a study. Raises `InputError` for any other than cornercase's
     own drivers with parameters.
     """
     if isinstance(driver, str):
-        _parameters(driver)
+        _numeric_parameters(driver)
         return driver
     settings = dict(driver.settings if isinstance(driver, Driver) else driver)
     driver_kind = settings.get("driver")
     bases = {"behaviour": ("normal", "cautious", "aggressive"), "simple": ("simple",)}.get(str(driver_kind), ())
     candidates: list[tuple[int, str]] = []
     for base in bases:
-        defaults = _parameters(base)
+        defaults = _numeric_parameters(base)
         # A user's class derived from a built-in driver may decide differently.
-        if set(settings) != {"driver", *defaults} or not (isinstance(driver, Mapping) or _is_own(driver)):
+        if set(settings) != {"driver", *defaults} or not (isinstance(driver, Mapping) or _is_built_in(driver)):
             continue
         changed = {name: value for name, value in settings.items() if name in defaults and value != defaults[name]}
         options = ",".join(f"{name}={value!r}" for name, value in changed.items())
@@ -170,16 +170,16 @@ def name_driver(driver: str | Driver | Mapping[str, object]) -> str:
     if not candidates:
         raise InputError(f"The driver {driver_kind} has no mutants, as its parameters are unknown.")
     name = min(candidates, key=lambda candidate: candidate[0])[1]
-    _parameters(name)
+    _numeric_parameters(name)
     return name
 
 
-def _is_own(driver: Driver) -> bool:
+def _is_built_in(driver: Driver) -> bool:
     return type(driver).__module__.startswith("cornercase.drivers.")
 
 
-def _parameters(driver: str) -> dict[str, float]:
-    created = DRIVERS.create(driver) if is_registered(driver) else None
+def _numeric_parameters(driver: str) -> dict[str, float]:
+    created = DRIVERS.create(driver) if is_registered_driver(driver) else None
     if not isinstance(created, CompiledDriver):
         raise InputError(
             f"The driver {driver} has no mutants, as its parameters are unknown; use cautious, normal, aggressive"

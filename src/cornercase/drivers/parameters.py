@@ -114,7 +114,7 @@ AGGRESSIVE = NORMAL._replace(
 """Parameters of the driver ``aggressive``."""
 
 
-class Keeping(NamedTuple):
+class FollowParameters(NamedTuple):
     """Parameters of `SimpleDriver`, which documents them."""
 
     acceleration: float = 3.0
@@ -126,8 +126,8 @@ class Keeping(NamedTuple):
     sight_range: float = 60.0
 
 
-def require_parameter(name: str, value: float, may_be_zero: bool) -> None:
+def check_parameter(name: str, value: float, allow_zero: bool) -> None:
     """Raise `InputError` unless the value is finite and positive, or zero if that is allowed."""
-    if not math.isfinite(value) or value < 0.0 or (value == 0.0 and not may_be_zero):
-        requirement = "of 0 or more" if may_be_zero else "above zero"
+    if not math.isfinite(value) or value < 0.0 or (value == 0.0 and not allow_zero):
+        requirement = "of 0 or more" if allow_zero else "above zero"
         raise InputError(f"The driver's {name} is {value:g}; it has to be a finite number {requirement}.")

@@ -17,6 +17,6 @@ for _reference in ("cc-human", "fsm", "rss", "reg157"):
     DRIVERS.register(_reference, "cornercase.drivers.references.driver:ReferenceDriver", name=_reference)
 
 
-def is_registered(name: str) -> bool:
+def is_registered_driver(name: str) -> bool:
     """Check whether a name, with or without options, is that of a registered driver."""
     return name.partition(":")[0] in DRIVERS

@@ -9,13 +9,13 @@ import numpy as np
 from cornercase._common.typing import FloatArray, IntArray
 from cornercase.drivers.base import DrivenPath
 
-STEP: Final = 0.5
+ROUTE_STEP: Final = 0.5
 """Sample distance of a route in m, reduced to divide its length; contacts are refined between samples."""
 
-_FASTEST = 100.0
+_MAX_SPEED = 100.0
 
 # Largest deviation in m per sample of a straight line.
-_STRAIGHT = 1e-10
+_STRAIGHT_TOLERANCE = 1e-10
 
 
 class Route(NamedTuple):
@@ -33,10 +33,10 @@ class Route(NamedTuple):
     y: FloatArray
     cos: FloatArray
     sin: FloatArray
-    squared_speed: FloatArray
-    straight: FloatArray
-    longest: FloatArray
-    sharpest: FloatArray
+    max_speed_squared: FloatArray
+    straight_count: FloatArray
+    max_spacing: FloatArray
+    max_turn: FloatArray
 
 
 def plan_route(
@@ -51,38 +51,38 @@ def plan_route(
     if rows is not None:
         arrays = [array[rows] for array in arrays]
     planned = [
-        _plan_row(row, lateral_acceleration, deceleration, count_samples(path)) for row in zip(*arrays, strict=True)
+        _plan_path_row(row, lateral_acceleration, deceleration, count_route_samples(path)) for row in zip(*arrays, strict=True)
     ]
     step, *curves = (np.array(column) for column in zip(*planned, strict=True))
     x, y, cos, sin, squared_speed = curves
     longest, sharpest = (np.hypot(np.diff(a), np.diff(b)).max(axis=1) for a, b in ((x, y), (cos, sin)))
-    straight = np.array([_straight(*row) for row in zip(step, x, y, cos, sin, strict=True)])
+    straight = np.array([_count_straight_samples(*row) for row in zip(step, x, y, cos, sin, strict=True)])
     return Route(step, x, y, cos, sin, squared_speed, straight, longest, sharpest)
 
 
-def count_samples(path: DrivenPath) -> int:
+def count_route_samples(path: DrivenPath) -> int:
     """Number of samples in a row of the path's `Route`."""
-    return max(2, int(np.ceil(path.distance.max() / STEP)) + 1)
+    return max(2, int(np.ceil(path.distance.max() / ROUTE_STEP)) + 1)
 
 
-def _straight(step: float, x: FloatArray, y: FloatArray, cos: FloatArray, sin: FloatArray) -> FloatArray:
+def _count_straight_samples(step: float, x: FloatArray, y: FloatArray, cos: FloatArray, sin: FloatArray) -> FloatArray:
     """Number of samples that follow each sample of a row on a straight line in its direction."""
     position_error = np.hypot(np.diff(x) - step * cos[:-1], np.diff(y) - step * sin[:-1])
     direction_change = np.hypot(np.diff(cos), np.diff(sin))
-    ends = np.append(np.flatnonzero((position_error > _STRAIGHT) | (direction_change > _STRAIGHT)), len(x) - 1)
+    ends = np.append(np.flatnonzero((position_error > _STRAIGHT_TOLERANCE) | (direction_change > _STRAIGHT_TOLERANCE)), len(x) - 1)
     samples = np.arange(len(x))
     counts: FloatArray = (ends[np.searchsorted(ends, samples)] - samples).astype(np.float64)
     return counts
 
 
-def _plan_row(
+def _plan_path_row(
     row: tuple[FloatArray, ...],
     lateral_acceleration: float,
     deceleration: float,
     count: int,
 ) -> tuple[float, FloatArray, FloatArray, FloatArray, FloatArray, FloatArray]:
     distance, x, y, heading, curvature = row
-    in_curve = lateral_acceleration / np.maximum(np.abs(curvature), lateral_acceleration / _FASTEST**2)
+    in_curve = lateral_acceleration / np.maximum(np.abs(curvature), lateral_acceleration / _MAX_SPEED**2)
     from_start = in_curve + 2.0 * deceleration * distance
     squared = np.minimum.accumulate(from_start[::-1])[::-1] - 2.0 * deceleration * distance
     sample_distance = np.linspace(0.0, distance[-1], count)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from cornercase.drivers.fleet import CompiledDriver
-from cornercase.drivers.parameters import Keeping, require_parameter
+from cornercase.drivers.parameters import FollowParameters, check_parameter
 from cornercase.drivers.traffic import SIMPLE
 
 
@@ -46,9 +46,9 @@ class SimpleDriver(CompiledDriver):
         sight_range: float = 60.0,
     ) -> None:
         values = (acceleration, comfortable_deceleration, max_deceleration, time_headway, min_gap, reaction_time)
-        keeping = Keeping(*map(float, (*values, sight_range)))
+        keeping = FollowParameters(*map(float, (*values, sight_range)))
         for name, value in keeping._asdict().items():
-            require_parameter(name, value, name == "reaction_time")
+            check_parameter(name, value, name == "reaction_time")
         self.parameters = tuple(keeping)
         self.settings = {"driver": "simple", **keeping._asdict()}
         self.start(0, 0)

@@ -15,7 +15,7 @@ plain_kernel = kernel(error_model="numpy", _nrt=False)
 # For kernels that are called from one place, or are short.
 inline_kernel = kernel(error_model="numpy", _nrt=False, forceinline=True)
 
-FOREIGN: Final = -1
+NOT_COMPILED: Final = -1
 """Kind of a driver whose decisions are not compiled."""
 
 BEHAVIOUR: Final = 0
@@ -24,7 +24,7 @@ BEHAVIOUR: Final = 0
 SIMPLE: Final = 1
 """Kind of `SimpleDriver`."""
 
-X, Y, HEADING, SPEED, TURN, FIRST_SEEN, LAST_SEEN, SINCE, AHEAD_FOR = range(9)
+X, Y, HEADING, SPEED, TURN, FIRST_SEEN, LAST_SEEN, CONFLICT_SINCE, AHEAD_FOR = range(9)
 """Rows of `Fleet.memory`; the first four also those of the others' true motion."""
 
 NOTICED, KNOWN, YIELDING = range(3)
@@ -72,7 +72,7 @@ class Fleet(NamedTuple):
     routes: Routes
 
 
-class Driven(NamedTuple):
+class DrivenState(NamedTuple):
     """State of the driven entity in one scenario: m along its path; m, rad and m/s of its reference point.
 
     `target_speed` is in m/s; infinite or NaN if the scenario sets none.
@@ -86,7 +86,7 @@ class Driven(NamedTuple):
     target_speed: float
 
 
-class Scene(NamedTuple):
+class DriverScene(NamedTuple):
     """One driver in one scenario at one instant.
 
     `cos` and `sin` are of the driven entity's heading; `own` (3,), `boxes` (4, A), `memory` (9, A) and `awareness` (3,
@@ -96,7 +96,7 @@ class Scene(NamedTuple):
 
     time: float
     time_step: float
-    driven: Driven
+    driven: DrivenState
     cos: float
     sin: float
     own: FloatArray

@@ -32,13 +32,13 @@ EYE_AHEAD = 0.25
 """Position of the eye ahead of the box's centre, as a fraction of the box's length."""
 
 # Time constant in s of the perceived turn rate.
-TURN_MEAN = 0.2
+TURN_RATE_TIME_CONSTANT = 0.2
 
 # Closer comparisons, relatively, are repeated exactly.
-_CLOSE = 1e-9
+_TOLERANCE = 1e-9
 
 
-def in_sight(
+def find_visible_others(
     pose: FloatArray,
     box: FloatArray,
     others: FloatArray,
@@ -58,29 +58,29 @@ def in_sight(
     half = np.array([0.5, 0.5, 1.0])
     # Contiguous arrays, so that the kernel is compiled only once.
     arrays = np.ascontiguousarray(pose), np.ascontiguousarray(others)
-    seen: BoolArray = _look_each(field_of_view, sight_range, half * box, half[:, None] * boxes, *arrays)
+    seen: BoolArray = _find_visible_in_scenes(field_of_view, sight_range, half * box, half[:, None] * boxes, *arrays)
     return seen
 
 
 @kernel(error_model="numpy")
-def _look_each(field_of_view, sight_range, own, boxes, pose, others):
+def _find_visible_in_scenes(field_of_view, sight_range, own, boxes, pose, others):
     scenarios, count = len(pose), others.shape[2]
     seen, placed_boxes = np.empty((scenarios, count), dtype=np.bool_), np.full((count, 5), np.nan)
     for n in range(scenarios):
-        eye = eye_of(own, pose[n, 0], pose[n, 1], math.cos(pose[n, 2]), math.sin(pose[n, 2]))
-        look(field_of_view, sight_range, eye, boxes, others[n], placed_boxes, seen[n])
+        eye = eye_pose(own, pose[n, 0], pose[n, 1], math.cos(pose[n, 2]), math.sin(pose[n, 2]))
+        update_visible_others(field_of_view, sight_range, eye, boxes, others[n], placed_boxes, seen[n])
     return seen
 
 
 @inline_kernel
-def eye_of(own, x, y, cos, sin):
+def eye_pose(own, x, y, cos, sin):
     """Position and direction (x, y, cosine, sine) of a driver's eye; `own` is its box as in `Fleet`."""
     offset = own[CENTER_X] + EYE_AHEAD * (2.0 * own[HALF_LENGTH])
     return x + offset * cos, y + offset * sin, cos, sin
 
 
 @inline_kernel
-def look(field_of_view, sight_range, eye, boxes, others, now, seen):
+def update_visible_others(field_of_view, sight_range, eye, boxes, others, placed_boxes, seen):
     """Fill `seen` (A,) with the others that a driver sees in one scenario, and `placed_boxes` (A, 5) with their boxes.
 
     `eye` comes from `eye_pose`, `boxes` and `others` are as in `DriverScene`, `placed_boxes` is as in
@@ -91,34 +91,34 @@ def look(field_of_view, sight_range, eye, boxes, others, now, seen):
     for a in range(count):
         reach = sight_range + abs(boxes[CENTER_X, a]) + boxes[HALF_LENGTH, a] + boxes[HALF_WIDTH, a]
         away_x, away_y = others[X, a] - eye_x, others[Y, a] - eye_y
-        if away_x * away_x + away_y * away_y <= reach * reach * (1.0 + _CLOSE):
+        if away_x * away_x + away_y * away_y <= reach * reach * (1.0 + _TOLERANCE):
             # Most keep their heading.
-            if others[HEADING, a] != now[a, 4]:
-                now[a, 4] = others[HEADING, a]
-                now[a, 2], now[a, 3] = math.cos(others[HEADING, a]), math.sin(others[HEADING, a])
-            now[a, 0] = others[X, a] + boxes[CENTER_X, a] * now[a, 2]
-            now[a, 1] = others[Y, a] + boxes[CENTER_X, a] * now[a, 3]
+            if others[HEADING, a] != placed_boxes[a, 4]:
+                placed_boxes[a, 4] = others[HEADING, a]
+                placed_boxes[a, 2], placed_boxes[a, 3] = math.cos(others[HEADING, a]), math.sin(others[HEADING, a])
+            placed_boxes[a, 0] = others[X, a] + boxes[CENTER_X, a] * placed_boxes[a, 2]
+            placed_boxes[a, 1] = others[Y, a] + boxes[CENTER_X, a] * placed_boxes[a, 3]
         else:
             # Out of range it is neither seen, nor does it hide anything within range.
-            now[a, 0] = math.nan
+            placed_boxes[a, 0] = math.nan
     half_view = 0.5 * field_of_view
     edge = math.cos(half_view) if half_view < math.pi else -2.0
     for a in range(count):
         seen[a] = False
-        if math.isnan(now[a, 0]):
+        if math.isnan(placed_boxes[a, 0]):
             continue
         for point in range(5):
             longitudinal, lateral = 0.0, 0.0
             if point < 4:
                 longitudinal = boxes[HALF_LENGTH, a] * (1.0 if point < 2 else -1.0)
                 lateral = boxes[HALF_WIDTH, a] * (1.0 if point % 2 == 0 else -1.0)
-            to_x = now[a, 0] + longitudinal * now[a, 2] - lateral * now[a, 3] - eye_x
-            to_y = now[a, 1] + longitudinal * now[a, 3] + lateral * now[a, 2] - eye_y
-            if not _in_view(cos * to_x + sin * to_y, cos * to_y - sin * to_x, to_x, to_y, sight_range, half_view, edge):
+            to_x = placed_boxes[a, 0] + longitudinal * placed_boxes[a, 2] - lateral * placed_boxes[a, 3] - eye_x
+            to_y = placed_boxes[a, 1] + longitudinal * placed_boxes[a, 3] + lateral * placed_boxes[a, 2] - eye_y
+            if not _is_in_view(cos * to_x + sin * to_y, cos * to_y - sin * to_x, to_x, to_y, sight_range, half_view, edge):
                 continue
             hidden = False
             for b in range(count):
-                if b != a and _meets(eye_x, eye_y, to_x, to_y, now, b, boxes[HALF_LENGTH, b], boxes[HALF_WIDTH, b]):
+                if b != a and _ray_hits_box(eye_x, eye_y, to_x, to_y, placed_boxes, b, boxes[HALF_LENGTH, b], boxes[HALF_WIDTH, b]):
                     hidden = True
                     break
             if not hidden:
@@ -127,39 +127,39 @@ def look(field_of_view, sight_range, eye, boxes, others, now, seen):
 
 
 @inline_kernel
-def _in_view(along, across, to_x, to_y, sight_range, half_view, edge):
+def _is_in_view(along, across, to_x, to_y, sight_range, half_view, edge):
     """Check range and field of view; computes root and angle only in borderline cases."""
     squared = to_x * to_x + to_y * to_y
-    if squared > sight_range * sight_range * (1.0 + _CLOSE):
+    if squared > sight_range * sight_range * (1.0 + _TOLERANCE):
         return False
-    if squared > sight_range * sight_range * (1.0 - _CLOSE) and math.hypot(to_x, to_y) > sight_range:
+    if squared > sight_range * sight_range * (1.0 - _TOLERANCE) and math.hypot(to_x, to_y) > sight_range:
         return False
     away = math.sqrt(squared)
     inner = along - away * edge
-    if abs(inner) > _CLOSE * away:
+    if abs(inner) > _TOLERANCE * away:
         return inner > 0.0
     return abs(math.atan2(across, along)) <= half_view
 
 
 @plain_kernel
-def _meets(eye_x, eye_y, to_x, to_y, now, b, half_length, half_width):
+def _ray_hits_box(eye_x, eye_y, to_x, to_y, placed_boxes, box, half_length, half_width):
     """Check whether the line from the eye hits a box (slab method); a box around the eye itself hides nothing."""
-    if math.isnan(now[b, 0]):
+    if math.isnan(placed_boxes[box, 0]):
         return False
-    from_x, from_y = eye_x - now[b, 0], eye_y - now[b, 1]
+    from_x, from_y = eye_x - placed_boxes[box, 0], eye_y - placed_boxes[box, 1]
     enters, leaves = 0.0, 1.0
     inside = True
     for axis in range(2):
         if axis == 0:
             start, step, half = (
-                from_x * now[b, 2] + from_y * now[b, 3],
-                to_x * now[b, 2] + to_y * now[b, 3],
+                from_x * placed_boxes[box, 2] + from_y * placed_boxes[box, 3],
+                to_x * placed_boxes[box, 2] + to_y * placed_boxes[box, 3],
                 half_length,
             )
         else:
-            start, step, half = from_y * now[b, 2] - from_x * now[b, 3], to_y * now[b, 2] - to_x * now[b, 3], half_width
+            start, step, half = from_y * placed_boxes[box, 2] - from_x * placed_boxes[box, 3], to_y * placed_boxes[box, 2] - to_x * placed_boxes[box, 3], half_width
         # Nearly all boxes are on one side of the line.
-        if min(start, start + step) > half + _CLOSE or max(start, start + step) < -half - _CLOSE:
+        if min(start, start + step) > half + _TOLERANCE or max(start, start + step) < -half - _TOLERANCE:
             return False
         if step == 0.0 and abs(start) > half:
             return False
@@ -171,7 +171,7 @@ def _meets(eye_x, eye_y, to_x, to_y, now, b, half_length, half_width):
 
 
 @inline_kernel
-def perceive(behaviour, scene, seen):
+def update_perception(behaviour, scene, seen):
     """Update what a driver remembers and is aware of in one scenario, from the others in sight.
 
     An entity is known once it has been seen for the reaction time. Out of sight it is assumed to go straight at its
@@ -194,7 +194,7 @@ def perceive(behaviour, scene, seen):
                 if not 0.0 <= change < 2.0 * math.pi:
                     change %= 2.0 * math.pi
                 change -= math.pi
-                memory[TURN, a] += (change / since - memory[TURN, a]) * min(since / TURN_MEAN, 1.0)
+                memory[TURN, a] += (change / since - memory[TURN, a]) * min(since / TURN_RATE_TIME_CONSTANT, 1.0)
             memory[LAST_SEEN, a] = time
             memory[X, a], memory[Y, a] = others[X, a], others[Y, a]
             memory[HEADING, a], memory[SPEED, a] = others[HEADING, a], others[SPEED, a]

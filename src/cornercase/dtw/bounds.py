@@ -20,7 +20,7 @@ _ROUNDING = 1e-9
 _TINY = 1e-150
 
 
-def may_be_within(series: Sequence[npt.NDArray[np.floating[Any]]], distance: float, squared: bool) -> BoolArray:
+def find_pairs_within_distance(series: Sequence[npt.NDArray[np.floating[Any]]], distance: float, squared: bool) -> BoolArray:
     """Return which pairs may be at most `distance` apart, bool (n, n), symmetric.
 
     Each point of one series is matched with some point of the other, so its cost is at least its distance to their
@@ -34,12 +34,12 @@ def may_be_within(series: Sequence[npt.NDArray[np.floating[Any]]], distance: flo
     high = np.stack([values_of_series.max(axis=0) for values_of_series in series]).astype(np.float64)
     possible = np.ones((len(series), len(series)), dtype=np.bool_)
     limit = distance * (1.0 + _ROUNDING) + _TINY
-    _compare(points, starts, low, high, limit * limit if squared else limit, squared, possible)
+    _exclude_distant_pairs(points, starts, low, high, limit * limit if squared else limit, squared, possible)
     return possible & possible.T
 
 
 @kernel()
-def _compare(values, starts, low, high, limit, squared, possible):
+def _exclude_distant_pairs(values, starts, low, high, limit, squared, possible):
     dims = low.shape[1]
     for i in range(len(low)):
         for j in range(len(low)):

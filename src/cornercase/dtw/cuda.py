@@ -26,19 +26,19 @@ THREADS = 128
 # Memory for the rows of all pairs of one launch.
 ROW_BYTES = 1 << 30
 # Largest CUDA grid along the second axis.
-MOST_LINES = 65_535
+MAX_GRID_ROWS = 65_535
 
 Floats = npt.NDArray[np.floating[Any]]
 
 
-def distances(
+def compute_distances_on_gpu(
     rows: Sequence[Floats],
     columns: Sequence[Floats] | None,
     *,
     squared: bool,
     window: int | None,
     dtype: npt.DTypeLike,
-    advance: Callable[[int], None],
+    report_progress: Callable[[int], None],
 ) -> Floats:
     """Distances of checked series; parameters and result are those of the CPU version."""
     dtype = np.dtype(dtype)
@@ -46,8 +46,8 @@ def distances(
     partners = rows if columns is None else columns
     dims = rows[0].shape[1]
     # Longest first, so that the threads of a warp finish together and the last launch is short.
-    row_order, row_lengths = _by_length(rows)
-    column_order, column_lengths = _by_length(partners)
+    row_order, row_lengths = _sort_by_decreasing_length(rows)
+    column_order, column_lengths = _sort_by_decreasing_length(partners)
     longest, width = int(column_lengths[0]), len(partners)
     interleaved = np.zeros((longest, dims, width), dtype=dtype)
     for position, j in enumerate(column_order):
@@ -58,10 +58,10 @@ def distances(
     columns_on_device, column_lengths_on_device = cuda.to_device(interleaved), cuda.to_device(column_lengths)
 
     blocks = -(-width // THREADS)
-    together = max(1, min(len(rows), MOST_LINES, ROW_BYTES // ((longest + 1) * blocks * THREADS * dtype.itemsize)))
+    together = max(1, min(len(rows), MAX_GRID_ROWS, ROW_BYTES // ((longest + 1) * blocks * THREADS * dtype.itemsize)))
     rows_on_device = cuda.device_array((together, longest + 1, width), dtype=dtype)
     result_on_device = cuda.device_array((together, width), dtype=dtype)
-    kernel = _kernel(dims, squared, dtype)
+    kernel = _cuda_kernel(dims, squared, dtype)
     out = np.zeros((len(rows), width), dtype=dtype)
     for first in range(0, len(rows), together):
         stop = min(first + together, len(rows))
@@ -85,22 +85,22 @@ def distances(
                 out[later, row_order[i]] = line[i + 1 :]
             else:
                 out[row_order[i], column_order] = line
-        advance(_cells(row_lengths, column_lengths, range(first, stop), symmetric))
+        report_progress(_count_cells(row_lengths, column_lengths, range(first, stop), symmetric))
     return out
 
 
-def _by_length(series: Sequence[Floats]) -> tuple[IntArray, IntArray]:
+def _sort_by_decreasing_length(series: Sequence[Floats]) -> tuple[IntArray, IntArray]:
     lengths = np.array([len(values) for values in series], dtype=np.int64)
     order = np.argsort(-lengths, kind="stable")
     return order, lengths[order]
 
 
-def _cells(row_lengths: IntArray, column_lengths: IntArray, chosen: range, symmetric: bool) -> int:
-    return sum(int(row_lengths[i] * column_lengths[i + 1 if symmetric else 0 :].sum()) for i in chosen)
+def _count_cells(row_lengths: IntArray, column_lengths: IntArray, rows: range, symmetric: bool) -> int:
+    return sum(int(row_lengths[i] * column_lengths[i + 1 if symmetric else 0 :].sum()) for i in rows)
 
 
 @cache
-def _kernel(dims: int, squared: bool, dtype: np.dtype[Any]) -> Any:
+def _cuda_kernel(dims: int, squared: bool, dtype: np.dtype[Any]) -> Any:
     real = dtype.type
 
     @cuda.jit(device=True)

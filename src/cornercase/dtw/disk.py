@@ -22,11 +22,11 @@ import numpy as np
 import numpy.typing as npt
 
 from cornercase._common.errors import InputError
-from cornercase._common.memory import size_in_words
-from cornercase._common.platform import bytes_in_holes, fill_holes
+from cornercase._common.memory import format_size
+from cornercase._common.platform import count_unallocated_bytes, allocate_file
 from cornercase.dtw import pairs
-from cornercase.dtw.pairs import Settings
-from cornercase.dtw.tiles import Tiles
+from cornercase.dtw.pairs import DtwSettings
+from cornercase.dtw.tiles import ClusterTiles
 
 if TYPE_CHECKING:
     from distributed import Client
@@ -40,13 +40,13 @@ Floats = npt.NDArray[np.floating[Any]]
 FloatMap = np.memmap[Any, np.dtype[np.floating[Any]]]
 
 
-def distance_matrix(
+def fill_matrix_file(
     series: Sequence[Floats],
     out: str | os.PathLike[str] | FloatMap,
     *,
     resume: bool,
-    settings: Settings,
-    advance: Callable[[int], None],
+    settings: DtwSettings,
+    report_progress: Callable[[int], None],
     client: Client | None = None,
 ) -> FloatMap:
     """Fill a matrix on disk from checked series: a new file at a path, or a memmap (n, n) of an existing one.
@@ -56,7 +56,7 @@ def distance_matrix(
     space.
     """
     size = len(series)
-    path = Path(_file_of(out, size, settings.dtype) if isinstance(out, np.memmap) else out)
+    path = Path(_path_of_memmap(out, size, settings.dtype) if isinstance(out, np.memmap) else out)
     journal = path.with_name(path.name + ".progress")
     fingerprint = _fingerprint(series, settings)
     if isinstance(out, np.memmap):
@@ -70,28 +70,28 @@ def distance_matrix(
         journal.unlink(missing_ok=True)
     existed = path.exists()
     try:
-        checksums = _begun(journal, fingerprint)
-        view = out if isinstance(out, np.memmap) else _map_of(path, size, settings.dtype, new=not checksums)
+        checksums = _read_or_create_journal(journal, fingerprint)
+        view = out if isinstance(out, np.memmap) else _open_memmap(path, size, settings.dtype, new=not checksums)
         try:
-            _reserve(path)
+            _allocate_disk_space(path)
         except (InputError, OSError):
             if not existed:
                 path.unlink()
                 journal.unlink()
             raise
-        _fill(view, series, journal, checksums, settings, advance, client)
+        _compute_missing_squares(view, series, journal, checksums, settings, report_progress, client)
     except OSError as error:
         raise InputError(f"{path}: cannot be written ({error.strerror}).") from error
     return view
 
 
-def _fill(
+def _compute_missing_squares(
     view: FloatMap,
     series: Sequence[Floats],
     journal: Path,
-    noted: dict[tuple[int, int], int],
-    settings: Settings,
-    advance: Callable[[int], None],
+    checksums: dict[tuple[int, int], int],
+    settings: DtwSettings,
+    report_progress: Callable[[int], None],
     client: Client | None,
 ) -> None:
     bands = [range(first, min(first + SIDE, len(series))) for first in range(0, len(series), SIDE)]
@@ -99,14 +99,14 @@ def _fill(
     missing = []
     for a in range(len(bands)):
         for b in range(a, len(bands)):
-            if (a, b) in noted and _is_there(view, bands[a], bands[b], noted[a, b]):
-                advance(pairs.cells(parts[a], None if a == b else parts[b]))
+            if (a, b) in checksums and _matches_checksum(view, bands[a], bands[b], checksums[a, b]):
+                report_progress(pairs.count_cells(parts[a], None if a == b else parts[b]))
             else:
                 missing.append((a, b))
     with journal.open("ab") as notes:
-        for a, b, square in _squares(parts, missing, settings, advance, client):
+        for a, b, square in _iter_squares(parts, missing, settings, report_progress, client):
             rows, columns = bands[a], bands[b]
-            pairs.refuse_infinite(square, rows.start, columns.start)
+            pairs.require_finite_distances(square, rows.start, columns.start)
             # Map each square separately: unmapped pages no longer count as this process's memory.
             memmap = np.memmap(str(view.filename), view.dtype, "r+", view.offset, view.shape)
             memmap[rows.start : rows.stop, columns.start : columns.stop] = square
@@ -118,7 +118,7 @@ def _fill(
             os.fsync(notes.fileno())
 
 
-def _is_there(view: FloatMap, rows: range, columns: range, checksum: int) -> bool:
+def _matches_checksum(view: FloatMap, rows: range, columns: range, checksum: int) -> bool:
     """Check that a square and its mirror image match a checksum."""
     # Map each square separately, as for writing.
     memmap = np.memmap(str(view.filename), view.dtype, "r", view.offset, view.shape)
@@ -131,23 +131,23 @@ def _checksum(square: Floats) -> int:
     return zlib.crc32(np.ascontiguousarray(square).tobytes())
 
 
-def _squares(
+def _iter_squares(
     parts: Sequence[Sequence[Floats]],
-    wanted: Sequence[tuple[int, int]],
-    settings: Settings,
-    advance: Callable[[int], None],
+    missing: Sequence[tuple[int, int]],
+    settings: DtwSettings,
+    report_progress: Callable[[int], None],
     client: Client | None,
 ) -> Iterator[tuple[int, int, Floats]]:
     if client is None:
-        for a, b in wanted:
-            yield a, b, pairs.distances(parts[a], None if a == b else parts[b], settings, advance)
+        for a, b in missing:
+            yield a, b, pairs.compute_distances(parts[a], None if a == b else parts[b], settings, report_progress)
         return
-    for a, b, square in Tiles(client, settings, parts).squares(wanted):
+    for a, b, square in ClusterTiles(client, settings, parts).iter_squares(missing):
         yield a, b, square
-        advance(pairs.cells(parts[a], None if a == b else parts[b]))
+        report_progress(pairs.count_cells(parts[a], None if a == b else parts[b]))
 
 
-def _file_of(out: FloatMap, size: int, dtype: np.dtype[Any]) -> str:
+def _path_of_memmap(out: FloatMap, size: int, dtype: np.dtype[Any]) -> str:
     """Return the path of the file under a memmap, if it can be filled."""
     if out.shape != (size, size) or out.dtype != dtype:
         raise InputError(f"out is {out.dtype} of shape {out.shape}; give {dtype} of shape ({size}, {size}).")
@@ -158,7 +158,7 @@ def _file_of(out: FloatMap, size: int, dtype: np.dtype[Any]) -> str:
     return os.fspath(out.filename)
 
 
-def _map_of(path: Path, size: int, dtype: np.dtype[Any], *, new: bool) -> FloatMap:
+def _open_memmap(path: Path, size: int, dtype: np.dtype[Any], *, new: bool) -> FloatMap:
     if not new:
         # Extend a truncated file; its missing squares are computed again.
         end = _header_size(path) + size * size * dtype.itemsize
@@ -173,17 +173,17 @@ def _map_of(path: Path, size: int, dtype: np.dtype[Any], *, new: bool) -> FloatM
     return view
 
 
-def _reserve(path: Path) -> None:
+def _allocate_disk_space(path: Path) -> None:
     """Allocate the whole file now: the system kills a process that writes into a map of a full disk."""
-    lacking = bytes_in_holes(path)
+    lacking = count_unallocated_bytes(path)
     free = shutil.disk_usage(path).free
     if lacking > free:
         raise InputError(
-            f"{path}: needs {size_in_words(lacking)} more disk space, but only {size_in_words(free)} are free;"
+            f"{path}: needs {format_size(lacking)} more disk space, but only {format_size(free)} are free;"
             " free some space, or give a path on another disk."
         )
     if lacking > 0:
-        fill_holes(path)
+        allocate_file(path)
 
 
 def _header_size(path: Path) -> int:
@@ -197,7 +197,7 @@ def _header_size(path: Path) -> int:
         return file.tell()
 
 
-def _begun(journal: Path, fingerprint: str) -> dict[tuple[int, int], int]:
+def _read_or_create_journal(journal: Path, fingerprint: str) -> dict[tuple[int, int], int]:
     """Return checksums of the finished squares; start the journal if there is none."""
     if not journal.exists():
         journal.write_text(fingerprint + "\n", encoding="utf-8", newline="\n")
@@ -223,7 +223,7 @@ def _begun(journal: Path, fingerprint: str) -> dict[tuple[int, int], int]:
     return checksums
 
 
-def _fingerprint(series: Sequence[Floats], settings: Settings) -> str:
+def _fingerprint(series: Sequence[Floats], settings: DtwSettings) -> str:
     digest = hashlib.sha256()
     for values in series:
         digest.update(repr(values.shape).encode())

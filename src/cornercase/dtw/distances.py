@@ -15,12 +15,12 @@ from typing import TYPE_CHECKING, Any, Final, Literal
 import numpy as np
 import numpy.typing as npt
 
-from cornercase._common.dask_client import require_client
+from cornercase._common.dask_client import check_client
 from cornercase._common.errors import InputError
-from cornercase._common.platform import available_cpus
-from cornercase._common.progress import bars_wanted, step
+from cornercase._common.platform import count_available_cpus
+from cornercase._common.progress import show_bars, progress_step
 from cornercase.dtw import disk, pairs, tiles
-from cornercase.dtw.pairs import Settings
+from cornercase.dtw.pairs import DtwSettings
 
 if TYPE_CHECKING:
     from distributed import Client
@@ -93,23 +93,23 @@ def distance_matrix(
     >>> distance_matrix([[0.0, 1.0, 1.0], [0.0, 1.0], [2.0, 2.0]]).tolist()
     [[0.0, 0.0, 4.0], [0.0, 0.0, 3.0], [4.0, 3.0, 0.0]]
     """
-    settings = _settings(local_cost, window, dtype, n_jobs, device, client)
-    arrays = _checked(series)
+    settings = _check_settings(local_cost, window, dtype, n_jobs, device, client)
+    arrays = _validate_series(series)
     if resume and out is None:
         raise InputError("resume needs a matrix on disk; give out.")
     if len(arrays) < 2 and out is None:
         return np.zeros((len(arrays), len(arrays)), dtype=settings.dtype)
-    arrays = _centred(arrays, settings.dtype, len(arrays))
-    with _shown(progress, pairs.cells(arrays, None)) as advance:
+    arrays = _subtract_common_mean(arrays, settings.dtype, len(arrays))
+    with _progress_bar(progress, pairs.count_cells(arrays, None)) as advance:
         if out is None:
-            result = _computed(arrays, None, settings, client, advance)
-            pairs.refuse_infinite(result)
+            result = _compute_distances(arrays, None, settings, client, advance)
+            pairs.require_finite_distances(result)
             return result
         if isinstance(out, np.ndarray) and not isinstance(out, np.memmap):
             raise InputError("out is an array in memory; give a path or a numpy.memmap.")
         if not arrays:
             raise InputError("There are no series to fill out with.")
-        return disk.distance_matrix(arrays, out, resume=resume, settings=settings, advance=advance, client=client)
+        return disk.fill_matrix_file(arrays, out, resume=resume, settings=settings, report_progress=advance, client=client)
 
 
 def distances_to(
@@ -152,16 +152,16 @@ def distances_to(
     >>> distances_to([[0.0, 1.0, 1.0], [0.0, 1.0]], [[2.0, 2.0]]).tolist()
     [[4.0], [3.0]]
     """
-    settings = _settings(local_cost, window, dtype, n_jobs, device, client)
-    rows = _checked(series)
-    columns = _checked(landmarks, "Landmark", rows[0].shape[1] if rows else None)
+    settings = _check_settings(local_cost, window, dtype, n_jobs, device, client)
+    rows = _validate_series(series)
+    columns = _validate_series(landmarks, "Landmark", rows[0].shape[1] if rows else None)
     if not rows or not columns:
         return np.zeros((len(rows), len(columns)), dtype=settings.dtype)
-    arrays = _centred([*rows, *columns], settings.dtype, len(rows))
+    arrays = _subtract_common_mean([*rows, *columns], settings.dtype, len(rows))
     rows, columns = arrays[: len(rows)], arrays[len(rows) :]
-    with _shown(progress, pairs.cells(rows, columns)) as advance:
-        result = _computed(rows, columns, settings, client, advance)
-    pairs.refuse_infinite(result, columns="landmark ")
+    with _progress_bar(progress, pairs.count_cells(rows, columns)) as advance:
+        result = _compute_distances(rows, columns, settings, client, advance)
+    pairs.require_finite_distances(result, column_label="landmark ")
     return result
 
 
@@ -206,42 +206,42 @@ def kernel_matrix(
     """
     if not 0.0 < gamma < np.inf:
         raise InputError(f"gamma is {gamma!r}; give a finite number above 0.")
-    settings = _settings(local_cost, window, dtype, n_jobs, "cpu")
-    arrays = _checked(series)
+    settings = _check_settings(local_cost, window, dtype, n_jobs, "cpu")
+    arrays = _validate_series(series)
     if len(arrays) < 2:
         return np.ones((len(arrays), len(arrays)), dtype=settings.dtype)
-    arrays = _centred(arrays, settings.dtype, len(arrays))
+    arrays = _subtract_common_mean(arrays, settings.dtype, len(arrays))
     # exp underflows to 0 below the logarithm of half the smallest positive number.
     max_exponent = 1.0 + np.log(2.0) - np.log(float(np.finfo(settings.dtype).smallest_subnormal))
-    with _shown(progress, pairs.cells(arrays, None)) as advance:
-        result = pairs.distances(arrays, None, settings, advance, beyond=float(np.sqrt(max_exponent / gamma)))
+    with _progress_bar(progress, pairs.count_cells(arrays, None)) as advance:
+        result = pairs.compute_distances(arrays, None, settings, advance, max_distance=float(np.sqrt(max_exponent / gamma)))
     with np.errstate(over="ignore", under="ignore"):
         kernel: npt.NDArray[np.floating[Any]] = np.exp(-settings.dtype.type(gamma) * result**2)
     return kernel
 
 
-def _computed(
+def _compute_distances(
     rows: list[npt.NDArray[np.float64]],
     columns: list[npt.NDArray[np.float64]] | None,
-    settings: Settings,
+    settings: DtwSettings,
     client: Client | None,
-    advance: Callable[[int], None],
+    report_progress: Callable[[int], None],
 ) -> npt.NDArray[np.floating[Any]]:
     if client is None:
-        return pairs.distances(rows, columns, settings, advance)
-    return tiles.distances(rows, columns, settings, client, advance)
+        return pairs.compute_distances(rows, columns, settings, report_progress)
+    return tiles.compute_distances_on_cluster(rows, columns, settings, client, report_progress)
 
 
-def _settings(
+def _check_settings(
     local_cost: str,
     window: int | None,
     dtype: npt.DTypeLike,
     n_jobs: int | None,
     device: str,
     client: Client | None = None,
-) -> Settings:
+) -> DtwSettings:
     if client is not None:
-        require_client(client)
+        check_client(client)
         if device != "cpu":
             raise InputError("`client` computes on the CPUs of its workers; omit `device` or `client`.")
     if local_cost not in ("euclidean", "squared"):
@@ -251,14 +251,14 @@ def _settings(
     if dtype not in ("float64", "float32", np.float64, np.float32, np.dtype("float64"), np.dtype("float32")):
         raise InputError(f"dtype is {dtype!r}; choose 'float64' or 'float32'.")
     # Fits 64 bits, and exceeds any length.
-    window = None if window is None else min(_positive("window", window), 2**40)
-    threads = available_cpus() if n_jobs is None else _positive("n_jobs", n_jobs)
+    window = None if window is None else min(_check_positive_int("window", window), 2**40)
+    threads = count_available_cpus() if n_jobs is None else _check_positive_int("n_jobs", n_jobs)
     if device == "cuda":
         pairs.require_gpu()
-    return Settings(local_cost == "squared", window, np.dtype(dtype), threads, "cuda" if device == "cuda" else "cpu")
+    return DtwSettings(local_cost == "squared", window, np.dtype(dtype), threads, "cuda" if device == "cuda" else "cpu")
 
 
-def _centred(
+def _subtract_common_mean(
     arrays: list[npt.NDArray[np.float64]], dtype: np.dtype[Any], n_series: int
 ) -> list[npt.NDArray[np.float64]]:
     """Subtract the common mean in single precision; the first `n_series` arrays are series, the others landmarks."""
@@ -276,13 +276,13 @@ def _centred(
     return arrays
 
 
-def _positive(name: str, value: object) -> int:
+def _check_positive_int(name: str, value: object) -> int:
     if isinstance(value, bool) or not isinstance(value, (int, np.integer)) or value < 1:
         raise InputError(f"{name} is {value!r}; give a whole number of at least 1.")
     return int(value)
 
 
-def _checked(
+def _validate_series(
     series: Sequence[npt.ArrayLike], name: str = "Series", dims: int | None = None
 ) -> list[npt.NDArray[np.float64]]:
     """Return the series as finite arrays of shape (T_i, k); `dims` is k if already known."""
@@ -312,21 +312,21 @@ def _checked(
 
 
 # Cells per step of the progress bar.
-_SHOWN: Final = 1_000_000
+_CELLS_PER_STEP: Final = 1_000_000
 
 
 @contextmanager
-def _shown(progress: bool, cells: int) -> Iterator[Callable[[int], None]]:
+def _progress_bar(progress: bool, cells: int) -> Iterator[Callable[[int], None]]:
     """Show a progress bar; yield the function that takes the number of cells of each finished tile."""
-    total = max(1, round(cells / _SHOWN))
+    total = max(1, round(cells / _CELLS_PER_STEP))
     finished = 0
 
-    with bars_wanted(progress), step(total, "comparing", "million steps") as show:
+    with show_bars(progress), progress_step(total, "comparing", "million steps") as show:
 
         def advance(more: int) -> None:
             nonlocal finished
             finished += more
-            show(min(total, round(finished / _SHOWN)))
+            show(min(total, round(finished / _CELLS_PER_STEP)))
 
         yield advance
         show(total)

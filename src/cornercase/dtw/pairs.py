@@ -19,7 +19,7 @@ Floats = npt.NDArray[np.floating[Any]]
 
 
 @dataclass(frozen=True)
-class Settings:
+class DtwSettings:
     """What is computed, and where; `squared` and `window` as in ``cornercase.dtw.distance_matrix``."""
 
     squared: bool
@@ -29,54 +29,54 @@ class Settings:
     device: Literal["cpu", "cuda"]
 
 
-def distances(
+def compute_distances(
     rows: Sequence[Floats],
     columns: Sequence[Floats] | None,
-    settings: Settings,
-    advance: Callable[[int], None],
-    beyond: float | None = None,
+    settings: DtwSettings,
+    report_progress: Callable[[int], None],
+    max_distance: float | None = None,
 ) -> Floats:
     """Distances of checked series, shape (len(rows), len(columns)); infinite on overflow or if not computed.
 
     `columns` None means the rows. `report_progress` gets the number of cells done since its last call. Distances that
     surely exceed `max_distance` need not be computed (for all pairs of the rows on the CPU).
     """
-    total = cells(rows, columns)
-    distinct_rows, row_of = distinct(rows)
-    distinct_columns, column_of = (None, row_of) if columns is None else distinct(columns)
+    total = count_cells(rows, columns)
+    distinct_rows, row_of = remove_duplicates(rows)
+    distinct_columns, column_of = (None, row_of) if columns is None else remove_duplicates(columns)
     if settings.window is None:
-        distinct_rows, distinct_columns = without_common_rests(distinct_rows, distinct_columns)
+        distinct_rows, distinct_columns = trim_common_constant_parts(distinct_rows, distinct_columns)
     needed = None
-    if beyond is not None:
-        from cornercase.dtw.bounds import may_be_within
+    if max_distance is not None:
+        from cornercase.dtw.bounds import find_pairs_within_distance
 
-        needed = may_be_within(distinct_rows, beyond, settings.squared)
-    computed = cells(distinct_rows, distinct_columns)
+        needed = find_pairs_within_distance(distinct_rows, max_distance, settings.squared)
+    computed = count_cells(distinct_rows, distinct_columns)
     share = total / computed if computed else 0.0
 
-    def settled(done: int) -> None:
-        advance(round(done * share))
+    def report_done(done: int) -> None:
+        report_progress(round(done * share))
 
     if settings.device == "cuda":
         from cornercase.dtw import cuda
 
-        result = cuda.distances(
+        result = cuda.compute_distances_on_gpu(
             distinct_rows,
             distinct_columns,
             squared=settings.squared,
             window=settings.window,
             dtype=settings.dtype,
-            advance=settled,
+            report_progress=report_done,
         )
     else:
-        result = cpu.distances(
+        result = cpu.compute_distances_on_cpu(
             distinct_rows,
             distinct_columns,
             squared=settings.squared,
             window=settings.window,
             dtype=settings.dtype,
             n_jobs=settings.n_jobs,
-            advance=settled,
+            report_progress=report_done,
             needed=needed,
         )
     if len(distinct_rows) < len(rows) or (distinct_columns and columns and len(distinct_columns) < len(columns)):
@@ -84,16 +84,16 @@ def distances(
     return result
 
 
-def refuse_infinite(found: Floats, rows_from: int = 0, columns_from: int = 0, columns: str = "") -> None:
+def require_finite_distances(distances: Floats, first_row: int = 0, first_column: int = 0, column_label: str = "") -> None:
     """Raise `InputError` for the first pair whose distance has overflowed.
 
     `first_row`, `first_column`: index of the first row and column; `column_label`: what a column is, with a trailing
     space.
     """
-    if not np.isfinite(found).all():
-        i, j = np.argwhere(~np.isfinite(found))[0] + (rows_from, columns_from)
+    if not np.isfinite(distances).all():
+        i, j = np.argwhere(~np.isfinite(distances))[0] + (first_row, first_column)
         raise InputError(
-            f"The distance of series {i} and {columns}{j} is too large for {found.dtype}; scale the values down."
+            f"The distance of series {i} and {column_label}{j} is too large for {distances.dtype}; scale the values down."
         )
 
 
@@ -109,7 +109,7 @@ def require_gpu() -> None:
         raise InputError("device 'cuda' needs an NVIDIA GPU and its driver, but none was found; choose device 'cpu'.")
 
 
-def cells(rows: Sequence[Floats], columns: Sequence[Floats] | None) -> int:
+def count_cells(rows: Sequence[Floats], columns: Sequence[Floats] | None) -> int:
     """Total number of cells of the tables of all pairs."""
     lengths = np.array([len(values) for values in rows], dtype=np.float64)
     if columns is None:
@@ -117,7 +117,7 @@ def cells(rows: Sequence[Floats], columns: Sequence[Floats] | None) -> int:
     return int(lengths.sum() * sum(len(values) for values in columns))
 
 
-def distinct(series: Sequence[Floats]) -> tuple[Sequence[Floats], IntArray]:
+def remove_duplicates(series: Sequence[Floats]) -> tuple[Sequence[Floats], IntArray]:
     """Return series without bitwise duplicates, and the index among them for each series."""
     positions: dict[bytes, int] = {}
     index = np.array([positions.setdefault(values.tobytes(), len(positions)) for values in series], dtype=np.int64)
@@ -125,7 +125,7 @@ def distinct(series: Sequence[Floats]) -> tuple[Sequence[Floats], IntArray]:
     return [series[i] for i in first], index
 
 
-def without_common_rests(
+def trim_common_constant_parts(
     rows: Sequence[Floats], columns: Sequence[Floats] | None
 ) -> tuple[Sequence[Floats], Sequence[Floats] | None]:
     """Shorten a common constant start, or end, of all series to one point, which changes no distance.
@@ -146,15 +146,15 @@ def without_common_rests(
     if not at_begin and not at_end:
         return rows, columns
 
-    def shortened(one: Floats) -> Floats:
+    def shorten(values: Floats) -> Floats:
         if at_begin:
-            moving = np.flatnonzero((one != one[0]).any(axis=1))
-            one = one[moving[0] - 1 :] if len(moving) else one[:1]
+            moving = np.flatnonzero((values != values[0]).any(axis=1))
+            values = values[moving[0] - 1 :] if len(moving) else values[:1]
         if at_end:
-            moving = np.flatnonzero((one != one[-1]).any(axis=1))
-            one = one[: moving[-1] + 2] if len(moving) else one[:1]
-        return one
+            moving = np.flatnonzero((values != values[-1]).any(axis=1))
+            values = values[: moving[-1] + 2] if len(moving) else values[:1]
+        return values
 
-    return [shortened(values) for values in rows], None if columns is None else [
-        shortened(values) for values in columns
+    return [shorten(values) for values in rows], None if columns is None else [
+        shorten(values) for values in columns
     ]

@@ -17,7 +17,7 @@ from llvmlite.binding import get_host_cpu_features
 from numba.core import cgutils, types
 from numba.extending import intrinsic, models, register_model
 
-BYTES = 64
+VECTOR_BYTES = 64
 
 
 class Vector(types.Type):
@@ -25,7 +25,7 @@ class Vector(types.Type):
 
     def __init__(self, dtype: types.Float) -> None:
         self.dtype = dtype
-        self.lanes = BYTES * 8 // dtype.bitwidth
+        self.lanes = VECTOR_BYTES * 8 // dtype.bitwidth
         super().__init__(name=f"Vector({dtype} x {self.lanes})")
 
 
@@ -52,7 +52,7 @@ def _broadcast(builder: Any, scalar: Any, vector: ir.VectorType) -> Any:
     return builder.shuffle_vector(first_lane, undefined, mask)
 
 
-def _call(builder: Any, name: str, value: Any) -> Any:
+def _call_llvm_intrinsic(builder: Any, name: str, value: Any) -> Any:
     suffix = f"v{value.type.count}{'f64' if value.type.element == ir.DoubleType() else 'f32'}"
     function_type = ir.FunctionType(value.type, [value.type])
     function = cgutils.get_or_insert_function(builder.module, function_type, f"llvm.{name}.{suffix}")
@@ -60,7 +60,7 @@ def _call(builder: Any, name: str, value: Any) -> Any:
 
 
 @intrinsic
-def load(typingctx: Any, array: Any, index: Any) -> Any:
+def load_vector(typingctx: Any, array: Any, index: Any) -> Any:
     """Load a vector from `index` on of a contiguous one-dimensional array."""
     vector = Vector(array.dtype)
 
@@ -73,7 +73,7 @@ def load(typingctx: Any, array: Any, index: Any) -> Any:
 
 
 @intrinsic
-def store(typingctx: Any, array: Any, index: Any, value: Any) -> Any:
+def store_vector(typingctx: Any, array: Any, index: Any, value: Any) -> Any:
     """Write a vector to the elements from `index` on."""
 
     def codegen(context: Any, builder: Any, signature: Any, args: Any) -> Any:
@@ -86,7 +86,7 @@ def store(typingctx: Any, array: Any, index: Any, value: Any) -> Any:
 
 
 @intrinsic(prefer_literal=True)
-def point(typingctx: Any, array: Any, index: Any, dims: Any) -> Any:
+def broadcast_point(typingctx: Any, array: Any, index: Any, dims: Any) -> Any:
     """Tuple of `dims` (a constant) vectors, each with one element from `index` on in every lane."""
     vector = Vector(array.dtype)
     vectors = types.UniTuple(vector, dims.literal_value)
@@ -125,7 +125,7 @@ def sum_of_squares(typingctx: Any, point: Any, array: Any, index: Any) -> Any:
     return point.dtype(point, array, types.intp), codegen
 
 
-def _binary(build: Any) -> Any:
+def _make_binary_intrinsic(build: Any) -> Any:
     def typed(typingctx: Any, a: Any, b: Any) -> Any:
         def codegen(context: Any, builder: Any, signature: Any, args: Any) -> Any:
             return build(builder, *args)
@@ -135,7 +135,7 @@ def _binary(build: Any) -> Any:
     return intrinsic(typed)
 
 
-def _unary(build: Any) -> Any:
+def _make_unary_intrinsic(build: Any) -> Any:
     def typed(typingctx: Any, a: Any) -> Any:
         def codegen(context: Any, builder: Any, signature: Any, args: Any) -> Any:
             return build(builder, args[0])
@@ -145,9 +145,9 @@ def _unary(build: Any) -> Any:
     return intrinsic(typed)
 
 
-add = _binary(lambda builder, a, b: builder.fadd(a, b))
-subtract = _binary(lambda builder, a, b: builder.fsub(a, b))
-minimum = _binary(lambda builder, a, b: builder.select(builder.fcmp_ordered("<", a, b), a, b))
+add = _make_binary_intrinsic(lambda builder, a, b: builder.fadd(a, b))
+subtract = _make_binary_intrinsic(lambda builder, a, b: builder.fsub(a, b))
+minimum = _make_binary_intrinsic(lambda builder, a, b: builder.select(builder.fcmp_ordered("<", a, b), a, b))
 
 
 # In AVX-512 the integer minimum runs in parallel with additions, and the floating-point minimum competes with them. The
@@ -156,26 +156,26 @@ _INTEGER_MINIMUM = bool(get_host_cpu_features().get("avx512f"))
 
 
 @intrinsic
-def lowest(typingctx: Any, a: Any, b: Any) -> Any:
+def nonnegative_minimum(typingctx: Any, a: Any, b: Any) -> Any:
     """Minimum of two vectors of non-negative numbers, including infinity."""
 
     def codegen(context: Any, builder: Any, signature: Any, args: Any) -> Any:
         a, b = args
         if not _INTEGER_MINIMUM:
             return builder.select(builder.fcmp_ordered("<", a, b), a, b)
-        integer_vector = ir.VectorType(ir.IntType(BYTES * 8 // a.type.count), a.type.count)
+        integer_vector = ir.VectorType(ir.IntType(VECTOR_BYTES * 8 // a.type.count), a.type.count)
         p, q = builder.bitcast(a, integer_vector), builder.bitcast(b, integer_vector)
         return builder.bitcast(builder.select(builder.icmp_signed("<", p, q), p, q), a.type)
 
     return a(a, b), codegen
 
 
-absolute = _unary(lambda builder, a: _call(builder, "fabs", a))
-root = _unary(lambda builder, a: _call(builder, "sqrt", a))
+absolute = _make_unary_intrinsic(lambda builder, a: _call_llvm_intrinsic(builder, "fabs", a))
+root = _make_unary_intrinsic(lambda builder, a: _call_llvm_intrinsic(builder, "sqrt", a))
 
 
 @intrinsic
-def within(typingctx: Any, value: Any, shift: Any, below: Any, above: Any) -> Any:
+def mask_outside_band(typingctx: Any, value: Any, shift: Any, below: Any, above: Any) -> Any:
     """`value` in the lanes where ``-below <= shift <= above`` for the scalar `shift`, else infinity."""
 
     def codegen(context: Any, builder: Any, signature: Any, args: Any) -> Any:

@@ -8,23 +8,23 @@ from typing import Final
 from scipy.optimize import brentq
 from scipy.special import betaln, xlog1py, xlogy
 
-from cornercase._common.shares import clopper_pearson
+from cornercase._common.shares import clopper_pearson_interval
 from cornercase.evidence.estimate import Estimate
 
 _CONFIDENCE: Final = 0.9
 
 
-def bounds_of_share(hits: int, drawn: int) -> Estimate:
+def proportion_interval(hits: int, draws: int) -> Estimate:
     """Clopper-Pearson 90 % interval of a proportion, from `hits` of `draws` random draws; 0 to 1 without draws.
 
     Without a hit the upper end is about 3 / `draws` (the rule of three).
     """
-    if not drawn:
+    if not draws:
         return Estimate(0.5, 0.0, 1.0)
-    return Estimate(hits / drawn, *clopper_pearson(hits, drawn, (1.0 - _CONFIDENCE) / 2.0))
+    return Estimate(hits / draws, *clopper_pearson_interval(hits, draws, (1.0 - _CONFIDENCE) / 2.0))
 
 
-def highest_share(hits: int, drawn: int, doubt: float = 0.05) -> float:
+def anytime_upper_bound(hits: int, draws: int, error_probability: float = 0.05) -> float:
     """Upper bound of a proportion that holds at all times, even if draws are stopped depending on the bound.
 
     The true proportion ever exceeds the bound with a probability of at most `error_probability`. The bound inverts the
@@ -32,12 +32,12 @@ def highest_share(hits: int, drawn: int, doubt: float = 0.05) -> float:
     probability `error_probability` at most, at any time: H. Robbins, "Statistical methods related to the law of the
     iterated logarithm", Annals of Mathematical Statistics 41 (1970).
     """
-    if not drawn or hits == drawn:
+    if not draws or hits == draws:
         return 1.0
-    mixture = float(betaln(hits + 0.5, drawn - hits + 0.5) - betaln(0.5, 0.5))
+    mixture = float(betaln(hits + 0.5, draws - hits + 0.5) - betaln(0.5, 0.5))
 
-    def against(share: float) -> float:
+    def log_evidence_against(proportion: float) -> float:
         """Logarithm of the evidence against a proportion, less what is needed to reject it."""
-        return mixture - float(xlogy(hits, share) + xlog1py(drawn - hits, -share)) + math.log(doubt)
+        return mixture - float(xlogy(hits, proportion) + xlog1py(draws - hits, -proportion)) + math.log(error_probability)
 
-    return float(brentq(against, max(hits / drawn, 1e-12), 1.0 - 1e-12))
+    return float(brentq(log_evidence_against, max(hits / draws, 1e-12), 1.0 - 1e-12))

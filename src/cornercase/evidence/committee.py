@@ -9,12 +9,12 @@ import numpy as np
 from scipy.special import ndtr
 
 from cornercase._common.typing import BoolArray, FloatArray, IntArray
-from cornercase.evidence.foretold import ForetoldByWay, Kernels
-from cornercase.evidence.gaussian_process import GaussianProcess, boundary_process, near_threshold
-from cornercase.evidence.kernel import chosen, evenly
+from cornercase.evidence.foretold import PerBranchFeatureModels, FeatureKernels
+from cornercase.evidence.gaussian_process import GaussianProcess, fit_boundary_process, squash_around_threshold
+from cornercase.evidence.kernel import indices_with_rare_values, evenly_spaced_indices
 from cornercase.metrics import Feature
 
-FOUND: Final = 0.45
+PREDICTED_CRITICAL: Final = 0.45
 """Probability from which a scenario is predicted critical: half of the F1 score, 0.9, that a search aims at.
 
 The set with the best F1 score contains all scenarios whose probability is at least half of that score: Z. C. Lipton,
@@ -27,10 +27,10 @@ if TYPE_CHECKING:
 _TREES: Final = 64
 _FOLDS: Final = 5
 # For the weights of the members: trees per member, EM steps, and prior count of scenarios for each member.
-_FEW_TREES, _WEIGHINGS, _BEFOREHAND = 24, 30, 2.0
-_LEAST: Final = 0.01  # probabilities of members are clipped to this
+_WEIGHTING_TREES, _EM_STEPS, _PRIOR_COUNT = 24, 30, 2.0
+_MIN_PROBABILITY: Final = 0.01  # probabilities of members are clipped to this
 # Features that hardly depend on the parameters or are redundant: with them trees find the boundary no better.
-_NOT_LEARNED: Final = frozenset(
+_UNUSED_FEATURES: Final = frozenset(
     {
         *("nearest-cos", "nearest-sin", "nearest-ego-speed", "nearest-other-speed", "nearest-way"),
         *("crossing-distance", "turn-time", "turn-way", "duration", "way", "contact"),
@@ -66,83 +66,83 @@ class Committee:
     max_tree_scenarios: ClassVar[int] = 4000
 
     def __init__(
-        self, threshold: float, columns: Sequence[Feature] = (), seed: int = 0, *, foretold: bool = False
+        self, threshold: float, columns: Sequence[Feature] = (), seed: int = 0, *, has_prediction: bool = False
     ) -> None:
-        self._threshold, self._seed, self._from_elsewhere = threshold, seed, foretold
-        self._inputs = [j for j, feature in enumerate(columns) if feature.name not in _NOT_LEARNED]
+        self._threshold, self._seed, self._has_prediction = threshold, seed, has_prediction
+        self._inputs = [j for j, feature in enumerate(columns) if feature.name not in _UNUSED_FEATURES]
         self._branches = [j for j, feature in enumerate(columns) if feature.branch]
         self.process: GaussianProcess
-        self._foretold: ForetoldByWay
+        self._feature_models: PerBranchFeatureModels
 
     def fit(self, points: FloatArray, scores: FloatArray, features: FloatArray | None = None) -> Committee:
         """Learn kernels and weights from points (n, e), finite scores (n,), not all equal, and features (n, f)."""
-        self.process = boundary_process(points, scores, self._threshold, foretold=self._from_elsewhere)
-        self._grow(points, scores, features)
-        self._weights = _weights(self._left_out(_FEW_TREES), self._critical)
+        self.process = fit_boundary_process(points, scores, self._threshold, has_prediction=self._has_prediction)
+        self._train_on_subset(points, scores, features)
+        self._weights = _fit_member_weights(self._out_of_fold_by_member(_WEIGHTING_TREES), self._critical)
         return self
 
-    def know(self, points: FloatArray, scores: FloatArray, features: FloatArray | None = None) -> Committee:
+    def condition_on(self, points: FloatArray, scores: FloatArray, features: FloatArray | None = None) -> Committee:
         """Replace the scenarios, keeping kernels and weights; arguments as for `fit`."""
-        self.process.know_scores(points, scores, self._threshold)
-        self._grow(points, scores, features, self._foretold.kernels)
+        self.process.condition_on_scores(points, scores, self._threshold)
+        self._train_on_subset(points, scores, features, self._feature_models.kernels)
         return self
 
-    def _grow(
+    def _train_on_subset(
         self,
         points: FloatArray,
         scores: FloatArray,
         features: FloatArray | None,
-        kernels: Mapping[int | None, Kernels] | None = None,
+        kernels: Mapping[int | None, FeatureKernels] | None = None,
     ) -> None:
         """Train trees and feature processes on the scenarios, or a subset of many; kernels are learned if not given."""
-        self._every, self._some = points, self._known_by_trees(scores)
-        points, scores = points[self._some], scores[self._some]
-        features = None if features is None else features[self._some]
-        inputs, subset = self._learned_from(scores, features), self._known_by_processes(scores)
-        self._critical, self._kinds = scores <= self._threshold, self._kinds_of(scores, features)
-        self._foretold = ForetoldByWay(points, inputs, self._kinds // 2, kernels, subset)
-        self._points, self._columns = points, np.hstack([points, self._foretold.left_out])
-        self._trees, self._forest = self._grown(np.arange(len(points)), _TREES)
+        self._all_points, self._tree_scenarios = points, self._select_tree_scenarios(scores)
+        points, scores = points[self._tree_scenarios], scores[self._tree_scenarios]
+        features = None if features is None else features[self._tree_scenarios]
+        inputs, subset = self._feature_inputs(scores, features), self._select_process_scenarios(scores)
+        self._critical, self._classes = scores <= self._threshold, self._class_labels(scores, features)
+        self._feature_models = PerBranchFeatureModels(points, inputs, self._classes // 2, kernels, subset)
+        self._points, self._columns = points, np.hstack([points, self._feature_models.leave_one_out])
+        self._trees, self._forest = self._train_trees(np.arange(len(points)), _TREES)
 
     def predict(self, points: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return the probability of being critical, and that of the likeliest branch, (m,) each, at points (m, e)."""
         mean, deviation = self.process.predict(points)
-        critical, classes = self._together(points, mean / np.hypot(deviation, self.process.kernel.noise))
+        critical, classes = self._combine_members(points, mean / np.hypot(deviation, self.process.kernel.noise))
         branches = self._trees.classes_ // 2
         by_branch = np.stack([classes[:, branches == branch].sum(axis=1) for branch in np.unique(branches)])
         return critical, np.minimum(by_branch.max(axis=0), 1.0)
 
-    def _together(self, points: FloatArray, t: FloatArray) -> tuple[FloatArray, FloatArray]:
+    def _combine_members(self, points: FloatArray, t: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Weighted probability of being critical, and that of each class; `t`: the process in deviations above 0."""
-        classes = self._trees.predict_proba(np.hstack([points, self._foretold.predict(points)]))
-        by_member = [_of_kinds(self._trees, classes), _of_sides(self._forest, points), ndtr(-t)]
+        classes = self._trees.predict_proba(np.hstack([points, self._feature_models.predict_features(points)]))
+        by_member = [_critical_probability_of_classes(self._trees, classes), _critical_probability_by_forest(self._forest, points), ndtr(-t)]
         return np.asarray(self._weights @ np.stack(by_member)), classes
 
-    def out_of_fold(self) -> FloatArray:
+    def out_of_fold_probability(self) -> FloatArray:
         """Probability of being critical of each known scenario, predicted from others, (n,).
 
         By trees that were trained without the scenario's fold, and by the process of all other scenarios.
         """
-        probability = np.empty(len(self._every))
-        probability[self._some] = self._left_out(_TREES) @ self._weights
+        probability = np.empty(len(self._all_points))
+        probability[self._tree_scenarios] = self._out_of_fold_by_member(_TREES) @ self._weights
         # The trees were not trained on the rest, so no folds are needed there.
-        rest = np.setdiff1d(np.arange(len(probability)), self._some)
+        rest = np.setdiff1d(np.arange(len(probability)), self._tree_scenarios)
         if len(rest):
             mean, deviation = self.process.leave_one_out(rest)
-            probability[rest] = self._together(self._every[rest], mean / deviation)[0]
+            probability[rest] = self._combine_members(self._all_points[rest], mean / deviation)[0]
         return probability
 
-    def _left_out(self, count: int) -> FloatArray:
+    def _out_of_fold_by_member(self, n_trees: int) -> FloatArray:
         """Out-of-fold probabilities by each member for the scenarios that trees use, (n, 3), `n_trees` trees each."""
-        mean, deviation = self.process.leave_one_out(self._some)
+        mean, deviation = self.process.leave_one_out(self._tree_scenarios)
         probability: FloatArray = np.stack([np.empty(len(mean)), np.empty(len(mean)), ndtr(-mean / deviation)], axis=1)
-        for train, test in self._folds():
-            trees, forest = self._grown(train, count)
-            probability[test, 0] = _of_kinds(trees, trees.predict_proba(self._columns[test]))
-            probability[test, 1] = _of_sides(forest, self._points[test])
+        for train, test in self._train_test_folds():
+            trees, forest = self._train_trees(train, n_trees)
+            probability[test, 0] = _critical_probability_of_classes(trees, trees.predict_proba(self._columns[test]))
+            probability[test, 1] = _critical_probability_by_forest(forest, self._points[test])
         return probability
 
-    def _folds(self) -> Iterator[tuple[IntArray, IntArray]]:
+    def _train_test_folds(self) -> Iterator[tuple[IntArray, IntArray]]:
         smallest_class = int(np.bincount(self._critical, minlength=2).min())
         if smallest_class < 2:
             # A class of one scenario cannot be stratified.
@@ -154,25 +154,25 @@ class Committee:
         folds = StratifiedKFold(min(_FOLDS, smallest_class), shuffle=True, random_state=self._seed)
         return iter(folds.split(self._points, self._critical))
 
-    def _grown(self, some: IntArray, count: int) -> tuple[ExtraTreesClassifier, RandomForestClassifier]:
+    def _train_trees(self, indices: IntArray, n_trees: int) -> tuple[ExtraTreesClassifier, RandomForestClassifier]:
         """Train trees on predicted features for the classes, and a forest on parameters for being critical."""
         from sklearn.ensemble import ExtraTreesClassifier, RandomForestClassifier
 
         # Every split considers all features, since few of them tell the branches of a scenario apart.
-        trees = ExtraTreesClassifier(count, max_features=None, random_state=self._seed)
-        forest = RandomForestClassifier(count, random_state=self._seed)
-        return trees.fit(self._columns[some], self._kinds[some]), forest.fit(self._points[some], self._critical[some])
+        trees = ExtraTreesClassifier(n_trees, max_features=None, random_state=self._seed)
+        forest = RandomForestClassifier(n_trees, random_state=self._seed)
+        return trees.fit(self._columns[indices], self._classes[indices]), forest.fit(self._points[indices], self._critical[indices])
 
-    def _known_by_trees(self, scores: FloatArray) -> IntArray:
+    def _select_tree_scenarios(self, scores: FloatArray) -> IntArray:
         """Scenarios that trees use: all, or half nearest to the threshold, and of the rest the rarer class first."""
         if len(scores) <= self.max_tree_scenarios:
             return np.arange(len(scores))
         near, rest = self._nearest_and_rest(scores, self.max_tree_scenarios // 2)
         critical = scores[rest] <= self._threshold
         rare = critical if 2 * critical.sum() < len(critical) else ~critical
-        return np.sort(np.concatenate([near, rest[chosen(len(rest), self.max_tree_scenarios - len(near), rare)]]))
+        return np.sort(np.concatenate([near, rest[indices_with_rare_values(len(rest), self.max_tree_scenarios - len(near), rare)]]))
 
-    def _known_by_processes(self, scores: FloatArray) -> IntArray | None:
+    def _select_process_scenarios(self, scores: FloatArray) -> IntArray | None:
         """Scenarios that the feature processes use: None for all, or half nearest to the threshold.
 
         The other half is evenly spaced among the rest.
@@ -180,19 +180,19 @@ class Committee:
         if len(scores) <= self.max_process_scenarios:
             return None
         near, rest = self._nearest_and_rest(scores, self.max_process_scenarios // 2)
-        return np.sort(np.concatenate([near, rest[evenly(len(rest), self.max_process_scenarios - len(near))]]))
+        return np.sort(np.concatenate([near, rest[evenly_spaced_indices(len(rest), self.max_process_scenarios - len(near))]]))
 
     def _nearest_and_rest(self, scores: FloatArray, count: int) -> tuple[IntArray, IntArray]:
         """Indices of the `count` scores nearest to the threshold, and of the others in order."""
         order = np.argsort(np.abs(scores - self._threshold), kind="stable")
         return order[:count], np.sort(order[count:])
 
-    def _learned_from(self, scores: FloatArray, features: FloatArray | None) -> FloatArray:
+    def _feature_inputs(self, scores: FloatArray, features: FloatArray | None) -> FloatArray:
         if features is None or not self._inputs:
-            return near_threshold(scores, self._threshold, self.process.near)[:, None]
+            return squash_around_threshold(scores, self._threshold, self.process.squash_scale)[:, None]
         return features[:, self._inputs]
 
-    def _kinds_of(self, scores: FloatArray, features: FloatArray | None) -> IntArray:
+    def _class_labels(self, scores: FloatArray, features: FloatArray | None) -> IntArray:
         """Class of each scenario: odd if critical; the other bits are the signs of the branch features."""
         critical: BoolArray = scores <= self._threshold
         classes = critical.astype(np.int64)
@@ -202,22 +202,22 @@ class Committee:
         return classes
 
 
-def _of_kinds(trees: ExtraTreesClassifier, kinds: FloatArray) -> FloatArray:
+def _critical_probability_of_classes(trees: ExtraTreesClassifier, class_probabilities: FloatArray) -> FloatArray:
     """Probability of being critical from probabilities of classes."""
-    return np.asarray(np.minimum(kinds[:, trees.classes_ % 2 == 1].sum(axis=1), 1.0))
+    return np.asarray(np.minimum(class_probabilities[:, trees.classes_ % 2 == 1].sum(axis=1), 1.0))
 
 
-def _of_sides(forest: RandomForestClassifier, points: FloatArray) -> FloatArray:
+def _critical_probability_by_forest(forest: RandomForestClassifier, points: FloatArray) -> FloatArray:
     """Probability of being critical by a forest, which may have seen one class only."""
     return np.asarray(forest.predict_proba(points)[:, forest.classes_].sum(axis=1))
 
 
-def _weights(by_member: FloatArray, critical: BoolArray) -> FloatArray:
+def _fit_member_weights(by_member: FloatArray, critical: BoolArray) -> FloatArray:
     """Weights of members that maximize the likelihood of the outcomes under their weighted mean (EM for a mixture)."""
-    likelihood = np.clip(np.where(critical[:, None], by_member, 1.0 - by_member), _LEAST, 1.0)
+    likelihood = np.clip(np.where(critical[:, None], by_member, 1.0 - by_member), _MIN_PROBABILITY, 1.0)
     weights = np.full(likelihood.shape[1], 1.0 / likelihood.shape[1])
-    for _ in range(_WEIGHINGS):
+    for _ in range(_EM_STEPS):
         joint = weights * likelihood
-        weights = (joint / joint.sum(axis=1, keepdims=True)).sum(axis=0) + _BEFOREHAND
+        weights = (joint / joint.sum(axis=1, keepdims=True)).sum(axis=0) + _PRIOR_COUNT
         weights /= weights.sum()
     return weights

@@ -13,12 +13,12 @@ from cornercase._common.typing import BoolArray, FloatArray
 _STEPS: Final = 49
 _REACH: Final = 4.0
 # Number of predictions from which each gets less weight: they lie closer together, with correlated errors.
-_ALONE: Final = 160
+_FULL_WEIGHT_COUNT: Final = 160
 # Greatest number of bins of the predictions of each class in the likelihood.
-_MANY: Final = 128
+_MAX_BINS: Final = 128
 
 
-class Correction:
+class ProbitCalibration:
     """Posterior of a and b in the probability ``p = Φ(-(a + b t))`` that a scenario is critical (probit calibration).
 
     t is any statistic that decreases with the probability of being critical: the mean of a Gaussian process over its
@@ -34,24 +34,24 @@ class Correction:
     function and the full posterior on a grid.
     """
 
-    def __init__(self, t: FloatArray, critical: BoolArray, worth: float = 1.0) -> None:
+    def __init__(self, t: FloatArray, critical: BoolArray, prediction_weight: float = 1.0) -> None:
         a, log_b = (axis.ravel() for axis in np.meshgrid(*[np.linspace(-_REACH, _REACH, _STEPS)] * 2, indexing="ij"))
         log_posterior = -0.5 * (a**2 + log_b**2)
-        slope, weight = np.exp(log_b), worth * min(1.0, (_ALONE / max(len(t), 1)) ** 0.5)
+        slope, weight = np.exp(log_b), prediction_weight * min(1.0, (_FULL_WEIGHT_COUNT / max(len(t), 1)) ** 0.5)
         for sign, predictions in ((1.0, t[critical]), (-1.0, t[~critical])):
-            for group in np.array_split(np.sort(predictions), min(_MANY, max(len(predictions), 1))):
+            for group in np.array_split(np.sort(predictions), min(_MAX_BINS, max(len(predictions), 1))):
                 if len(group):
                     log_posterior += weight * len(group) * log_ndtr(-sign * (a + slope * group.mean()))
         density = np.exp(log_posterior - log_posterior.max())
-        self._a, self._b, self._likely = a, slope, density / density.sum()
+        self._a, self._b, self._posterior = a, slope, density / density.sum()
 
-    def draws(self, count: int, rng: np.random.Generator) -> tuple[FloatArray, FloatArray]:
+    def draw_parameters(self, count: int, rng: np.random.Generator) -> tuple[FloatArray, FloatArray]:
         """Draw a and b from their posterior, shape (count,) each, stratified."""
         # One draw in each of `count` strata of equal probability, in a random order.
         quantiles = (rng.permutation(count) + rng.random(count)) / count
-        index = np.minimum(np.searchsorted(np.cumsum(self._likely), quantiles), len(self._a) - 1)
+        index = np.minimum(np.searchsorted(np.cumsum(self._posterior), quantiles), len(self._a) - 1)
         return self._a[index], self._b[index]
 
-    def probability(self, t: FloatArray) -> FloatArray:
+    def probability_of_critical(self, t: FloatArray) -> FloatArray:
         """Probability of being critical at the posterior mean of a and b, (n,)."""
-        return np.asarray(ndtr(-(self._likely @ self._a + (self._likely @ self._b) * t)))
+        return np.asarray(ndtr(-(self._posterior @ self._a + (self._posterior @ self._b) * t)))

@@ -36,7 +36,7 @@ class SetDifference:
     middles: tuple[tuple[Estimate, Estimate, Estimate] | None, ...]
 
     @classmethod
-    def between(cls, old: CriticalSet, new: CriticalSet) -> SetDifference:
+    def from_critical_sets(cls, old: CriticalSet, new: CriticalSet) -> SetDifference:
         """Compare two critical sets that were estimated from different scenarios.
 
         Parameters
@@ -54,32 +54,32 @@ class SetDifference:
         the draws bound `gained` and `lost` from above only; the lower bound is given by the change of the critical
         fraction.
         """
-        old_draws, new_draws, both_draws = old.against(new)
-        change = _differences(old_draws, new_draws)
+        old_draws, new_draws, both_draws = old.draw_overlap_with(new)
+        change = _difference_of_draws(old_draws, new_draws)
         middles: list[tuple[Estimate, Estimate, Estimate] | None] = []
-        for before, after in zip(old.middle().T, new.middle().T, strict=True):
+        for before, after in zip(old.draw_parameter_means().T, new.draw_parameter_means().T, strict=True):
             before, after = before[np.isfinite(before)], after[np.isfinite(after)]
             if len(before) and len(after):
-                middles.append((Estimate.of_draws(before), Estimate.of_draws(after), _differences(before, after)))
+                middles.append((Estimate.from_draws(before), Estimate.from_draws(after), _difference_of_draws(before, after)))
             else:
                 middles.append(None)
         return cls(
-            old.share,
-            new.share,
+            old.critical_fraction,
+            new.critical_fraction,
             change,
-            _at_least(new_draws - both_draws, change.low),
-            _at_least(old_draws - both_draws, -change.high),
+            _estimate_with_lower_bound(new_draws - both_draws, change.low),
+            _estimate_with_lower_bound(old_draws - both_draws, -change.high),
             tuple(middles),
         )
 
 
-def _differences(before: FloatArray, after: FloatArray) -> Estimate:
+def _difference_of_draws(before: FloatArray, after: FloatArray) -> Estimate:
     """Estimate of `after - before` from all pairs of independent draws."""
-    return Estimate.of_draws((after[:, None] - before).ravel())
+    return Estimate.from_draws((after[:, None] - before).ravel())
 
 
-def _at_least(draws: FloatArray, low: float) -> Estimate:
+def _estimate_with_lower_bound(draws: FloatArray, low: float) -> Estimate:
     """Estimate from draws that bound it from above, with the lower bound `low`."""
-    estimate = Estimate.of_draws(draws)
+    estimate = Estimate.from_draws(draws)
     low = max(low, 0.0)
     return Estimate(max(estimate.value, low), low, max(estimate.high, low))

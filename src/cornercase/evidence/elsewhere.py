@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 
 from cornercase._common.typing import FloatArray
-from cornercase.evidence.gaussian_process import boundary_process
+from cornercase.evidence.gaussian_process import fit_boundary_process
 
 
-class Elsewhere:
+class SourceStudyModel:
     """Predicts scores from another study: of another driver, another simulator or a coarser time step.
 
     A boundary process of the other study's scores (`fit_boundary_process`) predicts how far each scenario is from the
@@ -27,18 +27,18 @@ class Elsewhere:
     """
 
     def __init__(self, points: FloatArray, scores: FloatArray, threshold: float) -> None:
-        self.process, self._threshold = boundary_process(points, scores, threshold), threshold
+        self.process, self._threshold = fit_boundary_process(points, scores, threshold), threshold
 
-    def beside(self, points: FloatArray) -> FloatArray:
+    def augment(self, points: FloatArray) -> FloatArray:
         """Append the other study's prediction to encoded points, (m, e + 1)."""
         return np.column_stack([points, self.process.predict(points)[0]])
 
-    def foretells(self, points: FloatArray, scores: FloatArray) -> bool:
+    def improves_prediction(self, points: FloatArray, scores: FloatArray) -> bool:
         """Whether the other study improves the prediction of the scores, as `fit_boundary_process` decides."""
-        process = boundary_process(self.beside(points), scores, self._threshold, foretold=True)
-        return bool(np.isfinite(process.kernel.widths[-1]))
+        process = fit_boundary_process(self.augment(points), scores, self._threshold, has_prediction=True)
+        return bool(np.isfinite(process.kernel.length_scales[-1]))
 
 
-def with_foretold(elsewhere: Elsewhere | None, points: FloatArray) -> FloatArray:
+def augment_points(source_model: SourceStudyModel | None, points: FloatArray) -> FloatArray:
     """Append another study's prediction to encoded points, if there is such a study."""
-    return points if elsewhere is None else elsewhere.beside(points)
+    return points if source_model is None else source_model.augment(points)

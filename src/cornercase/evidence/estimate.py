@@ -28,7 +28,7 @@ class Estimate:
     high: float
 
     @classmethod
-    def of_draws(cls, draws: FloatArray) -> Estimate:
+    def from_draws(cls, draws: FloatArray) -> Estimate:
         """Mean and interval of draws of the quantity.
 
         Parameters

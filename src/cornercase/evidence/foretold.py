@@ -8,22 +8,22 @@ from typing import Final
 
 import numpy as np
 
-from cornercase._common.threads import one_thread
+from cornercase._common.threads import single_threaded_blas
 from cornercase._common.typing import FloatArray, IntArray
-from cornercase.evidence.kernel import Floats, Kernel, learned_kernel
+from cornercase.evidence.kernel import Floats, MaternKernel, fit_kernel
 from cornercase.evidence.posterior import ExactPosterior
 
-_MOST_NOISE: Final = 0.5
-_LEAST: Final = 1e-9  # standard deviation up to which a feature is constant
+_MAX_NOISE: Final = 0.5
+_MIN_SPREAD: Final = 1e-9  # standard deviation up to which a feature is constant
 # Fraction of the variance that is added for points close to each other; `ExactPosterior` adds 1e-10 itself.
 _JITTER: Final = 1e-8 - 1e-10
 _ROUNDING: Final = 0.01  # greatest error of single precision, in standard deviations of a feature
-_OF_ONE_WAY: Final = 8  # least number of scenarios of a branch that has its own processes
+_MIN_BRANCH_SCENARIOS: Final = 8  # least number of scenarios of a branch that has its own processes
 
-Kernels = Sequence[Kernel | None]
+FeatureKernels = Sequence[MaternKernel | None]
 
 
-class ForetoldByWay:
+class PerBranchFeatureModels:
     """Predicted features, from all scenarios and additionally from those of each branch.
 
     Many features are discontinuous between branches (ego first, other first, contact) but smooth within one. A process
@@ -40,33 +40,33 @@ class ForetoldByWay:
         self,
         points: FloatArray,
         features: FloatArray,
-        ways: IntArray,
-        kernels: Mapping[int | None, Kernels] | None = None,
-        known: IntArray | None = None,
+        branches: IntArray,
+        kernels: Mapping[int | None, FeatureKernels] | None = None,
+        subset: IntArray | None = None,
     ) -> None:
         kernels = {} if kernels is None else kernels
-        overall = Foretold(points, features, kernels.get(None), known)
-        self._parts, left_out = [overall], [overall.left_out]
-        self.kernels: dict[int | None, Kernels] = {None: overall.kernels}
-        present, counts = np.unique(ways, return_counts=True)
+        overall = FeatureModels(points, features, kernels.get(None), subset)
+        self._models, left_out = [overall], [overall.leave_one_out]
+        self.kernels: dict[int | None, FeatureKernels] = {None: overall.kernels}
+        present, counts = np.unique(branches, return_counts=True)
         # With a single branch, its processes would equal those of all scenarios.
-        for branch in present[counts >= _OF_ONE_WAY].tolist() if len(present) > 1 else []:
-            members = np.flatnonzero(ways == branch)
-            known_members = None if known is None else np.flatnonzero(np.isin(members, known))
-            part = Foretold(points[members], features[members], kernels.get(branch), known_members)
-            predicted = part.predict(points)
-            predicted[members] = part.left_out
-            self._parts.append(part)
+        for branch in present[counts >= _MIN_BRANCH_SCENARIOS].tolist() if len(present) > 1 else []:
+            members = np.flatnonzero(branches == branch)
+            known_members = None if subset is None else np.flatnonzero(np.isin(members, subset))
+            part = FeatureModels(points[members], features[members], kernels.get(branch), known_members)
+            predicted = part.predict_features(points)
+            predicted[members] = part.leave_one_out
+            self._models.append(part)
             left_out.append(predicted)
             self.kernels[branch] = part.kernels
-        self.left_out = np.hstack(left_out)
+        self.leave_one_out = np.hstack(left_out)
 
-    def predict(self, points: FloatArray) -> FloatArray:
+    def predict_features(self, points: FloatArray) -> FloatArray:
         """Predict the features at points, (m, g), columns as in `leave_one_out`."""
-        return np.hstack([part.predict(points) for part in self._parts])
+        return np.hstack([part.predict_features(points) for part in self._models])
 
 
-class Foretold:
+class FeatureModels:
     """A Gaussian process per feature, with its own Matérn kernel (5/2).
 
     Some features depend on all parameters and jump, others hardly do: where the other is at a given time depends on its
@@ -82,45 +82,45 @@ class Foretold:
     """
 
     def __init__(
-        self, points: FloatArray, features: FloatArray, kernels: Kernels | None = None, known: IntArray | None = None
+        self, points: FloatArray, features: FloatArray, kernels: FeatureKernels | None = None, subset: IntArray | None = None
     ) -> None:
         spread = features.std(axis=0)
-        scaled = (features - features.mean(axis=0)) / np.maximum(spread, _LEAST)
-        used: IntArray | slice = slice(None) if known is None else known
+        scaled = (features - features.mean(axis=0)) / np.maximum(spread, _MIN_SPREAD)
+        used: IntArray | slice = slice(None) if subset is None else subset
         self._points = points[used]
-        self._each: list[tuple[Kernel, Floats]] = []
+        self._kernels_and_weights: list[tuple[MaternKernel, Floats]] = []
         left_out = []
         # One thread, so that sums do not depend on the number of threads.
-        with one_thread():
+        with single_threaded_blas():
             if kernels is None:
                 kernels = [
-                    learned_kernel(points, scaled[:, j], _MOST_NOISE) if is_varied else None
-                    for j, is_varied in enumerate((spread > _LEAST).tolist())
+                    fit_kernel(points, scaled[:, j], _MAX_NOISE) if is_varied else None
+                    for j, is_varied in enumerate((spread > _MIN_SPREAD).tolist())
                 ]
-            self.kernels: Kernels = list(kernels)
+            self.kernels: FeatureKernels = list(kernels)
             for kernel, values in zip(self.kernels, scaled[used].T, strict=True):
                 if kernel is not None:
                     noise = float(np.sqrt(kernel.noise**2 + _JITTER * kernel.signal**2))
                     process = ExactPosterior(replace(kernel, noise=noise), self._points, values)
-                    self._each.append((kernel, _short(process.weights, kernel)))
+                    self._kernels_and_weights.append((kernel, _single_precision_if_accurate(process.weights, kernel)))
                     left_out.append(process.leave_one_out()[0])
         leave_one_out = np.array(left_out).reshape(-1, len(self._points)).T
         # Scenarios that the processes do not use are predicted without them anyway.
-        self.left_out = leave_one_out if known is None else self.predict(points)
-        self.left_out[used] = leave_one_out
+        self.leave_one_out = leave_one_out if subset is None else self.predict_features(points)
+        self.leave_one_out[used] = leave_one_out
 
-    def predict(self, points: FloatArray) -> FloatArray:
+    def predict_features(self, points: FloatArray) -> FloatArray:
         """Predict the features at points, (m, g), standardized as `leave_one_out`."""
-        predicted = np.empty((len(points), len(self._each)))
-        with one_thread():
-            for k, (kernel, weights) in enumerate(self._each):
+        predicted = np.empty((len(points), len(self._kernels_and_weights)))
+        with single_threaded_blas():
+            for k, (kernel, weights) in enumerate(self._kernels_and_weights):
                 single = weights.dtype == np.float32
-                covariance = kernel.single_covariance if single else kernel.covariance
+                covariance = kernel.covariance_in_single_precision if single else kernel.covariance
                 predicted[:, k] = covariance(points, self._points) @ weights
         return predicted
 
 
-def _short(weights: FloatArray, kernel: Kernel) -> Floats:
+def _single_precision_if_accurate(weights: FloatArray, kernel: MaternKernel) -> Floats:
     """Weights in single precision, if that is accurate enough for sums of them and covariances."""
     rounding = np.finfo(np.float32).eps * np.abs(weights).sum() * kernel.signal**2
     return weights.astype(np.float32) if rounding <= _ROUNDING else weights

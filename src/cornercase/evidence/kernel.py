@@ -17,60 +17,60 @@ Floats = npt.NDArray[np.floating[Any]]
 
 _ROOT5 = float(np.sqrt(5.0))
 # Number of values that length scales are learned from: per dimension, least and most. The cost grows with its cube.
-_LEARNED, _FEWEST, _MOST = 40, 160, 400
+_VALUES_PER_DIMENSION, _MIN_VALUES, _MAX_VALUES = 40, 160, 400
 # Prior of the length scales for one dimension: median and standard deviation of the logarithm. Distances in a cube grow
 # with the root of its dimension; so must the length scales, or a process of many dimensions knows only its values.
-_MEDIAN, _SPREAD = 0.5, 0.7
-_WIDTHS, _SIGNAL, _LEAST_NOISE = (1e-2, 10.0), (1e-2, 30.0), 1e-4
+_PRIOR_MEDIAN, _PRIOR_SPREAD = 0.5, 0.7
+_LENGTH_SCALE_BOUNDS, _SIGNAL_BOUNDS, _MIN_NOISE = (1e-2, 10.0), (1e-2, 30.0), 1e-4
 
 
 @dataclass(frozen=True)
-class Kernel:
+class MaternKernel:
     """Matérn kernel (5/2) with a length scale per dimension.
 
     `signal` and `noise` are the standard deviations of the process and of single values.
     """
 
-    widths: FloatArray
+    length_scales: FloatArray
     signal: float
     noise: float
 
     def covariance(self, a: FloatArray, b: FloatArray) -> FloatArray:
         """Covariance of the process at points a (n, e) with that at points b (m, e), without noise, (n, m)."""
-        return np.asarray(self._covariance(a / self.widths, b / self.widths), dtype=np.float64)
+        return np.asarray(self._scaled_covariance(a / self.length_scales, b / self.length_scales), dtype=np.float64)
 
-    def single_covariance(self, a: FloatArray, b: FloatArray) -> Floats:
+    def covariance_in_single_precision(self, a: FloatArray, b: FloatArray) -> Floats:
         """As `covariance`, in single precision."""
-        return self._covariance((a / self.widths).astype(np.float32), (b / self.widths).astype(np.float32))
+        return self._scaled_covariance((a / self.length_scales).astype(np.float32), (b / self.length_scales).astype(np.float32))
 
-    def _covariance(self, a: Floats, b: Floats) -> Floats:
-        covariance = correlations(_distances(a, b))
+    def _scaled_covariance(self, a: Floats, b: Floats) -> Floats:
+        covariance = matern_correlations(_pairwise_distances(a, b))
         covariance *= covariance.dtype.type(self.signal**2)
         return covariance
 
 
-def evenly(count: int, most: int) -> IntArray:
+def evenly_spaced_indices(count: int, max_count: int) -> IntArray:
     """Indices of at most `max_count` of `count` values, evenly spaced."""
-    return np.unique(np.linspace(0, count - 1, most).astype(np.int64))
+    return np.unique(np.linspace(0, count - 1, max_count).astype(np.int64))
 
 
-def chosen(count: int, most: int, rare: BoolArray | None) -> IntArray:
+def indices_with_rare_values(count: int, max_count: int, is_rare: BoolArray | None) -> IntArray:
     """Indices of at most `max_count` of `count` values, up to half of them rare, evenly spaced in each class."""
-    if rare is None or count <= most or not rare.any():
-        return evenly(count, most)
-    rare_indices, common = np.flatnonzero(rare), np.flatnonzero(~rare)
-    selected = rare_indices[evenly(len(rare_indices), most // 2)]
-    rest = common[evenly(len(common), most - len(selected))] if len(common) else common
+    if is_rare is None or count <= max_count or not is_rare.any():
+        return evenly_spaced_indices(count, max_count)
+    rare_indices, common = np.flatnonzero(is_rare), np.flatnonzero(~is_rare)
+    selected = rare_indices[evenly_spaced_indices(len(rare_indices), max_count // 2)]
+    rest = common[evenly_spaced_indices(len(common), max_count - len(selected))] if len(common) else common
     return np.sort(np.concatenate([selected, rest]))
 
 
-def learned_kernel(
+def fit_kernel(
     points: FloatArray,
     values: FloatArray,
-    most_noise: float,
-    start: Kernel | None = None,
-    rare: BoolArray | None = None,
-) -> Kernel:
+    max_noise: float,
+    start: MaternKernel | None = None,
+    is_rare: BoolArray | None = None,
+) -> MaternKernel:
     """Maximize the marginal likelihood times a log-normal prior on the length scales.
 
     The prior keeps the length scales bounded with few points; its median grows with the root of the number of
@@ -82,21 +82,21 @@ def learned_kernel(
     great in high dimensions", ICML (2024).
     """
     dims = points.shape[1]
-    bounds = np.log([*[_WIDTHS] * dims, _SIGNAL, (_LEAST_NOISE, most_noise)])
+    bounds = np.log([*[_LENGTH_SCALE_BOUNDS] * dims, _SIGNAL_BOUNDS, (_MIN_NOISE, max_noise)])
     initial = np.append(np.full(dims, 0.4), (1.0, 0.05))
     if start is not None:
-        initial = np.append(start.widths, (start.signal, start.noise))
-    subset = chosen(len(values), int(np.clip(_LEARNED * dims, _FEWEST, _MOST)), rare)
+        initial = np.append(start.length_scales, (start.signal, start.noise))
+    subset = indices_with_rare_values(len(values), int(np.clip(_VALUES_PER_DIMENSION * dims, _MIN_VALUES, _MAX_VALUES)), is_rare)
     squares = np.square(points.T[:, subset, None] - points.T[:, None, subset]).reshape(dims, -1)
     result = minimize(
-        _Loss(squares, values[subset]), np.clip(np.log(initial), *bounds.T), jac=True, method="L-BFGS-B",
+        _NegativeLogPosterior(squares, values[subset]), np.clip(np.log(initial), *bounds.T), jac=True, method="L-BFGS-B",
         bounds=[(low, high) for low, high in bounds.tolist()], options={"maxiter": 50},
     )  # fmt: skip
     *widths, signal, noise = np.exp(result.x).tolist()
-    return Kernel(np.array(widths), signal, noise)
+    return MaternKernel(np.array(widths), signal, noise)
 
 
-class _Loss:
+class _NegativeLogPosterior:
     """Negative log of marginal likelihood and prior, and its gradient.
 
     `squares` (e, n * n) holds the squared differences of all pairs of points.
@@ -142,12 +142,12 @@ class _Loss:
         gradient[-1] = np.trace(outer) * noise2
         gradient[:-2] = squares @ np.multiply(flat, slope, out=slope) * narrow * (signal2 * 5.0 / 6.0)
         likelihood = -0.5 * values @ weights - determinant
-        deviation = (np.asarray(logs) - np.log(_MEDIAN * np.sqrt(len(logs)))) / _SPREAD
-        gradient[:-2] -= deviation / _SPREAD
+        deviation = (np.asarray(logs) - np.log(_PRIOR_MEDIAN * np.sqrt(len(logs)))) / _PRIOR_SPREAD
+        gradient[:-2] -= deviation / _PRIOR_SPREAD
         return float(-(likelihood - 0.5 * deviation @ deviation)), -gradient
 
 
-def _distances(a: Floats, b: Floats) -> Floats:
+def _pairwise_distances(a: Floats, b: Floats) -> Floats:
     squares: Floats = a @ (b * b.dtype.type(-2.0)).T
     squares += (a * a).sum(1)[:, None]
     squares += (b * b).sum(1)
@@ -155,7 +155,7 @@ def _distances(a: Floats, b: Floats) -> Floats:
     return squares
 
 
-def correlations(distance: Floats) -> Floats:
+def matern_correlations(distance: Floats) -> Floats:
     """Matérn correlation (5/2) at distances divided by the length scales; overwrites `distance`."""
     number = distance.dtype.type
     distance *= number(_ROOT5)

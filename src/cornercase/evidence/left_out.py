@@ -7,16 +7,16 @@ from typing import Final
 import numpy as np
 
 from cornercase._common.typing import FloatArray, IntArray
-from cornercase.evidence.gaussian_process import GaussianProcess, near_threshold
-from cornercase.evidence.posterior import MOST_EXACT
+from cornercase.evidence.gaussian_process import GaussianProcess, squash_around_threshold
+from cornercase.evidence.posterior import MAX_EXACT_VALUES
 
 # Values per dimension up to which the kernel overfits, and number of folds.
-_FEW: Final = 40
-_PARTS: Final = 5
+_OVERFIT_PER_DIMENSION: Final = 40
+_N_FOLDS: Final = 5
 
 
-def left_out(
-    process: GaussianProcess, points: FloatArray, scores: FloatArray, threshold: float, some: IntArray | None = None
+def cross_validate_scores(
+    process: GaussianProcess, points: FloatArray, scores: FloatArray, threshold: float, indices: IntArray | None = None
 ) -> tuple[FloatArray, FloatArray]:
     """Predict each score, or `indices`, from all others: mean and deviation as of `GaussianProcess.leave_one_out`.
 
@@ -25,17 +25,17 @@ def left_out(
     `fit_boundary_process`.
     """
     count, dims = points.shape
-    if count > min(_FEW * dims, MOST_EXACT):
-        return process.leave_one_out(some)
-    values, critical = near_threshold(scores, threshold, process.near), scores <= threshold
+    if count > min(_OVERFIT_PER_DIMENSION * dims, MAX_EXACT_VALUES):
+        return process.leave_one_out(indices)
+    values, critical = squash_around_threshold(scores, threshold, process.squash_scale), scores <= threshold
     rare = critical if 2 * critical.sum() < count else ~critical
     # A coordinate that the process ignores has an infinite length scale.
-    used = int(np.isfinite(process.kernel.widths).sum())
+    used = int(np.isfinite(process.kernel.length_scales).sum())
     mean, deviation = np.empty(count), np.empty(count)
-    for part in range(_PARTS):
-        test = np.arange(count) % _PARTS == part
-        fold = GaussianProcess(process.most_noise, process.near)
-        fold.learn(points[~test], values[~test], process, rare[~test], used).know(points, values)
+    for part in range(_N_FOLDS):
+        test = np.arange(count) % _N_FOLDS == part
+        fold = GaussianProcess(process.max_noise, process.squash_scale)
+        fold.fit_hyperparameters(points[~test], values[~test], process, rare[~test], used).condition_on(points, values)
         mean[test], deviation[test] = fold.leave_one_out(np.flatnonzero(test))
-    index = slice(None) if some is None else some
+    index = slice(None) if indices is None else indices
     return mean[index], deviation[index]

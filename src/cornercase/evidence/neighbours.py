@@ -9,16 +9,16 @@ from typing import Final
 import numpy as np
 from scipy.spatial import cKDTree
 
-from cornercase._common.platform import available_cpus
-from cornercase._common.threads import one_thread
+from cornercase._common.platform import count_available_cpus
+from cornercase._common.threads import single_threaded_blas
 from cornercase._common.typing import FloatArray, IntArray
-from cornercase.evidence.kernel import Kernel, correlations
+from cornercase.evidence.kernel import MaternKernel, matern_correlations
 
 # Number of nearest values: per dimension, least and most.
-_NEAREST, _FEWEST, _MOST = 12, 32, 64
-_CHUNK: Final = 64
+_NEIGHBOURS_PER_DIMENSION, _MIN_NEIGHBOURS, _MAX_NEIGHBOURS = 12, 32, 64
+_POINTS_PER_CHUNK: Final = 64
 _JITTER: Final = 1e-8  # added to the variance of values close to each other, as a fraction of that of the process
-_LEAST: Final = 1e-12
+_MIN_VARIANCE: Final = 1e-12
 
 
 class NearestPosterior:
@@ -33,9 +33,9 @@ class NearestPosterior:
     (2016).
     """
 
-    def __init__(self, kernel: Kernel, points: FloatArray, values: FloatArray) -> None:
-        self._kernel, self._points, self._values = kernel, points / kernel.widths, values
-        self._count = int(np.clip(_NEAREST * points.shape[1], _FEWEST, _MOST))
+    def __init__(self, kernel: MaternKernel, points: FloatArray, values: FloatArray) -> None:
+        self._kernel, self._points, self._values = kernel, points / kernel.length_scales, values
+        self._count = int(np.clip(_NEIGHBOURS_PER_DIMENSION * points.shape[1], _MIN_NEIGHBOURS, _MAX_NEIGHBOURS))
 
     @cached_property
     def _tree(self) -> cKDTree:
@@ -43,49 +43,49 @@ class NearestPosterior:
 
     def predict(self, points: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Mean and standard deviation at points (m, e), (m,) each."""
-        return self._between(points / self._kernel.widths, np.full(len(points), -1))
+        return self._predict_excluding(points / self._kernel.length_scales, np.full(len(points), -1))
 
-    def leave_one_out(self, some: IntArray | None = None) -> tuple[FloatArray, FloatArray]:
+    def leave_one_out(self, indices: IntArray | None = None) -> tuple[FloatArray, FloatArray]:
         """Mean and standard deviation of each value, or of `indices`, by the process of the others.
 
         The deviation includes the noise of the single value.
         """
-        selected = np.arange(len(self._points)) if some is None else some
-        mean, deviation = self._between(self._points[selected], selected)
+        selected = np.arange(len(self._points)) if indices is None else indices
+        mean, deviation = self._predict_excluding(self._points[selected], selected)
         return mean, np.hypot(deviation, self._kernel.noise)
 
-    def _between(self, places: FloatArray, themselves: IntArray) -> tuple[FloatArray, FloatArray]:
+    def _predict_excluding(self, scaled_points: FloatArray, excluded: IntArray) -> tuple[FloatArray, FloatArray]:
         """Mean and standard deviation at scaled points (m, e), leaving out value `excluded[i]` (-1: none)."""
-        mean, variance = np.empty(len(places)), np.empty(len(places))
+        mean, variance = np.empty(len(scaled_points)), np.empty(len(scaled_points))
 
-        def part(first: int) -> None:
-            chunk = slice(first, first + _CHUNK)
-            mean[chunk], variance[chunk] = self._at(places[chunk], self._near(places[chunk], themselves[chunk]))
+        def predict_chunk(first: int) -> None:
+            chunk = slice(first, first + _POINTS_PER_CHUNK)
+            mean[chunk], variance[chunk] = self._mean_and_variance(scaled_points[chunk], self._nearest_indices(scaled_points[chunk], excluded[chunk]))
 
         # Built before the threads start, since each would build its own.
         _ = self._tree
-        with one_thread(), ThreadPoolExecutor(available_cpus()) as pool:
-            list(pool.map(part, range(0, len(places), _CHUNK)))
-        return mean, np.sqrt(np.maximum(variance, _LEAST * self._kernel.signal**2))
+        with single_threaded_blas(), ThreadPoolExecutor(count_available_cpus()) as pool:
+            list(pool.map(predict_chunk, range(0, len(scaled_points), _POINTS_PER_CHUNK)))
+        return mean, np.sqrt(np.maximum(variance, _MIN_VARIANCE * self._kernel.signal**2))
 
-    def _near(self, places: FloatArray, themselves: IntArray) -> IntArray:
+    def _nearest_indices(self, scaled_points: FloatArray, excluded: IntArray) -> IntArray:
         """Indices of the values nearest to each point, without the excluded one, (m, k)."""
-        near = np.asarray(self._tree.query(places, k=self._count + 1)[1], dtype=np.int64)
-        keep = near != themselves[:, None]
+        near = np.asarray(self._tree.query(scaled_points, k=self._count + 1)[1], dtype=np.int64)
+        keep = near != excluded[:, None]
         # If none is excluded, drop the farthest.
         keep[keep.all(axis=1), -1] = False
-        return np.asarray(near[keep].reshape(len(places), self._count))
+        return np.asarray(near[keep].reshape(len(scaled_points), self._count))
 
-    def _at(self, places: FloatArray, near: IntArray) -> tuple[FloatArray, FloatArray]:
+    def _mean_and_variance(self, scaled_points: FloatArray, near: IntArray) -> tuple[FloatArray, FloatArray]:
         signal2 = self._kernel.signal**2
-        offsets = self._points[near] - places[:, None]
+        offsets = self._points[near] - scaled_points[:, None]
         squares = np.einsum("mke,mke->mk", offsets, offsets)
         pair_squares = squares[:, :, None] + squares[:, None] - 2.0 * (offsets @ offsets.transpose(0, 2, 1))
-        covariance = signal2 * correlations(np.sqrt(np.maximum(pair_squares, 0.0)))
+        covariance = signal2 * matern_correlations(np.sqrt(np.maximum(pair_squares, 0.0)))
         covariance[:, np.arange(self._count), np.arange(self._count)] = (
             signal2 * (1.0 + _JITTER) + self._kernel.noise**2
         )
-        cross = signal2 * correlations(np.sqrt(squares))
+        cross = signal2 * matern_correlations(np.sqrt(squares))
         solved = np.linalg.solve(covariance, np.stack([cross, self._values[near]], axis=2))
         mean, explained = (np.einsum("mk,mk->m", cross, solved[:, :, k]) for k in (1, 0))
         return mean, signal2 - explained

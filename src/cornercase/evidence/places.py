@@ -10,20 +10,20 @@ import numpy as np
 
 from cornercase._common.rows import row_keys
 from cornercase._common.typing import FloatArray, IntArray
-from cornercase.evidence.gaussian_process import encoded
+from cornercase.evidence.gaussian_process import encode_points
 from cornercase.scenario import ParameterSpace
 
-_PLACES: Final = 2**14  # points per block of the sequence
+_BLOCK_SIZE: Final = 2**14  # points per block of the sequence
 # Constraints reject some points: blocks are drawn until this many points remain, but at most so often.
-_FEWEST, _MOST_TIMES = 2**12, 16
+_MIN_POINTS, _MAX_BLOCKS = 2**12, 16
 # Number of balls, and of points that measure their volumes.
-_CENTRES, _AROUND = 512, 8192
-_SAME: Final = 1e-6  # squared distance that is a rounding error
-_GOLDEN: Final = (5.0**0.5 - 1.0) / 2.0  # its multiples modulo 1 are spread evenly
+_N_BALLS, _N_VOLUME_POINTS = 512, 8192
+_DISTANCE_TOLERANCE: Final = 1e-6  # squared distance that is a rounding error
+_GOLDEN_RATIO: Final = (5.0**0.5 - 1.0) / 2.0  # its multiples modulo 1 are spread evenly
 
 
 @dataclass(frozen=True, eq=False)
-class Places:
+class SpaceSample:
     """Distinct concrete scenarios of a space, and the fraction of the space that each represents.
 
     `points` (n, d) are in the unit cube, in the order of a Sobol' sequence; `encoded_points` (n, e) is for a kernel;
@@ -31,23 +31,23 @@ class Places:
     """
 
     points: FloatArray
-    encoded: FloatArray
+    encoded_points: FloatArray
     weights: FloatArray
-    complete: bool
+    is_complete: bool
 
     @classmethod
-    def of(cls, space: ParameterSpace, seed: int) -> Places:
+    def from_space(cls, space: ParameterSpace, seed: int) -> SpaceSample:
         """Sample a space: all scenarios of a small one of steps and choices, else quasi-random ones."""
         # Imported late, since it takes half a second.
         from scipy.stats import qmc
 
         sizes = [parameter.size for parameter in space.parameters]
-        complete = None not in sizes and math.prod(size or 1 for size in sizes) <= _PLACES
+        complete = None not in sizes and math.prod(size or 1 for size in sizes) <= _BLOCK_SIZE
         sequence, points = qmc.Sobol(space.dimension, seed=np.random.default_rng([seed, 1])), np.zeros((0, len(sizes)))
-        for _ in range(1 if complete else _MOST_TIMES):
-            more = space.snap(sequence.random(_PLACES))
-            points = np.concatenate([points, more[space.admits(more)]])
-            if len(points) >= _FEWEST:
+        for _ in range(1 if complete else _MAX_BLOCKS):
+            more = space.snap(sequence.random(_BLOCK_SIZE))
+            points = np.concatenate([points, more[space.is_admissible(more)]])
+            if len(points) >= _MIN_POINTS:
                 break
         # In a space of steps and choices scenarios repeat: each is kept once, weighted by its count.
         numbers: dict[bytes, int] = {}
@@ -55,47 +55,47 @@ class Places:
         first = np.unique(number, return_index=True)[1]
         points, weights = points[first], np.bincount(number) / len(number)
         if complete:
-            points, weights = _every(space, points, seed)
-        return cls(points, encoded(space, points), weights, complete)
+            points, weights = _all_scenarios(space, points, seed)
+        return cls(points, encode_points(space, points), weights, complete)
 
-    def chosen(self, matters: FloatArray, count: int) -> tuple[IntArray, FloatArray]:
+    def subset(self, relevance: FloatArray, count: int) -> tuple[IntArray, FloatArray]:
         """Choose at most about `count` points, by relevance: indices (m,), and the fraction each represents.
 
         Sums over them with these fractions estimate sums over all points. `relevance` (n,) is above 0.
         """
         if len(self.weights) <= count:
             return np.arange(len(self.weights)), self.weights
-        importance = self.weights * matters
+        importance = self.weights * relevance
         probability = np.minimum(count * importance / importance.sum(), 1.0)
         # Points are chosen independently, so that the last digit of one does not affect the others.
-        indices = np.flatnonzero(np.arange(len(probability)) * _GOLDEN % 1.0 < probability)
+        indices = np.flatnonzero(np.arange(len(probability)) * _GOLDEN_RATIO % 1.0 < probability)
         return indices, self.weights[indices] / probability[indices]
 
-    def empty(self, ran: FloatArray) -> FloatArray:
+    def empty_ball_fractions(self, run: FloatArray) -> FloatArray:
         """Volumes of the largest balls around random points that contain no point of `run` (m, e), (k,).
 
         As fractions of the space; parts of a ball outside the space do not count.
         """
         # Any contiguous part of the sequence is spread evenly.
-        centers, others = self.encoded[:_CENTRES], self.encoded[-_AROUND:]
-        weights = self.weights[-_AROUND:] / self.weights[-_AROUND:].sum()
-        radii = _squares(centers, ran).min(axis=1) - _SAME
-        return np.asarray((_squares(centers, others) < radii[:, None]) @ weights)
+        centers, others = self.encoded_points[:_N_BALLS], self.encoded_points[-_N_VOLUME_POINTS:]
+        weights = self.weights[-_N_VOLUME_POINTS:] / self.weights[-_N_VOLUME_POINTS:].sum()
+        radii = _squared_distances(centers, run).min(axis=1) - _DISTANCE_TOLERANCE
+        return np.asarray((_squared_distances(centers, others) < radii[:, None]) @ weights)
 
 
-def _every(space: ParameterSpace, met: FloatArray, seed: int) -> tuple[FloatArray, FloatArray]:
+def _all_scenarios(space: ParameterSpace, first: FloatArray, seed: int) -> tuple[FloatArray, FloatArray]:
     """All scenarios of a finite space, those in `first` first, and the fraction of the space that each represents."""
-    points = space.snap(space.lattice())
-    points = points[space.admits(points)]
-    keys = set(row_keys(met))
+    points = space.snap(space.full_factorial())
+    points = points[space.is_admissible(points)]
+    keys = set(row_keys(first))
     rest = points[[key not in keys for key in row_keys(points)]]
-    points = np.concatenate([met, np.random.default_rng([seed, 7]).permutation(rest)])
-    weights = space.shares(points)
+    points = np.concatenate([first, np.random.default_rng([seed, 7]).permutation(rest)])
+    weights = space.probabilities(points)
     possible = weights > 0.0
     return points[possible], weights[possible] / weights.sum()
 
 
-def _squares(a: FloatArray, b: FloatArray) -> FloatArray:
+def _squared_distances(a: FloatArray, b: FloatArray) -> FloatArray:
     """Squared distances in single precision, since only their order matters."""
     a, b = a.astype(np.float32), b.astype(np.float32)
     squares = a @ (-2.0 * b).T

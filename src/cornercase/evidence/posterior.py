@@ -14,17 +14,17 @@ from scipy.linalg import LinAlgError, cho_solve, cholesky
 from scipy.linalg.lapack import dpotri, dtrtri
 
 from cornercase._common.typing import FloatArray, IntArray
-from cornercase.evidence.kernel import Kernel, evenly
-from cornercase.evidence.products import lower_times, products_of_rows, times_lower_transposed, times_transposed
+from cornercase.evidence.kernel import MaternKernel, evenly_spaced_indices
+from cornercase.evidence.products import multiply_lower_triangular, gram_lower_half, multiply_by_lower_transposed, multiply_by_transposed
 
-MOST_EXACT = 512
+MAX_EXACT_VALUES = 512
 """Greatest number of values of the exact posterior, and number of inducing points for more values."""
 
 # Candidates for inducing points, and how many of them are chosen at a time.
-_AMONG, _AT_ONCE = 2048, 32
-_BLOCK = 8192  # values processed at a time, so that memory does not grow with their number
+_N_CANDIDATES, _PIVOTS_PER_STEP = 2048, 32
+_BLOCK_SIZE = 8192  # values processed at a time, so that memory does not grow with their number
 # Added to the variance of inducing points, and of all values, as a fraction of it, so that it can be inverted.
-_JITTER, _LITTLE = 1e-7, 1e-10
+_INDUCING_JITTER, _VALUE_JITTER = 1e-7, 1e-10
 _TRIES = 6  # attempts with ten times the slack each
 _SLACK = 1e-8  # added to the explained fraction of the variance, against rounding errors
 
@@ -38,27 +38,27 @@ class ExactPosterior:
     """
 
     def __init__(
-        self, kernel: Kernel, points: FloatArray, values: FloatArray, inverse: FloatArray | None = None
+        self, kernel: MaternKernel, points: FloatArray, values: FloatArray, inverse: FloatArray | None = None
     ) -> None:
         self._kernel, self.points, self._values = kernel, points, values
-        slack = _LITTLE * kernel.signal**2
-        self.inverse = _inverse(_noisy(kernel, points), slack) if inverse is None else inverse
-        self.weights = self.inverse.T @ (self.inverse @ values)
+        slack = _VALUE_JITTER * kernel.signal**2
+        self.inverse_factor = _inverse_cholesky_factor(_covariance_with_noise(kernel, points), slack) if inverse is None else inverse
+        self.weights = self.inverse_factor.T @ (self.inverse_factor @ values)
 
-    def extended(self, points: FloatArray, values: FloatArray) -> ExactPosterior:
+    def with_more_values(self, points: FloatArray, values: FloatArray) -> ExactPosterior:
         """Posterior with additional values; equal, up to rounding, to that of all values at once."""
-        cross = self._kernel.covariance(points, self.points) @ self.inverse.T
-        corner = _inverse(_noisy(self._kernel, points) - cross @ cross.T, _LITTLE * self._kernel.signal**2)
+        cross = self._kernel.covariance(points, self.points) @ self.inverse_factor.T
+        corner = _inverse_cholesky_factor(_covariance_with_noise(self._kernel, points) - cross @ cross.T, _VALUE_JITTER * self._kernel.signal**2)
         inverse = np.zeros([len(self.points) + len(points)] * 2)
-        inverse[: len(self.points), : len(self.points)] = self.inverse
-        inverse[len(self.points) :, : len(self.points)] = -corner @ (cross @ self.inverse)
+        inverse[: len(self.points), : len(self.points)] = self.inverse_factor
+        inverse[len(self.points) :, : len(self.points)] = -corner @ (cross @ self.inverse_factor)
         inverse[len(self.points) :, len(self.points) :] = corner
         points, values = np.concatenate([self.points, points]), np.concatenate([self._values, values])
         return ExactPosterior(self._kernel, points, values, inverse)
 
     def leave_one_out(self) -> tuple[FloatArray, FloatArray]:
         """Mean and standard deviation of each value by the process of all others, (n,) each."""
-        precision = (self.inverse**2).sum(axis=0)
+        precision = (self.inverse_factor**2).sum(axis=0)
         return self._values - self.weights / precision, 1.0 / np.sqrt(precision)
 
 
@@ -78,78 +78,78 @@ class SparsePosterior:
 
     def __init__(
         self,
-        kernel: Kernel,
+        kernel: MaternKernel,
         points: FloatArray,
         values: FloatArray,
-        matters: FloatArray | None = None,
-        before: SparsePosterior | None = None,
+        relevance: FloatArray | None = None,
+        base: SparsePosterior | None = None,
     ) -> None:
         self._kernel = kernel
-        if before is None:
-            self.points = points[_standing_for(kernel, points, matters)]
+        if base is None:
+            self.points = points[_choose_inducing_points(kernel, points, relevance)]
             prior = kernel.covariance(self.points, self.points)
-            self._whiten = _inverse(prior, _JITTER * kernel.signal**2)
+            self._whitening = _inverse_cholesky_factor(prior, _INDUCING_JITTER * kernel.signal**2)
             self._precision, self._moment = np.eye(len(prior)), np.zeros(len(prior))
         else:
-            self.points, self._whiten = before.points, before._whiten
-            self._precision, self._moment = before._precision, before._moment
-        for block in _blocks(len(points)):
-            rows, deviation = self._rows(points[block])
+            self.points, self._whitening = base.points, base._whitening
+            self._precision, self._moment = base._precision, base._moment
+        for block in _block_slices(len(points)):
+            rows, deviation = self._whitened_covariances(points[block])
             rows /= deviation[:, None]
             # Only the lower half is used.
-            self._precision = self._precision + products_of_rows(rows.T)
+            self._precision = self._precision + gram_lower_half(rows.T)
             self._moment = self._moment + rows.T @ (values[block] / deviation)
         lower = cholesky(self._precision, lower=True)
         self._mean = cho_solve((lower, True), self._moment)
-        self._narrowed = np.asarray(dtrtri(lower, lower=1)[0])
+        self._inverse_precision_factor = np.asarray(dtrtri(lower, lower=1)[0])
         covariance = dpotri(lower, lower=1)[0]
         covariance += np.tril(covariance, -1).T
-        self.known, self.values = points, values
-        if before is not None:
-            self.known = np.concatenate([before.known, points])
-            self.values = np.concatenate([before.values, values])
-        self.weights = self._whiten.T @ self._mean
+        self.all_points, self.values = points, values
+        if base is not None:
+            self.all_points = np.concatenate([base.all_points, points])
+            self.values = np.concatenate([base.values, values])
+        self.weights = self._whitening.T @ self._mean
         # Factor the explained variance, 1 - covariance, as transpose times factor.
         explained = np.ascontiguousarray((np.eye(len(lower)) - covariance)[::-1, ::-1])
-        factor = positive_factor(explained, _SLACK)
-        self.inverse = lower_times(np.ascontiguousarray(factor[::-1, ::-1]).T, self._whiten)
+        factor = cholesky_with_slack(explained, _SLACK)
+        self.inverse_factor = multiply_lower_triangular(np.ascontiguousarray(factor[::-1, ::-1]).T, self._whitening)
 
-    def extended(self, points: FloatArray, values: FloatArray) -> SparsePosterior:
+    def with_more_values(self, points: FloatArray, values: FloatArray) -> SparsePosterior:
         """Posterior with additional values and the same inducing points."""
-        return SparsePosterior(self._kernel, points, values, before=self)
+        return SparsePosterior(self._kernel, points, values, base=self)
 
     def leave_one_out(self) -> tuple[FloatArray, FloatArray]:
         """Mean and standard deviation of each value by the process of all others, (n,) each."""
-        parts = [self._left_out(self.known[block], self.values[block]) for block in _blocks(len(self.known))]
+        parts = [self._leave_one_out_block(self.all_points[block], self.values[block]) for block in _block_slices(len(self.all_points))]
         mean, deviation = map(np.concatenate, zip(*parts, strict=True))
         return mean, deviation
 
-    def _left_out(self, points: FloatArray, values: FloatArray) -> tuple[FloatArray, FloatArray]:
+    def _leave_one_out_block(self, points: FloatArray, values: FloatArray) -> tuple[FloatArray, FloatArray]:
         """As `leave_one_out`, for some of the known values."""
-        rows, root = self._rows(points)
-        projections = times_lower_transposed(rows, self._narrowed)
+        rows, root = self._whitened_covariances(points)
+        projections = multiply_by_lower_transposed(rows, self._inverse_precision_factor)
         explained = np.einsum("ij,ij->i", projections, projections)
         precision = (1.0 - explained / root**2) / root**2
         error = (values - rows @ self._mean) / root**2 / precision
         return values - error, 1.0 / np.sqrt(precision)
 
-    def _rows(self, points: FloatArray) -> tuple[FloatArray, FloatArray]:
+    def _whitened_covariances(self, points: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Whitened covariances with the inducing points, and the standard deviation that these leave unexplained."""
-        rows = times_lower_transposed(self._kernel.covariance(points, self.points), self._whiten)
+        rows = multiply_by_lower_transposed(self._kernel.covariance(points, self.points), self._whitening)
         variance = self._kernel.signal**2
         unexplained = variance - np.einsum("ij,ij->i", rows, rows)
-        return rows, np.sqrt(np.maximum(unexplained, _JITTER * variance) + self._kernel.noise**2)
+        return rows, np.sqrt(np.maximum(unexplained, _INDUCING_JITTER * variance) + self._kernel.noise**2)
 
 
-Posterior = ExactPosterior | SparsePosterior
+AnyPosterior = ExactPosterior | SparsePosterior
 
 
-def _blocks(count: int) -> list[slice]:
+def _block_slices(count: int) -> list[slice]:
     """Slices of at most 8192 of `count` values."""
-    return [slice(first, first + _BLOCK) for first in range(0, count, _BLOCK)] or [slice(0, 0)]
+    return [slice(first, first + _BLOCK_SIZE) for first in range(0, count, _BLOCK_SIZE)] or [slice(0, 0)]
 
 
-def positive_factor(covariance: FloatArray, slack: float) -> FloatArray:
+def cholesky_with_slack(covariance: FloatArray, slack: float) -> FloatArray:
     """Lower Cholesky factor of a covariance that rounding errors may have made indefinite.
 
     Adds `slack`, or more if needed, to the diagonal of `covariance` in place; only the lower half is read.
@@ -164,39 +164,39 @@ def positive_factor(covariance: FloatArray, slack: float) -> FloatArray:
     return np.asarray(cholesky(covariance, lower=True))
 
 
-def posterior(kernel: Kernel, points: FloatArray, values: FloatArray, matters: FloatArray | None = None) -> Posterior:
+def condition_process(kernel: MaternKernel, points: FloatArray, values: FloatArray, relevance: FloatArray | None = None) -> AnyPosterior:
     """Posterior of a process: exact for up to 512 values, else by as many inducing points."""
-    if len(points) <= MOST_EXACT:
+    if len(points) <= MAX_EXACT_VALUES:
         return ExactPosterior(kernel, points, values)
-    return SparsePosterior(kernel, points, values, matters)
+    return SparsePosterior(kernel, points, values, relevance)
 
 
-def _standing_for(kernel: Kernel, points: FloatArray, matters: FloatArray | None) -> IntArray:
+def _choose_inducing_points(kernel: MaternKernel, points: FloatArray, relevance: FloatArray | None) -> IntArray:
     """Choose inducing points by randomly pivoted Cholesky, weighted by relevance."""
-    candidates = evenly(len(points), _AMONG)
+    candidates = evenly_spaced_indices(len(points), _N_CANDIDATES)
     rng = np.random.default_rng(0)
-    weights = np.ones(len(candidates)) if matters is None else matters[candidates]
-    residual, rows = np.ones(len(candidates)), np.zeros((len(candidates), MOST_EXACT), order="F")
+    weights = np.ones(len(candidates)) if relevance is None else relevance[candidates]
+    residual, rows = np.ones(len(candidates)), np.zeros((len(candidates), MAX_EXACT_VALUES), order="F")
     pivots = np.zeros(0, dtype=np.int64)
-    for done in range(0, MOST_EXACT, _AT_ONCE):
+    for done in range(0, MAX_EXACT_VALUES, _PIVOTS_PER_STEP):
         residual[pivots] = 0.0
-        new = rng.choice(len(candidates), _AT_ONCE, replace=False, p=residual * weights / (residual @ weights))
+        new = rng.choice(len(candidates), _PIVOTS_PER_STEP, replace=False, p=residual * weights / (residual @ weights))
         cross = kernel.covariance(points[candidates], points[candidates[new]]) / kernel.signal**2
-        cross -= times_transposed(rows[:, :done], rows[new, :done])
-        added = cross @ _inverse(cross[new], _JITTER).T
-        rows[:, done : done + _AT_ONCE] = added
+        cross -= multiply_by_transposed(rows[:, :done], rows[new, :done])
+        added = cross @ _inverse_cholesky_factor(cross[new], _INDUCING_JITTER).T
+        rows[:, done : done + _PIVOTS_PER_STEP] = added
         residual = np.maximum(residual - (added**2).sum(axis=1), 1e-12)
         pivots = np.concatenate([pivots, new])
     return np.sort(candidates[pivots])
 
 
-def _noisy(kernel: Kernel, points: FloatArray) -> FloatArray:
+def _covariance_with_noise(kernel: MaternKernel, points: FloatArray) -> FloatArray:
     """Covariance of values, with their noise."""
     covariance = kernel.covariance(points, points)
     covariance[np.diag_indices(len(points))] += kernel.noise**2
     return covariance
 
 
-def _inverse(covariance: FloatArray, slack: float) -> FloatArray:
+def _inverse_cholesky_factor(covariance: FloatArray, slack: float) -> FloatArray:
     """Inverse of the lower Cholesky factor."""
-    return np.asarray(dtrtri(positive_factor(covariance, slack), lower=1)[0])
+    return np.asarray(dtrtri(cholesky_with_slack(covariance, slack), lower=1)[0])

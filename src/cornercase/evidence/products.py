@@ -11,7 +11,7 @@ from scipy.linalg.blas import dgemm, dsyrk, dtrmm
 from cornercase._common.typing import FloatArray
 
 
-def lower_times(lower: FloatArray, right: FloatArray) -> FloatArray:
+def multiply_lower_triangular(lower: FloatArray, right: FloatArray) -> FloatArray:
     """Multiply a lower triangular matrix with another one; the upper half of `lower` is not read."""
     # BLAS is column-major: row-major matrices are passed as their transposes, without a copy.
     if lower.flags.f_contiguous:
@@ -19,17 +19,17 @@ def lower_times(lower: FloatArray, right: FloatArray) -> FloatArray:
     return np.asarray(dtrmm(1.0, lower.T, right.T, side=1, lower=0)).T
 
 
-def times_lower_transposed(left: FloatArray, lower: FloatArray) -> FloatArray:
+def multiply_by_lower_transposed(left: FloatArray, lower: FloatArray) -> FloatArray:
     """Multiply a matrix with the transpose of a lower triangular one, whose upper half is not read."""
-    return lower_times(lower, left.T).T
+    return multiply_lower_triangular(lower, left.T).T
 
 
-def times_transposed(left: FloatArray, right: FloatArray) -> FloatArray:
+def multiply_by_transposed(left: FloatArray, right: FloatArray) -> FloatArray:
     """Multiply a matrix (n, k) with the transpose of another one (m, k)."""
     return np.asarray(dgemm(1.0, left, right, trans_b=1))
 
 
-def products_of_rows(rows: FloatArray) -> FloatArray:
+def gram_lower_half(rows: FloatArray) -> FloatArray:
     """Lower half of `rows @ rows.T`, with zeros above the diagonal."""
     if rows.flags.f_contiguous:
         return np.asarray(dsyrk(1.0, rows, lower=1))

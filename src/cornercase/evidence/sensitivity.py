@@ -7,21 +7,21 @@ from typing import Any, Final
 
 import numpy as np
 
-from cornercase._common.threads import one_thread
+from cornercase._common.threads import single_threaded_blas
 from cornercase._common.typing import FloatArray
-from cornercase.evidence.gaussian_process import GaussianProcess, encoded, enough
-from cornercase.evidence.kernel import evenly
-from cornercase.evidence.products import lower_times
+from cornercase.evidence.gaussian_process import GaussianProcess, encode_points, require_enough_scores
+from cornercase.evidence.kernel import evenly_spaced_indices
+from cornercase.evidence.products import multiply_lower_triangular
 from cornercase.scenario import ParameterSpace
 
 _SAMPLES: Final = 4096
 # Points at which the process is drawn for the intervals, and number of draws.
-_PLACES, _DRAWS = 2048, 200
-_LEFT_OUT: Final = 4096  # greatest number of values that are left out in turn
+_N_POINTS, _N_DRAWS = 2048, 200
+_MAX_LEFT_OUT: Final = 4096  # greatest number of values that are left out in turn
 _INTERVAL: Final = (0.05, 0.95)
-LITTLE: Final = 0.05
+LITTLE_INFLUENCE: Final = 0.05
 """Total index below which a parameter has little influence."""
-FORETOLD: Final = 0.1
+MIN_PREDICTED: Final = 0.1
 """Least predicted fraction of the variance for the indices to be meaningful."""
 
 
@@ -51,15 +51,15 @@ class Sensitivity:
     predicted: float
 
     @property
-    def foretold(self) -> bool:
+    def is_meaningful(self) -> bool:
         """Whether enough of the variance is predicted for the indices to be meaningful."""
-        return self.predicted >= FORETOLD
+        return self.predicted >= MIN_PREDICTED
 
     @property
-    def little(self) -> tuple[str, ...]:
+    def uninfluential_parameters(self) -> tuple[str, ...]:
         """Parameters whose total index, with its interval, is below 0.05; none if hardly anything is predicted."""
         intervals = zip(self.names, self.total_interval, strict=True)
-        return tuple(name for name, (_, high) in intervals if high < LITTLE) if self.foretold else ()
+        return tuple(name for name, (_, high) in intervals if high < LITTLE_INFLUENCE) if self.is_meaningful else ()
 
 
 def estimate_sensitivity(space: ParameterSpace, points: FloatArray, scores: FloatArray, seed: int = 0) -> Sensitivity:
@@ -73,14 +73,14 @@ def estimate_sensitivity(space: ParameterSpace, points: FloatArray, scores: Floa
     estimates", Mathematics and Computers in Simulation 55 (2001); A. Saltelli et al., "Variance based sensitivity
     analysis of model output", Computer Physics Communications 181 (2010), with the estimators of scipy.
     """
-    points, scores = enough(points, scores)
+    points, scores = require_enough_scores(points, scores)
     values = (scores - scores.mean()) / scores.std()
-    process = GaussianProcess(1.0).fit(encoded(space, points), values)
-    subset = evenly(len(values), _LEFT_OUT)
+    process = GaussianProcess(1.0).fit(encode_points(space, points), values)
+    subset = evenly_spaced_indices(len(values), _MAX_LEFT_OUT)
     errors = values[subset] - process.leave_one_out(subset)[0]
 
-    def predict(places: FloatArray) -> FloatArray:
-        mean, _ = process.predict(encoded(space, space.snap(places.T)))
+    def predict_scores(points: FloatArray) -> FloatArray:
+        mean, _ = process.predict(encode_points(space, space.snap(points.T)))
         return mean[None, :]
 
     predicted = float(1.0 - np.mean(errors**2))
@@ -89,9 +89,9 @@ def estimate_sensitivity(space: ParameterSpace, points: FloatArray, scores: Floa
     from scipy.stats import sobol_indices, uniform
 
     distributions: Any = [uniform()] * space.dimension
-    with one_thread():
-        result: Any = sobol_indices(func=predict, n=_SAMPLES, dists=distributions, rng=np.random.default_rng(seed))
-        spreads = _spreads(space, process, seed)
+    with single_threaded_blas():
+        result: Any = sobol_indices(func=predict_scores, n=_SAMPLES, dists=distributions, rng=np.random.default_rng(seed))
+        spreads = _index_deviations(space, process, seed)
     varied = [parameter.size != 1 for parameter in space.parameters]
     names = tuple(name for name, is_varied in zip(space.names, varied, strict=True) if is_varied)
     indices, intervals = [], []
@@ -105,24 +105,24 @@ def estimate_sensitivity(space: ParameterSpace, points: FloatArray, scores: Floa
     return Sensitivity(names, indices[0], indices[1], intervals[0], intervals[1], predicted)
 
 
-def _spreads(space: ParameterSpace, process: GaussianProcess, seed: int) -> tuple[FloatArray, FloatArray]:
+def _index_deviations(space: ParameterSpace, process: GaussianProcess, seed: int) -> tuple[FloatArray, FloatArray]:
     """Deviations of the first-order and total indices of draws of a process from those of its mean, (draws, d) each.
 
     Both are computed at the same few points, so that the sampling error cancels.
     """
     dims = space.dimension
-    count = 1 << ((_PLACES // (dims + 2)).bit_length() - 1)
+    count = 1 << ((_N_POINTS // (dims + 2)).bit_length() - 1)
     # Imported late, since it takes half a second.
     from scipy.stats import qmc
 
     samples = qmc.Sobol(2 * dims, seed=np.random.default_rng([seed, 2])).random(count)
     a, b = samples[:, :dims], samples[:, dims:]
     mixed = [np.where(np.arange(dims) == j, b, a) for j in range(dims)]
-    points = encoded(space, space.snap(np.concatenate([a, b, *mixed])))
+    points = encode_points(space, space.snap(np.concatenate([a, b, *mixed])))
     mean, _ = process.predict(points)
-    factor, _ = process.joint(points, noisy=False)
-    normal = np.random.default_rng([seed, 3]).standard_normal((len(points), _DRAWS))
-    values = np.concatenate([mean[:, None], mean[:, None] + lower_times(factor, normal)], axis=1)
+    factor, _ = process.joint_covariance(points, with_noise=False)
+    normal = np.random.default_rng([seed, 3]).standard_normal((len(points), _N_DRAWS))
+    values = np.concatenate([mean[:, None], mean[:, None] + multiply_lower_triangular(factor, normal)], axis=1)
     values_a, values_b, *values_mixed = values.reshape(dims + 2, count, -1)
     variance = np.maximum(np.concatenate([values_a, values_b]).var(axis=0), 1e-12)
     first = np.array([(values_b * (value - values_a)).mean(axis=0) / variance for value in values_mixed]).T

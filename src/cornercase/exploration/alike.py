@@ -11,18 +11,18 @@ from cornercase.metrics import METRICS
 from cornercase.study import DamageError, Study
 
 # Minimum number of finished scenarios.
-ENOUGH_ALIKE: Final = 10
+MIN_SCENARIOS_TO_COMPARE: Final = 10
 
 
-def tell_alike(study: Study) -> dict[str, str]:
+def describe_constant_metrics(study: Study) -> dict[str, str]:
     """Describe each metric that has the same score in all scenarios of a study; empty before 10 have finished.
 
     If the metric is searched, the search had no gradient to follow; if not, this may be fine.
     """
     sentences: dict[str, str] = {}
-    if len(study.done()) < ENOUGH_ALIKE:
+    if len(study.finished_rows()) < MIN_SCENARIOS_TO_COMPARE:
         return sentences
-    searched = study.meta.searched
+    searched = study.meta.objective_metrics
     for name in study.meta.metrics:
         try:
             scores = study.scores(name)

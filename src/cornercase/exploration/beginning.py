@@ -12,15 +12,15 @@ import numpy as np
 from cornercase._common.errors import InputError
 from cornercase._common.typing import FloatArray
 from cornercase.exploration.objective import Objective
-from cornercase.metrics import condition_of, measured
+from cornercase.metrics import find_critical_if_condition, evaluate_metrics
 from cornercase.scenario import ParameterSpace, Value
-from cornercase.study import Row, Study, digest_of_scores
+from cornercase.study import ScenarioRecord, Study, hash_points_and_scores
 
-_FEWEST: Final = 10
+_MIN_SCORES: Final = 10
 
 
 @dataclass(frozen=True, eq=False)
-class Beginning:
+class WarmStart:
     """Scores of another study in the space of a new one.
 
     `points`, shape (n, d), are in the unit cube of the new space, `scores`, shape (n,), are minimized; `about` is the
@@ -29,12 +29,12 @@ class Beginning:
 
     points: FloatArray
     scores: FloatArray
-    about: dict[str, Any]
+    study_info: dict[str, Any]
 
 
-def read_beginning(
+def read_warm_start(
     path: Path, space: ParameterSpace, objective: Objective, ego: str, others: Sequence[str]
-) -> Beginning:
+) -> WarmStart:
     """Read points and minimized scores of another study, to warm-start a search.
 
     Failed scenarios and those with values outside the new space are skipped. Metrics that the other study lacks, or
@@ -46,14 +46,14 @@ def read_beginning(
         _require_same_parameters(path, study.space, space)
         all_rows = study.rows()
         finished = [row for row in all_rows if row.state == "done"]
-        rows = [row for row in finished if _holds(space, row.values)]
-        scores = _oriented(study, objective, rows, ego, tuple(others))
+        rows = [row for row in finished if _contains_values(space, row.values)]
+        scores = _minimized_scores(study, objective, rows, ego, tuple(others))
         is_finite = np.isfinite(scores)
         points, scores = space.points([row.values for row in rows])[is_finite], scores[is_finite]
-        if len(scores) < _FEWEST or np.ptp(scores) == 0.0:
+        if len(scores) < _MIN_SCORES or np.ptp(scores) == 0.0:
             raise InputError(
-                f"`from_study` {path}: {len(scores)} of its {len(finished)} scenarios are in this space with a score;"
-                f" at least {_FEWEST} with different scores are needed."
+                f"`warm_start` {path}: {len(scores)} of its {len(finished)} scenarios are in this space with a score;"
+                f" at least {_MIN_SCORES} with different scores are needed."
             )
         info = {
             "study": path.name,
@@ -61,24 +61,24 @@ def read_beginning(
             "simulator": study.meta.simulator,
             "settings": dict(study.meta.settings),
             "scenarios": len(scores),
-            "sha256": digest_of_scores(points, scores),
+            "sha256": hash_points_and_scores(points, scores),
         }
-        return Beginning(points, scores, info)
+        return WarmStart(points, scores, info)
 
 
-def _require_same_parameters(path: Path, there: ParameterSpace, here: ParameterSpace) -> None:
-    for names, lacking, where in ((here, there, "its space has no"), (there, here, "this space has no")):
+def _require_same_parameters(path: Path, source_space: ParameterSpace, own_space: ParameterSpace) -> None:
+    for names, lacking, where in ((own_space, source_space, "its space has no"), (source_space, own_space, "this space has no")):
         if missing := [name for name in names.names if name not in lacking.names]:
             raise InputError(
-                f"`from_study` {path}: {where} parameter '{missing[0]}'; use a study with the same parameters."
+                f"`warm_start` {path}: {where} parameter '{missing[0]}'; use a study with the same parameters."
             )
 
 
-def _holds(space: ParameterSpace, values: Mapping[str, Value]) -> bool:
+def _contains_values(space: ParameterSpace, values: Mapping[str, Value]) -> bool:
     """Return whether a space contains these values."""
     for parameter in space.parameters:
         try:
-            value = parameter.read(values)
+            value = parameter.extract_value(values)
         except InputError:
             return False
         if parameter.choices:
@@ -89,7 +89,7 @@ def _holds(space: ParameterSpace, values: Mapping[str, Value]) -> bool:
     return True
 
 
-def _oriented(study: Study, objective: Objective, rows: Sequence[Row], ego: str, others: tuple[str, ...]) -> FloatArray:
+def _minimized_scores(study: Study, objective: Objective, rows: Sequence[ScenarioRecord], ego: str, others: tuple[str, ...]) -> FloatArray:
     """Minimized scores of scenarios of a study, shape (n,); measured if they are not stored."""
     meta = study.meta
     names = [metric.name for metric in objective.metrics]
@@ -106,16 +106,16 @@ def _oriented(study: Study, objective: Objective, rows: Sequence[Row], ego: str,
         if same_entities and metric.name in meta.metrics:
             scores[:, k] = study.scores(metric.name)[indices]
         else:
-            if condition := condition_of([metric.name]):
+            if condition := find_critical_if_condition([metric.name]):
                 raise InputError(
-                    f"`from_study` {study.path}: was not searched for the condition '{condition}'; use a study with"
+                    f"`warm_start` {study.path}: was not searched for the condition '{condition}'; use a study with"
                     " the same `critical_if`."
                 )
-            metric.require()
+            metric.check_installed()
             missing.append((k, metric))
     if missing:
         for i, row in enumerate(rows):
-            results = measured([metric for _, metric in missing], study.recording(row.id), ego, others)
+            results = evaluate_metrics([metric for _, metric in missing], study.recording(row.id), ego, others)
             for k, metric in missing:
                 scores[i, k] = results[metric.name].score
-    return objective.oriented(scores)
+    return objective.minimized(scores)

@@ -7,28 +7,28 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
-from cornercase._common.arguments import by_name, flag, number, path, shown, text, texts, whole_number
-from cornercase._common.dask_client import cluster_argument
+from cornercase._common.arguments import check_mapping, check_bool, check_float, check_path, repr_short, check_str, check_str_sequence, check_int
+from cornercase._common.dask_client import check_cluster
 from cornercase._common.errors import InputError
-from cornercase._common.texts import without_folders
-from cornercase.drivers import Driver, driver_changes, driver_command, driver_of_file, driver_text, is_driver
+from cornercase._common.texts import remove_folders
+from cornercase.drivers import Driver, iter_driver_changes, driver_command_option, create_driver_named_in_file, format_driver, is_driver
 from cornercase.exploration.objective import Objective
-from cornercase.exploration.stopping import Criterion
-from cornercase.metrics import EVERYBODY, METRICS, CriticalIf, condition_of, name_others
-from cornercase.optimizers import optimizer_needs
-from cornercase.scenario import LogicalScenario, Scenario
-from cornercase.simulators import MOST_FAILURES, MOST_WORKERS, Simulator
-from cornercase.study import FEWEST_CLEAR_RUNS, MOST_AUDITS, Study, StudyMeta, explored_scenario, stored_path
+from cornercase.exploration.stopping import StopCriterion
+from cornercase.metrics import ALL_OTHERS, METRICS, CriticalIf, find_critical_if_condition, resolve_others
+from cornercase.optimizers import optimizer_requirements
+from cornercase.scenario import LogicalScenario, ScenarioFile
+from cornercase.simulators import DEFAULT_MAX_FAILURES, MAX_WORKERS, Simulator
+from cornercase.study import MIN_DECISIVE_RUNS, MAX_AUDIT_FRACTION, Study, StudyMeta, find_explored_scenario, stored_path
 
 if TYPE_CHECKING:
     from distributed import Client
 
 # Minimum of each integer setting.
-_LEAST: Final = {"budget": 1, "batch": 1, "patience": 1, "seed": 0, "retries": 0, "max_failures": 0, "repeats": 1}
+_MINIMUM_OF_SETTING: Final = {"budget": 1, "batch": 1, "patience": 1, "seed": 0, "retries": 0, "max_failures": 0, "repeats": 1}
 
 
 @dataclass(frozen=True)
-class Configuration:
+class ExplorationConfig:
     """Validated settings of an exploration; the fields are the parameters of `explore`.
 
     `other` becomes a tuple if it has several names, and ``"*"`` becomes the names of all others. `most_repeats` becomes
@@ -58,75 +58,75 @@ class Configuration:
     cluster: str | Client | None = None
     timeout: float | None = None
     retries: int = 1
-    max_failures: int = MOST_FAILURES
+    max_failures: int = DEFAULT_MAX_FAILURES
     repeats: int = 1
-    most_repeats: int | None = None
+    max_repeats: int | None = None
     audit: float = 0.0
     time_step: float = 0.05
     duration: float = 60.0
     on_collision: str = "continue"
     drivers: Mapping[str, str | Driver] = field(default_factory=dict)
-    from_study: Path | str | None = None
+    warm_start: Path | str | None = None
 
     def __post_init__(self) -> None:
         arguments = vars(self)
-        checked: dict[str, object] = {name: text(name, arguments[name]) for name in ("ego", "optimizer", "simulator")}
-        all_entities = self.logical.scenario.entities if EVERYBODY in texts("other", self.other) else ()
-        others = name_others(self.other, text("ego", self.ego), all_entities)
+        checked: dict[str, object] = {name: check_str(name, arguments[name]) for name in ("ego", "optimizer", "simulator")}
+        all_entities = self.logical.scenario_file.entities if ALL_OTHERS in check_str_sequence("other", self.other) else ()
+        others = resolve_others(self.other, check_str("ego", self.ego), all_entities)
         checked["other"] = others[0] if len(others) == 1 else others
         if self.critical_if is not None:
-            checked["critical_if"] = text("critical_if", self.critical_if)
-            self._require_condition_alone()
-        checked |= {name: texts(name, arguments[name]) for name in ("metrics", "stop_when")}
+            checked["critical_if"] = check_str("critical_if", self.critical_if)
+            self._refuse_conflicts_with_condition()
+        checked |= {name: check_str_sequence(name, arguments[name]) for name in ("metrics", "stop_when")}
         checked |= {
-            name: whole_number(name, arguments[name], least)
-            for name, least in _LEAST.items()
+            name: check_int(name, arguments[name], least)
+            for name, least in _MINIMUM_OF_SETTING.items()
             if not (name == "patience" and self.patience is None)
         }
-        checked["workers"] = whole_number("workers", self.workers, 1, MOST_WORKERS)
-        checked |= {name: flag(name, arguments[name]) for name in ("asynchronous", "pareto")}
-        checked["on_collision"] = text("on_collision", self.on_collision, ("continue", "stop"))
-        checked |= {name: number(name, arguments[name], above=0.0) for name in ("time_step", "duration")}
-        checked["audit"] = number("audit", self.audit, least=0.0)
-        if self.audit > MOST_AUDITS:
-            raise InputError(f"`audit` {self.audit:g}: give a fraction of the scenarios up to {MOST_AUDITS:g}.")
+        checked["workers"] = check_int("workers", self.workers, 1, MAX_WORKERS)
+        checked |= {name: check_bool(name, arguments[name]) for name in ("asynchronous", "pareto")}
+        checked["on_collision"] = check_str("on_collision", self.on_collision, ("continue", "stop"))
+        checked |= {name: check_float(name, arguments[name], above=0.0) for name in ("time_step", "duration")}
+        checked["audit"] = check_float("audit", self.audit, minimum=0.0)
+        if self.audit > MAX_AUDIT_FRACTION:
+            raise InputError(f"`audit` {self.audit:g}: give a fraction of the scenarios up to {MAX_AUDIT_FRACTION:g}.")
         if self.critical is not None:
-            checked["critical"] = number("critical", self.critical)
-        if self.from_study is not None:
-            checked["from_study"] = path("from_study", self.from_study)
+            checked["critical"] = check_float("critical", self.critical)
+        if self.warm_start is not None:
+            checked["from_study"] = check_path("from_study", self.warm_start)
         if self.cluster is not None:
-            checked["cluster"] = cluster_argument(self.cluster)
+            checked["cluster"] = check_cluster(self.cluster)
         if self.max_seconds is not None:
-            checked["max_seconds"] = number("max_seconds", self.max_seconds, least=0.0)
+            checked["max_seconds"] = check_float("max_seconds", self.max_seconds, minimum=0.0)
         if self.timeout is not None:
-            checked["timeout"] = number("timeout", self.timeout, above=0.0)
-        weights = by_name("weights", self.weights)
-        checked["weights"] = {name: number("weights", weight) for name, weight in weights.items()}
-        checked["drivers"] = {name: _driver(name, driver) for name, driver in by_name("drivers", self.drivers).items()}
+            checked["timeout"] = check_float("timeout", self.timeout, above=0.0)
+        weights = check_mapping("weights", self.weights)
+        checked["weights"] = {name: check_float("weights", weight) for name, weight in weights.items()}
+        checked["drivers"] = {name: _check_driver(name, driver) for name, driver in check_mapping("drivers", self.drivers).items()}
         for name, value in checked.items():
             object.__setattr__(self, name, value)
-        object.__setattr__(self, "most_repeats", self._most_repeats())
-        self.criteria()
+        object.__setattr__(self, "max_repeats", self._checked_max_repeats())
+        self.parse_stop_criteria()
 
     @property
     def others(self) -> tuple[str, ...]:
         """Names of all entities that the ego is measured against."""
         return (self.other,) if isinstance(self.other, str) else tuple(self.other)
 
-    def _require_condition_alone(self) -> None:
+    def _refuse_conflicts_with_condition(self) -> None:
         """Refuse arguments that contradict `critical_if`."""
         conflicts = {"critical": self.critical is not None, "weights": self.weights, "pareto": self.pareto}
         for name in filter(conflicts.get, conflicts):
             raise InputError(f"`critical_if` already defines what is critical and searched; leave `{name}` out.")
-        for name, value in {"repeats": self.repeats, "most_repeats": self.most_repeats}.items():
+        for name, value in {"repeats": self.repeats, "most_repeats": self.max_repeats}.items():
             if value not in (None, 1):
                 raise InputError(f"`critical_if` is evaluated on one run of each scenario; leave `{name}` out.")
 
-    def _most_repeats(self) -> int | None:
+    def _checked_max_repeats(self) -> int | None:
         """Return the checked upper limit of runs per scenario; None if it equals `repeats`."""
-        if self.most_repeats is None:
+        if self.max_repeats is None:
             return None
-        limit = whole_number("most_repeats", self.most_repeats, 1)
+        limit = check_int("most_repeats", self.max_repeats, 1)
         if limit == self.repeats:
             return None
         if self.pareto or self.weights:
@@ -140,55 +140,55 @@ class Configuration:
             )
         if limit < self.repeats:
             raise InputError(f"`most_repeats` {limit}: is less than `repeats` {self.repeats}; give a larger number.")
-        if limit < FEWEST_CLEAR_RUNS:
+        if limit < MIN_DECISIVE_RUNS:
             raise InputError(
-                f"`most_repeats` {limit}: fewer than {FEWEST_CLEAR_RUNS} runs never decide a scenario; give"
-                f" {FEWEST_CLEAR_RUNS} or more, or only `repeats` {limit}."
+                f"`most_repeats` {limit}: fewer than {MIN_DECISIVE_RUNS} runs never decide a scenario; give"
+                f" {MIN_DECISIVE_RUNS} or more, or only `repeats` {limit}."
             )
         return limit
 
     def require_entities(self) -> None:
         """Raise `InputError` if the ego, another or a driven entity is not in the scenario."""
-        self.logical.scenario.require_entity(self.ego, "ego")
+        self.logical.scenario_file.require_entity(self.ego, "ego")
         for other in self.others:
-            self.logical.scenario.require_entity(other, "other")
+            self.logical.scenario_file.require_entity(other, "other")
         for entity in self.drivers:
-            self.logical.scenario.require_entity(entity, "driven entity")
+            self.logical.scenario_file.require_entity(entity, "driven entity")
 
-    def objective(self) -> Objective:
+    def make_objective(self) -> Objective:
         """Create the objective; `InputError` if a metric is unknown or unavailable, or weights and front do not fit."""
         metrics = [METRICS.create(name) for name in dict.fromkeys(self.metrics)]
         for metric in metrics:
-            metric.require()
-        condition = self.condition()
+            metric.check_installed()
+        condition = self.make_condition()
         return Objective(metrics if condition is None else [condition, *metrics], self.weights, self.pareto)
 
-    def condition(self) -> CriticalIf | None:
+    def make_condition(self) -> CriticalIf | None:
         """Create the metric of `critical_if`; None without a condition."""
         if self.critical_if is None:
             return None
-        condition = CriticalIf.of(self.critical_if)
-        condition.require_parts()
+        condition = CriticalIf.from_text(self.critical_if)
+        condition.check_parts_installed()
         return condition
 
-    def criteria(self) -> list[Criterion]:
+    def parse_stop_criteria(self) -> list[StopCriterion]:
         """Parse the criteria of `stop_when`."""
-        return [Criterion.parse(text) for text in self.stop_when]
+        return [StopCriterion.parse(text) for text in self.stop_when]
 
-    def threshold(self, objective: Objective) -> float | None:
+    def minimized_threshold(self, objective: Objective) -> float | None:
         """Return the threshold as a minimized score; None if it is unknown and nothing needs it.
 
         Raises `InputError` if it is unknown but the optimizer, a stop criterion or `most_repeats` needs it.
         """
-        if self.stop_when or self.most_repeats is not None or "threshold" in optimizer_needs(self.optimizer):
-            return objective.threshold(self.critical)
-        return objective.known_threshold(self.critical)
+        if self.stop_when or self.max_repeats is not None or "threshold" in optimizer_requirements(self.optimizer):
+            return objective.minimized_threshold(self.critical)
+        return objective.minimized_threshold_or_none(self.critical)
 
-    def meta(
+    def make_study_meta(
         self,
         objective: Objective,
         settings: Mapping[str, object],
-        elsewhere: Mapping[str, object] | None = None,
+        warm_start_info: Mapping[str, object] | None = None,
         *,
         study: Path = Path("study.db"),
     ) -> StudyMeta:
@@ -196,7 +196,7 @@ class Configuration:
 
         `study` is the path of the study, from which the scenario file is named.
         """
-        threshold = self.threshold(objective)
+        threshold = self.minimized_threshold(objective)
         return StudyMeta(
             scenario=stored_path(self.logical.path, study),
             fingerprint=self.logical.fingerprint,
@@ -206,9 +206,9 @@ class Configuration:
             metrics=tuple(metric.name for metric in objective.metrics),
             optimizer=self.optimizer,
             # The options may contain paths of this machine.
-            simulator=without_folders(self.simulator),
+            simulator=remove_folders(self.simulator),
             settings=settings,
-            critical=None if threshold is None else objective.flip(threshold),
+            critical=None if threshold is None else objective.convert_orientation(threshold),
             weights=dict(self.weights),
             pareto=self.pareto,
             seed=self.seed,
@@ -216,27 +216,27 @@ class Configuration:
             batch=self.batch,
             asynchronous=self.asynchronous,
             repeats=self.repeats,
-            most_repeats=self.most_repeats,
+            most_repeats=self.max_repeats,
             audit=self.audit,
-            elsewhere=elsewhere or {},
+            elsewhere=warm_start_info or {},
         )
 
 
-def _driver(entity: str, driver: object) -> str | Driver:
+def _check_driver(entity: str, driver: object) -> str | Driver:
     if isinstance(driver, str) and driver:
         return driver
     if not is_driver(driver):
-        raise InputError(f"`drivers` {entity}={shown(driver)}: give the name of a driver, or an instance.")
+        raise InputError(f"`drivers` {entity}={repr_short(driver)}: give the name of a driver, or an instance.")
     return driver
 
 
-def configuration_of(
+def config_from_study(
     study: Study,
     file: Path,
-    scenario: Path | str | Scenario | None,
+    scenario: Path | str | ScenarioFile | None,
     simulator: str | None,
     drivers: Mapping[str, str | Driver],
-) -> Configuration:
+) -> ExplorationConfig:
     """Rebuild the configuration that a study was explored with.
 
     `file` is the study in messages, `scenario` the explored file (None: search for it), `simulator` None for the
@@ -244,29 +244,29 @@ def configuration_of(
     missing.
     """
     meta, settings = study.meta, study.meta.settings
-    source = explored_scenario(study, scenario, where_named=True)
+    source = find_explored_scenario(study, scenario, search_stored_path=True)
     if source is None:
         raise InputError(f"{file}: contains imported recordings, so no further scenario can be run.")
-    resolved_drivers: dict[str, str | Driver] = dict(by_name("drivers", drivers))
+    resolved_drivers: dict[str, str | Driver] = dict(check_mapping("drivers", drivers))
     for entity, driver in settings.get("drivers", {}).items():
         # A study file must not make us import a module.
-        if isinstance(driver, str) and _is_for_file(driver):
+        if isinstance(driver, str) and _is_safe_driver_name(driver):
             resolved_drivers.setdefault(entity, driver)
         elif entity not in resolved_drivers:
-            command = driver_command(driver)
+            command = driver_command_option(driver)
             hint = "give it again" if command is None else f"give it again with `drivers` {entity}={command}"
             raise InputError(
-                f"{file}: {driver_text(driver)} drove {entity}; code that a study names is not run, so {hint}."
+                f"{file}: {format_driver(driver)} drove {entity}; code that a study names is not run, so {hint}."
             )
     run_settings: dict[str, Any] = {
         name: settings[name] for name in ("time_step", "duration", "on_collision") if name in settings
     }
-    condition = condition_of(meta.metrics)
-    return Configuration(
+    condition = find_critical_if_condition(meta.metrics)
+    return ExplorationConfig(
         logical=LogicalScenario(source.path, meta.space, meta.fingerprint, source),
         ego=meta.ego,
         other=meta.other,
-        metrics=tuple(name for name in meta.metrics if not condition_of([name])),
+        metrics=tuple(name for name in meta.metrics if not find_critical_if_condition([name])),
         optimizer=meta.optimizer,
         critical=None if condition else meta.critical,
         critical_if=condition or None,
@@ -277,7 +277,7 @@ def configuration_of(
         asynchronous=meta.asynchronous,
         seed=meta.seed,
         repeats=meta.repeats,
-        most_repeats=meta.most_repeats,
+        max_repeats=meta.most_repeats,
         audit=meta.audit,
         simulator=meta.simulator.partition(":")[0] if simulator is None else simulator,
         drivers=resolved_drivers,
@@ -285,23 +285,23 @@ def configuration_of(
     )
 
 
-def _is_for_file(driver: str) -> bool:
+def _is_safe_driver_name(driver: str) -> bool:
     """Return whether a stored driver name may be resolved without running foreign code."""
     try:
-        driver_of_file(driver)
+        create_driver_named_in_file(driver)
     except InputError:
         return False
     return True
 
 
-def require_same_runs(study: Path, meta: StudyMeta, simulator: Simulator) -> None:
+def require_same_settings(study: Path, meta: StudyMeta, simulator: Simulator) -> None:
     """Raise `InputError` if the settings of a simulator differ from those stored in the study."""
     own_settings: dict[str, Any] = dict(simulator.settings)
     different = [
         name for name in sorted({*own_settings, *meta.settings}) if own_settings.get(name) != meta.settings.get(name)
     ]
     if different:
-        changes = driver_changes(meta.settings.get("drivers"), own_settings.get("drivers"))
+        changes = iter_driver_changes(meta.settings.get("drivers"), own_settings.get("drivers"))
         drivers = "".join(f"; {stored} drove {entity}, not {current}" for entity, stored, current, _ in changes)
         raise InputError(
             f"{study}: was explored with another {', '.join(different)}{drivers}; give the same `simulator` and"

@@ -6,82 +6,82 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 
 from cornercase._common.errors import SimulationError
-from cornercase.drivers import ReferenceOutcome, judge_reference
-from cornercase.exploration.configuration import Configuration
-from cornercase.metrics import CriticalIf, LookedAt, Measured
+from cornercase.drivers import ReferenceOutcome, assess_preventability
+from cornercase.exploration.configuration import ExplorationConfig
+from cornercase.metrics import CriticalIf, ConditionState, MetricResult
 from cornercase.recordings import Recording
 from cornercase.scenario import ConcreteScenario
 from cornercase.simulators import Simulator
-from cornercase.study import Row
+from cornercase.study import ScenarioRecord
 
-Run = Callable[[Simulator, Sequence[ConcreteScenario]], Iterator[Recording | SimulationError]]
+SimulateScenarios = Callable[[Simulator, Sequence[ConcreteScenario]], Iterator[Recording | SimulationError]]
 
 
 @dataclass(eq=False)
-class Undecided:
+class PendingCondition:
     """A finished scenario whose condition may depend on references.
 
     `courses` are the results by metric, `looked` is the condition evaluated without references, `outcomes` are the
     reference runs by name, `error` says why one of them failed.
     """
 
-    row: Row
+    row: ScenarioRecord
     recording: Recording
-    courses: dict[str, Measured]
-    looked: LookedAt
-    outcomes: dict[str, ReferenceOutcome] = field(default_factory=dict)
+    results: dict[str, MetricResult]
+    condition_state: ConditionState
+    reference_outcomes: dict[str, ReferenceOutcome] = field(default_factory=dict)
     error: SimulationError | None = None
 
     @property
-    def wanted(self) -> str | None:
+    def next_reference(self) -> str | None:
         """Name of the reference to run next; None if none is needed."""
-        return None if self.error is not None else self.looked.undecided(self._collides)
+        return None if self.error is not None else self.condition_state.next_reference_to_run(self._collisions_by_reference)
 
     @property
-    def _collides(self) -> dict[str, bool | None]:
-        return {name: outcome.collides for name, outcome in self.outcomes.items()}
+    def _collisions_by_reference(self) -> dict[str, bool | None]:
+        return {name: outcome.collides for name, outcome in self.reference_outcomes.items()}
 
-    def decided(self) -> dict[str, Measured]:
+    def decided_results(self) -> dict[str, MetricResult]:
         """Results by metric, with the score of the condition according to the references."""
-        metric = self.looked.metric
-        result, score = self.courses[metric.name], self.looked.score(self._collides)
+        metric = self.condition_state.metric
+        result, score = self.results[metric.name], self.condition_state.score(self._collisions_by_reference)
         against = result.against if score < metric.cap else None
-        return self.courses | {metric.name: Measured(result.course, score, against)}
+        return self.results | {metric.name: MetricResult(result.course, score, against)}
 
 
-class SecondRuns:
+class ReferenceRuns:
     """Runs scenarios again with reference drivers in the ego."""
 
     def __init__(
-        self, configuration: Configuration, condition: CriticalIf, references: Mapping[str, Simulator], run: Run
+        self, config: ExplorationConfig, condition: CriticalIf, references: Mapping[str, Simulator], simulate: SimulateScenarios
     ) -> None:
-        self._about, self._condition, self._references, self._run = configuration, condition, references, run
+        self._config, self._condition, self._references, self._simulate = config, condition, references, simulate
 
-    def look(self, row: Row, recording: Recording, courses: dict[str, Measured]) -> Undecided:
+    def evaluate_condition(self, row: ScenarioRecord, recording: Recording, results: dict[str, MetricResult]) -> PendingCondition:
         """Evaluate the condition without references."""
-        return Undecided(row, recording, courses, self._condition.look(recording, self._about.ego, self._about.others))
+        return PendingCondition(row, recording, results, self._condition.evaluate(recording, self._config.ego, self._config.others))
 
-    def decide(self, scenarios: Sequence[Undecided]) -> Iterator[Undecided]:
+    def decide_conditions(self, scenarios: Sequence[PendingCondition]) -> Iterator[PendingCondition]:
         """Run references until every condition is decided; yield each scenario when it is."""
         remaining = list(scenarios)
         while remaining:
-            for name in dict.fromkeys(item.wanted for item in remaining):
-                group = [item for item in remaining if item.wanted == name]
+            for name in dict.fromkeys(item.next_reference for item in remaining):
+                group = [item for item in remaining if item.next_reference == name]
                 if name is not None:
-                    self._ask(name, group)
-            yield from (item for item in remaining if item.wanted is None)
-            remaining = [item for item in remaining if item.wanted is not None]
+                    self._run_reference(name, group)
+            yield from (item for item in remaining if item.next_reference is None)
+            remaining = [item for item in remaining if item.next_reference is not None]
 
-    def _ask(self, name: str, scenarios: Sequence[Undecided]) -> None:
-        concretes = [self._about.logical.concrete(scenario.row.values) for scenario in scenarios]
+    def _run_reference(self, reference: str, scenarios: Sequence[PendingCondition]) -> None:
+        concretes = [self._config.logical.concrete_scenario(scenario.row.values) for scenario in scenarios]
         # Exhaust the iterator, so that the simulator cleans up.
-        for scenario, run in zip(scenarios, list(self._run(self._references[name], concretes)), strict=True):
-            self.take(scenario, name, run)
+        for scenario, run in zip(scenarios, list(self._simulate(self._references[reference], concretes)), strict=True):
+            self.record_reference_run(scenario, reference, run)
 
-    def take(self, one: Undecided, name: str, run: Recording | SimulationError) -> None:
+    def record_reference_run(self, scenario: PendingCondition, reference: str, outcome: Recording | SimulationError) -> None:
         """Record the run of a scenario with reference `name`."""
-        if isinstance(run, SimulationError):
-            one.error = SimulationError(f"run again with reference:{name}: {run}")
+        if isinstance(outcome, SimulationError):
+            scenario.error = SimulationError(f"run again with reference:{reference}: {outcome}")
         else:
-            config = self._about
-            one.outcomes[name] = judge_reference(name, run, one.recording, config.ego, config.others)
+            config = self._config
+            scenario.reference_outcomes[reference] = assess_preventability(reference, outcome, scenario.recording, config.ego, config.others)

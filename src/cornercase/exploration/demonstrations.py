@@ -6,12 +6,12 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any, Final
 
-from cornercase._common.errors import InputError, suggestion
-from cornercase._common.files import read_file, written_whole
-from cornercase.exploration.configuration import Configuration
+from cornercase._common.errors import InputError, suggest_name
+from cornercase._common.files import read_file, atomic_write
+from cornercase.exploration.configuration import ExplorationConfig
 from cornercase.scenario import LogicalScenario
 
-_DEMONSTRATIONS: Final[dict[str, dict[str, Any]]] = {
+_EXPERIMENT_SETTINGS: Final[dict[str, dict[str, Any]]] = {
     "x-intersection": {
         "other": "Pedestrian",
         "metrics": ("wttc", "trajectory-distance"),
@@ -29,10 +29,10 @@ _DEMONSTRATIONS: Final[dict[str, dict[str, Any]]] = {
 }
 
 # The T-intersection is the paper's example of drivers that differ.
-_MUTANTS: Final = {"t-intersection": 20}
+_MUTANT_COUNTS: Final = {"t-intersection": 20}
 
 
-def demonstration(
+def paper_experiment_config(
     name: str,
     *,
     budget: int | None = None,
@@ -41,46 +41,46 @@ def demonstration(
     simulator: str = "builtin",
     workers: int = 1,
     folder: Path | None = None,
-) -> Configuration:
+) -> ExplorationConfig:
     """Return the configuration of one of the paper's experiments.
 
     `driver` replaces the file's driver of the ego. `folder`: copy the example's files there and explore those. Raises
     `InputError` for an unknown name, or if a file cannot be written or was changed.
     """
-    if name not in _DEMONSTRATIONS:
-        raise InputError(f"There is no example '{name}'; {suggestion(name, _DEMONSTRATIONS)}")
+    if name not in _EXPERIMENT_SETTINGS:
+        raise InputError(f"There is no example '{name}'; {suggest_name(name, _EXPERIMENT_SETTINGS)}")
     stem = name.replace("-", "_")
-    files = examples() / stem if folder is None else _written(examples() / stem, folder)
-    configuration = Configuration(
+    files = examples_folder() / stem if folder is None else _copy_example_files(examples_folder() / stem, folder)
+    configuration = ExplorationConfig(
         LogicalScenario.read(files / f"{stem}.xosc", files / f"{stem}.space.xosc"),
         ego="Ego",
         seed=seed,
         drivers={} if driver is None else {"Ego": driver},
         simulator=simulator,
         workers=workers,
-        **_DEMONSTRATIONS[name],
+        **_EXPERIMENT_SETTINGS[name],
     )
     return configuration if budget is None else replace(configuration, budget=budget)
 
 
-def _written(example: Path, folder: Path) -> Path:
+def _copy_example_files(example: Path, folder: Path) -> Path:
     """Copy the files of an example; existing files must be identical."""
     for source in sorted(example.iterdir()):
         content, copy = source.read_bytes(), folder / source.name
         if not copy.exists():
-            with written_whole(copy) as temporary:
+            with atomic_write(copy) as temporary:
                 temporary.write_bytes(content)
         elif read_file(copy) != content:
             raise InputError(f"{copy}: differs from the example's file; choose another folder, or remove it.")
     return folder
 
 
-def mutants_of_demonstration(name: str) -> int | None:
+def paper_experiment_mutant_count(name: str) -> int | None:
     """Return how many driver mutants select the regression suite of a demonstration; None if it keeps none."""
-    return _MUTANTS.get(name)
+    return _MUTANT_COUNTS.get(name)
 
 
-def examples() -> Path:
+def examples_folder() -> Path:
     """Return the folder of the examples.
 
     Returns

@@ -13,28 +13,28 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from cornercase._common.arguments import flag, number, path, whole_number
+from cornercase._common.arguments import check_bool, check_float, check_path, check_int
 from cornercase._common.errors import InputError
-from cornercase._common.files import require_other_file
+from cornercase._common.files import check_output_differs_from_source
 from cornercase._common.typing import FloatArray
 from cornercase.drivers import Driver
-from cornercase.evidence import ImportanceSampling, guessed_proposal
-from cornercase.exploration.configuration import Configuration, configuration_of, require_same_runs
+from cornercase.evidence import ImportanceSampling, initial_proposal
+from cornercase.exploration.configuration import ExplorationConfig, config_from_study, require_same_settings
 from cornercase.exploration.drawing import ProbabilityEstimator
 from cornercase.exploration.estimation import Estimation
-from cornercase.exploration.exploring import configured_simulator
-from cornercase.scenario import Scenario
-from cornercase.simulators import MOST_FAILURES
-from cornercase.study import Study, begun_study
+from cornercase.exploration.exploring import simulator_from_config
+from cornercase.scenario import ScenarioFile
+from cornercase.simulators import DEFAULT_MAX_FAILURES
+from cornercase.study import Study, open_or_create_study
 
 if TYPE_CHECKING:
     from distributed import Client
 
-_LEARN_SHARE: Final = 0.4
-_FEWEST: Final = 100
-_EVENTS: Final = 2
+_LEARNING_FRACTION: Final = 0.4
+_MIN_BUDGET: Final = 100
+_N_EVENTS: Final = 2
 # Stored name of the optimizer of an estimate.
-_NAME = re.compile(r"importance-sampling:learn=(?P<learn>\d+),known=(?P<known>\d+)-(?P<digest>[0-9a-f]+)")
+_ESTIMATE_OPTIMIZER_NAME = re.compile(r"importance-sampling:learn=(?P<learn>\d+),known=(?P<known>\d+)-(?P<digest>[0-9a-f]+)")
 
 
 # The parameters are the options of the command.
@@ -46,14 +46,14 @@ def estimate(
     critical: float | None = None,
     encounter: float = 10.0,
     seed: int = 0,
-    scenario: Path | str | Scenario | None = None,
+    scenario: Path | str | ScenarioFile | None = None,
     simulator: str | None = None,
     drivers: Mapping[str, str | Driver] | None = None,
     workers: int = 1,
     cluster: str | Client | None = None,
     timeout: float | None = None,
     retries: int = 1,
-    max_failures: int = MOST_FAILURES,
+    max_failures: int = DEFAULT_MAX_FAILURES,
     progress: bool = False,
 ) -> Estimation:
     """Estimate the probability of critical scenarios and collisions under the distributions of a study's space.
@@ -118,51 +118,51 @@ def estimate(
 
         probability = cornercase.estimate("study.db", "estimate.db", budget=5000).critical
     """
-    study_file, output_file = path("study", study), path("output", output)
-    require_other_file(output_file, study_file)
-    budget, seed = whole_number("budget", budget, least=_FEWEST), whole_number("seed", seed)
-    encounter = number("encounter", encounter, least=0.0)
-    flag("progress", progress)
+    study_file, output_file = check_path("study", study), check_path("output", output)
+    check_output_differs_from_source(output_file, study_file)
+    budget, seed = check_int("budget", budget, minimum=_MIN_BUDGET), check_int("seed", seed)
+    encounter = check_float("encounter", encounter, minimum=0.0)
+    check_bool("progress", progress)
     with Study.open(study_file, readonly=True) as source:
-        if _NAME.fullmatch(source.meta.optimizer):
+        if _ESTIMATE_OPTIMIZER_NAME.fullmatch(source.meta.optimizer):
             raise InputError(f"{study_file}: is an estimate itself; name the study that it is based on.")
-        config = _configuration(source, scenario, budget, critical, seed, simulator, drivers or {})
+        config = _estimate_config(source, scenario, budget, critical, seed, simulator, drivers or {})
         config = replace(config, workers=workers, cluster=cluster, timeout=timeout)
         config = replace(config, retries=retries, max_failures=max_failures)
-        learn, n_known = _agreed(output_file, round(_LEARN_SHARE * budget))
-        objective = config.objective()
-        threshold = objective.threshold(config.critical)
-        points, scores = source.points(), objective.oriented_of(source)
+        learn, n_known = _stored_sample_sizes(output_file, round(_LEARNING_FRACTION * budget))
+        objective = config.make_objective()
+        threshold = objective.minimized_threshold(config.critical)
+        points, scores = source.points(), objective.minimized_scores(source)
     n_known = len(points) if n_known is None else min(n_known, len(points))
     points, scores = points[:n_known], scores[:n_known]
     start = time.monotonic()
-    with configured_simulator(config) as running:
-        meta = config.meta(objective, running.settings, study=output_file)
-        name = f"importance-sampling:learn={learn},known={n_known}-{_digest(points, scores)}"
-        meta = replace(meta, critical=objective.flip(threshold), optimizer=name)
-        require_same_runs(study_file, source.meta, running)
-        initial_proposal = guessed_proposal(config.logical.space, points, scores, threshold, seed)
-        sampling = ImportanceSampling(config.logical.space, _EVENTS, learn, seed, initial_proposal)
-        with begun_study(output_file, meta) as opened:
-            opened.writer.continue_with(meta)
-            opened.writer.add_elapsed("files", time.monotonic() - start)
+    with simulator_from_config(config) as running:
+        meta = config.make_study_meta(objective, running.settings, study=output_file)
+        name = f"importance-sampling:learn={learn},known={n_known}-{_hash_scores(points, scores)}"
+        meta = replace(meta, critical=objective.convert_orientation(threshold), optimizer=name)
+        require_same_settings(study_file, source.meta, running)
+        initial_proposal = initial_proposal(config.logical.space, points, scores, threshold, seed)
+        sampling = ImportanceSampling(config.logical.space, _N_EVENTS, learn, seed, initial_proposal)
+        with open_or_create_study(output_file, meta) as opened:
+            opened.writer.resume(meta)
+            opened.writer.add_elapsed_time("files", time.monotonic() - start)
             result = ProbabilityEstimator(config, running, sampling, opened, encounter).run(progress)
     return result
 
 
-def _configuration(
+def _estimate_config(
     study: Study,
-    scenario: Path | str | Scenario | None,
+    scenario: Path | str | ScenarioFile | None,
     budget: int,
     critical: float | None,
     seed: int,
     simulator: str | None,
     drivers: Mapping[str, str | Driver],
-) -> Configuration:
+) -> ExplorationConfig:
     """Return the study's configuration with another budget and seed."""
     if study.meta.pareto:
         raise InputError(f"{study.path}: was searched for a Pareto front, so it has no threshold.")
-    config = configuration_of(study, study.path, scenario, simulator, drivers)
+    config = config_from_study(study, study.path, scenario, simulator, drivers)
     # Draws need none of the other search settings.
     return replace(
         config,
@@ -170,23 +170,23 @@ def _configuration(
         critical=study.meta.critical if critical is None else critical,
         budget=budget,
         seed=seed,
-        batch=Configuration.batch,
+        batch=ExplorationConfig.batch,
         asynchronous=False,
         repeats=1,
-        most_repeats=None,
+        max_repeats=None,
         audit=0.0,
     )
 
 
-def _agreed(output: Path, learn: int) -> tuple[int, int | None]:
+def _stored_sample_sizes(output: Path, n_learn: int) -> tuple[int, int | None]:
     """Return the numbers of scenarios for learning and of the study; a resumed output keeps its own."""
     if output.exists():
         with suppress(InputError), Study.open(output, readonly=True) as existing:
-            if (match := _NAME.fullmatch(existing.meta.optimizer)) is not None:
+            if (match := _ESTIMATE_OPTIMIZER_NAME.fullmatch(existing.meta.optimizer)) is not None:
                 return int(match["learn"]), int(match["known"])
-    return learn, None
+    return n_learn, None
 
 
-def _digest(points: FloatArray, scores: FloatArray) -> str:
+def _hash_scores(points: FloatArray, scores: FloatArray) -> str:
     content = points.astype("<f8").tobytes() + np.asarray(scores, dtype="<f8").tobytes()
     return hashlib.sha256(content).hexdigest()[:12]

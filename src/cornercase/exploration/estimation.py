@@ -9,15 +9,15 @@ from typing import Any, Final
 import numpy as np
 
 from cornercase._common.typing import BoolArray, FloatArray
-from cornercase.evidence import Probability, of_counts
+from cornercase.evidence import Probability, probability_from_counts
 
 # An interval may be too narrow below this effective sample size, or above this share of a single scenario.
-_FEW: Final = 30.0
-_LARGE: Final = 0.2
+_MIN_EFFECTIVE_SAMPLES: Final = 30.0
+_MAX_SINGLE_SHARE: Final = 0.2
 
 
 @dataclass(frozen=True, eq=False)
-class Outcomes:
+class EventOutcomes:
     """Outcomes of the scenarios of an estimate.
 
     `scores`, shape (n,), are minimized, NaN if failed; `critical`, `collision` and `encounter`, shape (n,), are False
@@ -25,22 +25,22 @@ class Outcomes:
     """
 
     scores: FloatArray
-    critical: BoolArray
-    collision: BoolArray
-    encounter: BoolArray
+    is_critical: BoolArray
+    has_collision: BoolArray
+    has_encounter: BoolArray
 
     @property
-    def events(self) -> BoolArray:
+    def event_columns(self) -> BoolArray:
         """Critical and collision as columns, shape (n, 2)."""
-        return np.stack([self.critical, self.collision], axis=1)
+        return np.stack([self.is_critical, self.has_collision], axis=1)
 
     @property
-    def failed(self) -> BoolArray:
+    def is_failed(self) -> BoolArray:
         """Which scenarios failed, shape (n,)."""
         return np.isnan(self.scores)
 
     @classmethod
-    def joined(cls, parts: list[Outcomes]) -> Outcomes:
+    def concatenate(cls, parts: list[EventOutcomes]) -> EventOutcomes:
         """Concatenate outcomes."""
         names = ("scores", "critical", "collision", "encounter")
         dtypes = (np.float64, np.bool_, np.bool_, np.bool_)
@@ -78,14 +78,14 @@ class Estimation:
 
     study: Path
     criterion: str
-    within: float
+    encounter_gap: float
     critical: Probability
     collision: Probability
     encounter: Probability
     critical_given_encounter: Probability | None
     collision_given_encounter: Probability | None
     scenarios: int
-    learned: int
+    n_learning: int
     failed: int
     warnings: tuple[str, ...] = ()
     interrupted: bool = False
@@ -110,7 +110,7 @@ class Estimation:
         }
         return {
             "critical is": self.criterion,
-            "an encounter is": f"gap <= {self.within:g} m",
+            "an encounter is": f"gap <= {self.encounter_gap:g} m",
             "critical": self.critical.to_json(),
             "collision": self.collision.to_json(),
             "encounter": self.encounter.to_json(),
@@ -119,44 +119,44 @@ class Estimation:
                 for name, probability in conditional.items()
             },
             "scenarios": self.scenarios,
-            "to learn where to draw": self.learned,
+            "to learn where to draw": self.n_learning,
             "failed": self.failed,
             "warnings": list(self.warnings),
         }
 
 
-def warnings_of(name: str, found: Probability, plain: Probability) -> list[str]:
+def describe_doubts(event: str, estimate: Probability, direct_estimate: Probability) -> list[str]:
     """Describe why a probability may be wrong, in sentences.
 
     `found` is the probability of the event `name`, `plain` the one from the draws of the space's own distributions
     only.
     """
-    if found.error == 0.0:
+    if estimate.error == 0.0:
         return []
-    if not found.met:
+    if not estimate.met:
         return [
-            f"No {name} occurred. The {plain.scenarios} scenarios that were drawn from the distributions themselves"
-            f" bound its probability by {plain.high:.3g} (95 %)."
+            f"No {event} occurred. The {direct_estimate.scenarios} scenarios that were drawn from the distributions themselves"
+            f" bound its probability by {direct_estimate.high:.3g} (95 %)."
         ]
     sentences = []
-    if found.effective < _FEW:
+    if estimate.effective < _MIN_EFFECTIVE_SAMPLES:
         sentences.append(
-            f"The probability of a {name} is based on {found.effective:.0f} effective scenarios; its interval may be"
+            f"The probability of a {event} is based on {estimate.effective:.0f} effective scenarios; its interval may be"
             " too narrow. Use a larger budget."
         )
-    elif found.largest > _LARGE:
+    elif estimate.largest > _MAX_SINGLE_SHARE:
         sentences.append(
-            f"One scenario accounts for {found.largest:.0%} of the probability of a {name}; its interval may be too"
+            f"One scenario accounts for {estimate.largest:.0%} of the probability of a {event}; its interval may be too"
             " narrow. Use a larger budget."
         )
-    if found.high < plain.low or found.low > plain.high:
+    if estimate.high < direct_estimate.low or estimate.low > direct_estimate.high:
         sentences.append(
-            f"The estimates of the probability of a {name} differ: {plain} from the {plain.scenarios} scenarios drawn"
-            f" from the distributions themselves, {found} from the others. A region may have been missed."
+            f"The estimates of the probability of a {event} differ: {direct_estimate} from the {direct_estimate.scenarios} scenarios drawn"
+            f" from the distributions themselves, {estimate} from the others. A region may have been missed."
         )
     return sentences
 
 
-def of_law(met: BoolArray) -> Probability:
+def probability_from_direct_draws(occurred: BoolArray) -> Probability:
     """Probability of an event from draws of the space's own distributions, `met` of shape (n,)."""
-    return of_counts(int(met.sum()), len(met))
+    return probability_from_counts(int(occurred.sum()), len(occurred))

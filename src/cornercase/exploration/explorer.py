@@ -12,25 +12,25 @@ from typing import Any, Final
 
 import numpy as np
 
-from cornercase._common.interrupts import noted_interrupts
-from cornercase._common.parts import group_reasons
+from cornercase._common.interrupts import collect_interrupts
+from cornercase._common.parts import group_failure_messages
 from cornercase._common.progress import ProgressBar
 from cornercase._common.rows import row_keys
 from cornercase._common.typing import FloatArray
-from cornercase.exploration.alike import ENOUGH_ALIKE, tell_alike
-from cornercase.exploration.configuration import Configuration
-from cornercase.exploration.judging import elsewhere_of
-from cornercase.exploration.objective import Best, Objective
-from cornercase.exploration.proposing import Proposer, Search
-from cornercase.exploration.running import ScenarioRunner, StageClock
-from cornercase.exploration.stopping import Stopping
-from cornercase.metrics import features_of
+from cornercase.exploration.alike import MIN_SCENARIOS_TO_COMPARE, describe_constant_metrics
+from cornercase.exploration.configuration import ExplorationConfig
+from cornercase.exploration.judging import source_study_model
+from cornercase.exploration.objective import Incumbent, Objective
+from cornercase.exploration.proposing import ProposalSource, AskTell
+from cornercase.exploration.running import ScenarioRunner, StageTimer
+from cornercase.exploration.stopping import StopCriteria
+from cornercase.metrics import compute_features
 from cornercase.optimizers import Optimizer
 from cornercase.simulators import Simulator
-from cornercase.study import Row, Study
+from cornercase.study import ScenarioRecord, Study
 
 # Largest space whose scenarios within the constraints are counted.
-_MOST_COUNTED: Final = 1 << 18
+_MAX_COUNTED_SPACE: Final = 1 << 18
 
 
 @dataclass(frozen=True)
@@ -60,13 +60,13 @@ class ExplorationResult:
     failed: int
     reason: str
     interrupted: bool = False
-    alike: tuple[str, ...] = ()
-    notes: tuple[str, ...] = ()
-    same: bool | None = None
-    reasons: Mapping[str, int] = field(default_factory=dict)
+    constant_metrics: tuple[str, ...] = ()
+    new_constant_metrics: tuple[str, ...] = ()
+    reproducible: bool | None = None
+    failure_counts: Mapping[str, int] = field(default_factory=dict)
 
     @classmethod
-    def of(cls, study: Study, reason: str, interrupted: bool = False, before: int | None = None) -> ExplorationResult:
+    def from_study(cls, study: Study, reason: str, interrupted: bool = False, n_done_before: int | None = None) -> ExplorationResult:
         """Create the result from an open study.
 
         Parameters
@@ -82,20 +82,20 @@ class ExplorationResult:
         -------
         ExplorationResult
         """
-        messages = tell_alike(study)
-        searched = [messages.pop(name) for name in study.meta.searched if name in messages]
+        messages = describe_constant_metrics(study)
+        searched = [messages.pop(name) for name in study.meta.objective_metrics if name in messages]
         # Reported once, when the study reaches the minimum number of scenarios.
-        notes = tuple(messages.values()) if before is not None and before < ENOUGH_ALIKE else ()
-        failed = study.failed()
+        notes = tuple(messages.values()) if n_done_before is not None and n_done_before < MIN_SCENARIOS_TO_COMPARE else ()
+        failed = study.failed_rows()
         reasons = {
-            reason_text: len(rows) for reason_text, rows in group_reasons(row.error or "" for row in failed).items()
+            reason_text: len(rows) for reason_text, rows in group_failure_messages(row.error or "" for row in failed).items()
         }
         return cls(
-            study.path, len(study.done()), len(failed), reason, interrupted, tuple(searched), notes, reasons=reasons
+            study.path, len(study.finished_rows()), len(failed), reason, interrupted, tuple(searched), notes, reasons=reasons
         )
 
     @property
-    def ended(self) -> int:
+    def n_finished(self) -> int:
         """Number of scenarios that gave a result or failed."""
         return self.done + self.failed
 
@@ -114,161 +114,161 @@ class ScenarioExplorer:
 
     def __init__(
         self,
-        configuration: Configuration,
+        config: ExplorationConfig,
         simulator: Simulator,
         optimizer: Optimizer,
         study: Study,
         objective: Objective | None = None,
         references: Mapping[str, Simulator] | None = None,
     ) -> None:
-        self._configuration, self._optimizer, self._study = configuration, optimizer, study
-        self._space = configuration.logical.space
-        self._objective = configuration.objective() if objective is None else objective
-        threshold = configuration.threshold(self._objective)
-        self._stopping = Stopping(
-            configuration.criteria(),
+        self._config, self._optimizer, self._study = config, optimizer, study
+        self._space = config.logical.space
+        self._objective = config.make_objective() if objective is None else objective
+        threshold = config.minimized_threshold(self._objective)
+        self._stopping = StopCriteria(
+            config.parse_stop_criteria(),
             self._space,
             threshold,
-            configuration.seed,
-            configuration.optimizer,
-            audited=configuration.audit > 0.0,
-            elsewhere=None if threshold is None or not configuration.stop_when else elsewhere_of(study, threshold),
+            config.seed,
+            config.optimizer,
+            has_audits=config.audit > 0.0,
+            source_model=None if threshold is None or not config.stop_when else source_study_model(study, threshold),
         )
-        self._clock = StageClock(study)
-        self._runner = ScenarioRunner(configuration, simulator, self._objective, study, self._clock, references)
-        self._best, self._stale = Best(self._objective), 0
-        self._patience, self._things = configuration.patience, "rounds"
-        self._wants_features = "features" in optimizer.needs
-        if (warm_start := study.elsewhere()) is not None:
-            optimizer.begin_from(*warm_start)
+        self._clock = StageTimer(study)
+        self._runner = ScenarioRunner(config, simulator, self._objective, study, self._clock, references)
+        self._incumbent, self._n_without_improvement = Incumbent(self._objective), 0
+        self._patience, self._patience_unit = config.patience, "rounds"
+        self._uses_features = "features" in optimizer.requires
+        if (warm_start := study.warm_start_data()) is not None:
+            optimizer.warm_start(*warm_start)
 
     def run(self, progress: bool = False) -> ExplorationResult:
         """Explore until a termination criterion holds; `progress` shows best score, rate and remaining time."""
-        self._search = Search(self._optimizer, self._study.meta.asynchronous)
-        self._proposer = Proposer(self._search, self._study)
-        before = len(self._study.done())
-        bar = ProgressBar(self._configuration.budget, "exploring", "scenarios") if progress else None
+        self._ask_tell = AskTell(self._optimizer, self._study.meta.asynchronous)
+        self._proposal_source = ProposalSource(self._ask_tell, self._study)
+        before = len(self._study.finished_rows())
+        bar = ProgressBar(self._config.budget, "exploring", "scenarios") if progress else None
         try:
-            with noted_interrupts() as check:
-                reason = self._run(bar, check)
+            with collect_interrupts() as check:
+                reason = self._run_until_stop(bar, check)
         except KeyboardInterrupt:
-            return ExplorationResult.of(self._study, "it was interrupted", interrupted=True, before=before)
+            return ExplorationResult.from_study(self._study, "it was interrupted", interrupted=True, n_done_before=before)
         finally:
             if bar is not None:
                 bar.stop()
-            self._clock.note()
-            self._runner.notices.warn()
-        return ExplorationResult.of(self._study, reason, before=before)
+            self._clock.save_times()
+            self._runner.notices.issue_warnings()
+        return ExplorationResult.from_study(self._study, reason, n_done_before=before)
 
-    def _run(self, bar: ProgressBar | None, check_interrupt: Callable[[], None]) -> str:
+    def _run_until_stop(self, bar: ProgressBar | None, check_interrupt: Callable[[], None]) -> str:
         """Run rounds and return why the search ended."""
         start = time.monotonic()
-        done, number = self._go_on(bar)
+        done, number = self._resume_study(bar)
         while True:
-            self._runner.try_repeatability()
+            self._runner.check_repeatability()
             check_interrupt()
             if bar is not None:
-                bar.update(done, self._best.text)
-            if (reason := self._reason(done, time.monotonic() - start)) is not None:
+                bar.update(done, self._incumbent.label)
+            if (reason := self._stop_reason(done, time.monotonic() - start)) is not None:
                 return reason
             number += 1
-            rows = self._next(number, done, min(self._configuration.batch, self._configuration.budget - done))
+            rows = self._propose_round(number, done, min(self._config.batch, self._config.budget - done))
             if not rows:
-                return self._used_up(done)
-            self._tell(rows, self._simulate(rows, bar))
+                return self._exhausted_reason(done)
+            self._tell_round(rows, self._simulate_rows(rows, bar))
             done += len(rows)
-            self._clock.note()
+            self._clock.save_times()
 
-    def _next(self, number: int, done: int, wanted: int) -> list[Row]:
+    def _propose_round(self, round_number: int, n_done: int, n_wanted: int) -> list[ScenarioRecord]:
         """Propose and store one round; empty if the search has no more proposals."""
         with self._clock("optimize"):
-            points = self._proposer.propose(done, wanted)
+            points = self._proposal_source.propose(n_done, n_wanted)
         if len(points) == 0:
             return []
         with self._clock("store"):
-            return self._study.writer.propose(number, points, self._space.values(points))
+            return self._study.writer.add_pending(round_number, points, self._space.values(points))
 
-    def _reason(self, done: int, seconds: float) -> str | None:
+    def _stop_reason(self, n_done: int, seconds: float) -> str | None:
         """Return the termination criterion that holds; None if none does."""
-        config = self._configuration
-        if done >= config.budget:
+        config = self._config
+        if n_done >= config.budget:
             return f"the budget of {config.budget} scenarios is used up"
-        if self._patience is not None and self._stale >= self._patience:
-            return f"{self._patience} {self._things} brought no improvement"
+        if self._patience is not None and self._n_without_improvement >= self._patience:
+            return f"{self._patience} {self._patience_unit} brought no improvement"
         if config.max_seconds is not None and seconds >= config.max_seconds:
             return f"{config.max_seconds:g} s have passed"
-        return self._enough()
+        return self._stop_criteria_reason()
 
-    def _used_up(self, done: int) -> str:
+    def _exhausted_reason(self, n_done: int) -> str:
         """Return why the search proposes nothing more: the space is exhausted, or the constraints leave nothing."""
         size = self._space.size
         # An audit may be the same scenario as a proposal of the search.
         points = np.array([row.point for row in self._study.rows()]).reshape(-1, self._space.dimension)
         n_run = len(set(row_keys(self._space.snap(points))))
-        if size is not None and n_run < size <= _MOST_COUNTED:
-            size = int(self._space.admits(self._space.lattice()).sum())
+        if size is not None and n_run < size <= _MAX_COUNTED_SPACE:
+            size = int(self._space.is_admissible(self._space.full_factorial()).sum())
         if size is not None and n_run >= size:
             return f"all {size} scenarios of the space were run"
-        return f"the search has no proposals after these {done} scenarios"
+        return f"the search has no proposals after these {n_done} scenarios"
 
-    def _enough(self) -> str | None:
+    def _stop_criteria_reason(self) -> str | None:
         """Return which stop criteria on the critical set hold; None unless all do."""
-        if not self._stopping.ready:
+        if not self._stopping.is_ready:
             return None
         with self._clock("judge"):
-            return self._stopping.reason()
+            return self._stopping.describe_reached()
 
-    def _go_on(self, bar: ProgressBar | None) -> tuple[int, int]:
+    def _resume_study(self, bar: ProgressBar | None) -> tuple[int, int]:
         """Run pending scenarios and tell the optimizer all results; return the numbers of scenarios and rounds."""
         rows = self._study.rows()
-        minimized = self._objective.oriented_of(self._study)
+        minimized = self._objective.minimized_scores(self._study)
         scores = dict(zip((row.id for row in rows if row.state == "done"), minimized, strict=True))
         for _, members in groupby(rows, key=lambda row: row.round):
             round_rows = list(members)
-            scores |= self._simulate([row for row in round_rows if row.state == "pending"], bar)
-            self._tell(round_rows, scores)
+            scores |= self._simulate_rows([row for row in round_rows if row.state == "pending"], bar)
+            self._tell_round(round_rows, scores)
         return len(rows), rows[-1].round if rows else 0
 
-    def _simulate(self, rows: list[Row], bar: ProgressBar | None) -> dict[int, Any]:
+    def _simulate_rows(self, rows: list[ScenarioRecord], bar: ProgressBar | None) -> dict[int, Any]:
         """Run scenarios; return the minimized scores of the successful ones by id."""
         scores: dict[int, Any] = {}
-        best, farthest = copy(self._best), 0
-        for number, score in self._runner.run(rows):
+        best, farthest = copy(self._incumbent), 0
+        for number, score in self._runner.run_rows(rows):
             scores[number] = score
-            best.add(score[None])
+            best.update(score[None])
             # A scenario with extra runs ends after later ones.
             farthest = max(farthest, number)
             if bar is not None:
-                bar.update(farthest, best.text)
+                bar.update(farthest, best.label)
         return scores
 
-    def _tell(self, rows: list[Row], by_scenario: Mapping[int, Any]) -> None:
+    def _tell_round(self, rows: list[ScenarioRecord], scores_by_id: Mapping[int, Any]) -> None:
         """Pass the scores of one round to the optimizer and the stop criteria; audits only to the latter."""
-        failed = np.full_like(self._objective.uncritical, np.nan)
+        failed = np.full_like(self._objective.least_critical_scores, np.nan)
         missing = failed if self._objective.pareto else np.nan
-        scores = np.array([by_scenario.get(row.id, missing) for row in rows])
+        scores = np.array([scores_by_id.get(row.id, missing) for row in rows])
         points = np.array([row.point for row in rows])
         audits = np.array([self._study.meta.is_audit(row.id) for row in rows], dtype=np.bool_)
         with self._clock("judge"):
-            self._stopping.tell_audits(points[audits], scores[audits])
+            self._stopping.add_audits(points[audits], scores[audits])
         searched = [row for row, audit in zip(rows, audits, strict=True) if not audit]
         if not searched:
             return
         points, scores = points[~audits], scores[~audits]
 
-        features = (self._features(searched, by_scenario),) if self._wants_features else ()
+        features = (self._read_features(searched, scores_by_id),) if self._uses_features else ()
         with self._clock("judge"):
-            self._stopping.tell(points, scores, *features)
+            self._stopping.add_results(points, scores, *features)
         with self._clock("optimize"):
-            self._search.tell(points, scores, *features)
-        self._look_for_news(scores)
+            self._ask_tell.tell(points, scores, *features)
+        self._update_patience(scores)
 
-    def _look_for_news(self, scores: FloatArray) -> None:
+    def _update_patience(self, scores: FloatArray) -> None:
         """Count the rounds without an improvement."""
-        self._stale = 0 if self._best.add(scores) else self._stale + 1
+        self._n_without_improvement = 0 if self._incumbent.update(scores) else self._n_without_improvement + 1
 
-    def _features(self, rows: list[Row], by_scenario: Mapping[int, Any]) -> FloatArray:
+    def _read_features(self, rows: list[ScenarioRecord], scores_by_id: Mapping[int, Any]) -> FloatArray:
         """Features of the stored recordings of one round, shape (m, f)."""
         with self._clock("measure"):
-            recordings = [self._study.recording(row.id) if row.id in by_scenario else None for row in rows]
-            return features_of(recordings, self._configuration.ego, self._configuration.others)
+            recordings = [self._study.recording(row.id) if row.id in scores_by_id else None for row in rows]
+            return compute_features(recordings, self._config.ego, self._config.others)

@@ -9,30 +9,30 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from cornercase._common.arguments import flag, path, texts
-from cornercase._common.dask_client import connected
+from cornercase._common.arguments import check_bool, check_path, check_str_sequence
+from cornercase._common.dask_client import open_connection
 from cornercase._common.errors import InputError
-from cornercase._common.files import require_other_file
-from cornercase._common.ledger import Notice, warn_of
-from cornercase.drivers import Driver, told_driver
+from cornercase._common.files import check_output_differs_from_source
+from cornercase._common.ledger import Notice, warn_notices
+from cornercase.drivers import Driver, resolve_driver
 from cornercase.exploration.asynchronous import AsynchronousExplorer
-from cornercase.exploration.beginning import Beginning, read_beginning
-from cornercase.exploration.configuration import Configuration
+from cornercase.exploration.beginning import WarmStart, read_warm_start
+from cornercase.exploration.configuration import ExplorationConfig
 from cornercase.exploration.explorer import ExplorationResult, ScenarioExplorer
 from cornercase.exploration.objective import Objective
-from cornercase.exploration.replaying import replay_proposals
-from cornercase.exploration.varied_beside import explored_file
-from cornercase.optimizers import Optimizer, create_optimizer, optimizer_needs
+from cornercase.exploration.replaying import verify_proposals
+from cornercase.exploration.varied_beside import open_logical_scenario
+from cornercase.optimizers import Optimizer, create_optimizer, optimizer_requirements
 from cornercase.scenario import LogicalScenario
 from cornercase.simulators import (
-    MOST_FAILURES,
+    DEFAULT_MAX_FAILURES,
     Simulator,
-    notices_of,
-    require_usable,
-    start_simulator,
-    warn_if_nobody_drives,
+    list_ignored_content,
+    check_simulator_accepts,
+    create_simulator,
+    warn_if_ego_has_no_driver,
 )
-from cornercase.study import Study, begun_study
+from cornercase.study import Study, open_or_create_study
 
 if TYPE_CHECKING:
     from distributed import Client
@@ -67,16 +67,16 @@ def explore(
     cluster: str | Client | None = None,
     timeout: float | None = None,
     retries: int = 1,
-    max_failures: int = MOST_FAILURES,
+    max_failures: int = DEFAULT_MAX_FAILURES,
     repeats: int = 1,
-    most_repeats: int | None = None,
+    max_repeats: int | None = None,
     audit: float = 0.0,
     time_step: float = 0.05,
     duration: float = 60.0,
     on_collision: str = "continue",
     drivers: Mapping[str, str | Driver] | None = None,
-    replay: bool = False,
-    from_study: Path | str | None = None,
+    check_proposals: bool = False,
+    warm_start: Path | str | None = None,
     retry_failed: bool = False,
     progress: bool = False,
 ) -> ExplorationResult:
@@ -152,7 +152,7 @@ def explore(
     most_repeats : int, optional
         Upper limit of runs per scenario. A scenario gets `repeats` further runs as long as it is undecided on which
         side of the threshold it is: while the 90 % interval of the probability that a run is critical
-        (`cornercase.study.Study.critical_runs`) contains 0.5. Default: each scenario is run `repeats` times.
+        (`cornercase.study.Study.critical_run_rates`) contains 0.5. Default: each scenario is run `repeats` times.
     audit : float, default 0.0
         Fraction of the scenarios, up to 0.5, that are drawn at random and hidden from the search, to assess its result.
     time_step, duration : float
@@ -195,19 +195,19 @@ def explore(
     ... )
     <ExplorationResult: 4 scenarios done in study.db; the budget of 4 scenarios is used up>
     """
-    file = path("study", study)
-    with explored_file(scenario, file, space, ranges, vary, continuous) as logical_scenario:
-        config = Configuration(
+    file = check_path("study", study)
+    with open_logical_scenario(scenario, file, space, ranges, vary, continuous) as logical_scenario:
+        config = ExplorationConfig(
             logical=logical_scenario,
             ego=ego,
             other=other,
-            metrics=texts("metrics", metrics),
+            metrics=check_str_sequence("metrics", metrics),
             optimizer=optimizer,
             critical=critical,
             critical_if=critical_if,
             weights={} if weights is None else weights,
             pareto=pareto,
-            stop_when=texts("stop_when", stop_when),
+            stop_when=check_str_sequence("stop_when", stop_when),
             budget=budget,
             batch=batch,
             asynchronous=asynchronous,
@@ -221,148 +221,148 @@ def explore(
             retries=retries,
             max_failures=max_failures,
             repeats=repeats,
-            most_repeats=most_repeats,
+            max_repeats=max_repeats,
             audit=audit,
             time_step=time_step,
             duration=duration,
             on_collision=on_collision,
             drivers={} if drivers is None else drivers,
-            from_study=from_study,
+            warm_start=warm_start,
         )
-        if flag("replay", replay):
-            return _replay(config, file)
-        return explore_configuration(config, file, progress, retry_failed=retry_failed)
+        if check_bool("replay", check_proposals):
+            return _verify_proposals_of_study(config, file)
+        return explore_config(config, file, progress, retry_failed=retry_failed)
 
 
-def _replay(one: Configuration, study: Path) -> ExplorationResult:
-    one.require_entities()
-    objective, optimizer = _searched_by(one)
-    warm_start = _known(one, study, objective, optimizer)
+def _verify_proposals_of_study(config: ExplorationConfig, study: Path) -> ExplorationResult:
+    config.require_entities()
+    objective, optimizer = _make_objective_and_optimizer(config)
+    warm_start = _load_warm_start(config, study, objective, optimizer)
     with Study.open(study, readonly=True) as opened_study:
-        warm_start_info = opened_study.meta.elsewhere if warm_start is None else warm_start.about
-        meta = one.meta(objective, opened_study.meta.settings, warm_start_info, study=study)
-    return replay_proposals(study, meta, objective, optimizer)
+        warm_start_info = opened_study.meta.elsewhere if warm_start is None else warm_start.study_info
+        meta = config.make_study_meta(objective, opened_study.meta.settings, warm_start_info, study=study)
+    return verify_proposals(study, meta, objective, optimizer)
 
 
-def _searched_by(one: Configuration) -> tuple[Objective, Optimizer]:
+def _make_objective_and_optimizer(config: ExplorationConfig) -> tuple[Objective, Optimizer]:
     """Create the objective and a fresh optimizer for it."""
-    objective = one.objective()
-    threshold = one.threshold(objective)
-    optimizer = create_optimizer(one.optimizer, one.logical.space, one.seed, threshold=threshold, budget=one.budget)
-    if one.pareto and not optimizer.takes_several:
-        raise InputError(f"`pareto`: {one.optimizer} takes one score; use evolutionary, or optuna:sampler=nsga2.")
+    objective = config.make_objective()
+    threshold = config.minimized_threshold(objective)
+    optimizer = create_optimizer(config.optimizer, config.logical.space, config.seed, threshold=threshold, budget=config.budget)
+    if config.pareto and not optimizer.multi_objective:
+        raise InputError(f"`pareto`: {config.optimizer} takes one score; use evolutionary, or optuna:sampler=nsga2.")
     return objective, optimizer
 
 
-def _known(one: Configuration, study: Path, objective: Objective, optimizer: Optimizer) -> Beginning | None:
+def _load_warm_start(config: ExplorationConfig, study: Path, objective: Objective, optimizer: Optimizer) -> WarmStart | None:
     """Load the study that warm-starts the search; None without one."""
-    if one.from_study is None:
+    if config.warm_start is None:
         return None
-    require_other_file(study, one.from_study, "study")
-    if not optimizer.begins_from_studies:
-        raise InputError(f"`from_study`: {one.optimizer} learns nothing from a study; use level-set or committee.")
-    return read_beginning(Path(one.from_study), one.logical.space, objective, one.ego, one.others)
+    check_output_differs_from_source(study, config.warm_start, "study")
+    if not optimizer.supports_warm_start:
+        raise InputError(f"`warm_start`: {config.optimizer} learns nothing from a study; use level-set or committee.")
+    return read_warm_start(Path(config.warm_start), config.logical.space, objective, config.ego, config.others)
 
 
-def explore_configuration(
-    configuration: Configuration, study: Path | str, progress: bool = False, *, retry_failed: bool = False
+def explore_config(
+    config: ExplorationConfig, study: Path | str, progress: bool = False, *, retry_failed: bool = False
 ) -> ExplorationResult:
     """Explore into a new or existing study, like `explore`."""
-    file = path("study", study)
-    flag("progress", progress)
-    flag("retry_failed", retry_failed)
+    file = check_path("study", study)
+    check_bool("progress", progress)
+    check_bool("retry_failed", retry_failed)
     try:
-        return _explore(configuration, file, progress, retry_failed)
+        return _run_exploration(config, file, progress, retry_failed)
     except KeyboardInterrupt:
         # Interrupted before or after the part in which the explorer handles it itself.
         with suppress(InputError), Study.open(file, readonly=True) as opened:
-            return ExplorationResult.of(opened, "it was interrupted", interrupted=True)
+            return ExplorationResult.from_study(opened, "it was interrupted", interrupted=True)
         raise
 
 
-def _explore(one: Configuration, path: Path, progress: bool, retry_failed: bool) -> ExplorationResult:
+def _run_exploration(config: ExplorationConfig, study_path: Path, progress: bool, retry_failed: bool) -> ExplorationResult:
     start = time.monotonic()
-    one.require_entities()
-    objective, optimizer = _searched_by(one)
-    warm_start = _known(one, path, objective, optimizer)
+    config.require_entities()
+    objective, optimizer = _make_objective_and_optimizer(config)
+    warm_start = _load_warm_start(config, study_path, objective, optimizer)
     with (
-        _on_one_cluster(one) as shared_config,
-        configured_simulator(shared_config) as simulator,
-        started_references(shared_config) as references,
+        _share_cluster_connection(config) as shared_config,
+        simulator_from_config(shared_config) as simulator,
+        reference_simulators(shared_config) as references,
     ):
         # Before the study is created: without these features no scenario can run.
-        sample_values = one.logical.space.values(one.logical.space.samples())
-        require_usable(simulator, [one.logical.scenario], [one.logical.concrete(values) for values in sample_values])
-        warn_of(_notices(one))
-        warn_if_nobody_drives(simulator, [one.logical.scenario], one.ego)
-        meta = one.meta(objective, simulator.settings, None if warm_start is None else warm_start.about, study=path)
-        with begun_study(path, meta) as study:
+        sample_values = config.logical.space.values(config.logical.space.representative_points())
+        check_simulator_accepts(simulator, [config.logical.scenario_file], [config.logical.concrete_scenario(values) for values in sample_values])
+        warn_notices(_notices_at_center(config))
+        warn_if_ego_has_no_driver(simulator, [config.logical.scenario_file], config.ego)
+        meta = config.make_study_meta(objective, simulator.settings, None if warm_start is None else warm_start.study_info, study=study_path)
+        with open_or_create_study(study_path, meta) as study:
             if warm_start is None:
                 # A resumed study holds its warm-start data itself.
                 meta = replace(meta, elsewhere=study.meta.elsewhere)
-            study.writer.continue_with(meta, same_budget="budget" in optimizer_needs(one.optimizer))
+            study.writer.resume(meta, same_budget="budget" in optimizer_requirements(config.optimizer))
             if warm_start is not None:
-                study.writer.keep_elsewhere(warm_start.points, warm_start.scores)
+                study.writer.save_warm_start(warm_start.points, warm_start.scores)
             had_ended = any(row.state != "pending" for row in study.rows())
             if retry_failed:
                 study.writer.retry_failed()
-            study.writer.add_elapsed("files", time.monotonic() - start)
-            explorer_class = AsynchronousExplorer if one.asynchronous else ScenarioExplorer
+            study.writer.add_elapsed_time("files", time.monotonic() - start)
+            explorer_class = AsynchronousExplorer if config.asynchronous else ScenarioExplorer
             try:
-                return explorer_class(one, simulator, optimizer, study, objective, references).run(progress)
+                return explorer_class(config, simulator, optimizer, study, objective, references).run(progress)
             except InputError:
                 # Remove a study in which nothing ran, so that the corrected command can start. Earlier failures stay.
-                if not had_ended and not study.done():
-                    study.writer.clear()
+                if not had_ended and not study.finished_rows():
+                    study.writer.remove_scenarios()
                 raise
 
 
-def _notices(one: Configuration) -> tuple[Notice, ...]:
+def _notices_at_center(config: ExplorationConfig) -> tuple[Notice, ...]:
     """List what has no effect in the simulator, for a scenario in the middle of the space."""
-    middle_values = one.logical.space.values(one.logical.space.middle())
-    return notices_of(one.simulator, one.logical.scenario, middle_values[0] if middle_values else None)
+    middle_values = config.logical.space.values(config.logical.space.center_point())
+    return list_ignored_content(config.simulator, config.logical.scenario_file, middle_values[0] if middle_values else None)
 
 
-def configured_simulator(one: Configuration) -> Simulator:
+def simulator_from_config(config: ExplorationConfig) -> Simulator:
     """Create the configured simulator; the caller closes it."""
-    return _started(one, one.drivers)
+    return _create_simulator(config, config.drivers)
 
 
 @contextmanager
-def _on_one_cluster(one: Configuration) -> Iterator[Configuration]:
+def _share_cluster_connection(config: ExplorationConfig) -> Iterator[ExplorationConfig]:
     """Connect to the Dask cluster once, for the simulator and all reference simulators."""
-    with connected(one.cluster, one.workers) as client:
-        yield one if client is None else replace(one, cluster=client, workers=1)
+    with open_connection(config.cluster, config.workers) as client:
+        yield config if client is None else replace(config, cluster=client, workers=1)
 
 
 @contextmanager
-def started_references(one: Configuration) -> Iterator[dict[str, Simulator]]:
+def reference_simulators(config: ExplorationConfig) -> Iterator[dict[str, Simulator]]:
     """Create one simulator per reference driver of the condition, with that driver in the ego; by reference name."""
-    condition = one.condition()
+    condition = config.make_condition()
     with ExitStack() as stack:
         simulators = {}
-        for name in () if condition is None else condition.references:
+        for name in () if condition is None else condition.reference_drivers:
             try:
-                simulators[name] = stack.enter_context(_started(one, {**one.drivers, one.ego: name}))
+                simulators[name] = stack.enter_context(_create_simulator(config, {**config.drivers, config.ego: name}))
             except InputError as error:
                 raise InputError(f"`critical_if`, reference:{name}: {error}") from error
         yield simulators
 
 
-def _started(one: Configuration, drivers: Mapping[str, str | Driver]) -> Simulator:
+def _create_simulator(config: ExplorationConfig, drivers: Mapping[str, str | Driver]) -> Simulator:
     options: dict[str, Any] = {
-        "time_step": one.time_step,
-        "duration": one.duration,
-        "on_collision": one.on_collision,
-        "drivers": {entity: told_driver(driver) for entity, driver in drivers.items()},
+        "time_step": config.time_step,
+        "duration": config.duration,
+        "on_collision": config.on_collision,
+        "drivers": {entity: resolve_driver(driver) for entity, driver in drivers.items()},
     }
-    return start_simulator(
-        one.simulator,
+    return create_simulator(
+        config.simulator,
         options,
-        ego=one.ego,
-        workers=one.workers,
-        timeout=one.timeout,
-        retries=one.retries,
-        cluster=one.cluster,
-        max_failures=one.max_failures,
+        ego=config.ego,
+        workers=config.workers,
+        timeout=config.timeout,
+        retries=config.retries,
+        cluster=config.cluster,
+        max_failures=config.max_failures,
     )

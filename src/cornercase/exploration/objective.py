@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from cornercase._common.errors import InputError, suggestion
+from cornercase._common.errors import InputError, suggest_name
 from cornercase._common.typing import BoolArray, FloatArray
 from cornercase.metrics import METRICS, Metric
 from cornercase.study import Study, StudyMeta
@@ -30,56 +30,56 @@ class Objective:
         names = [metric.name for metric in metrics]
         for name, weight in self.weights.items():
             if name not in names:
-                raise InputError(f"`weights` {name}: is not one of the metrics; {suggestion(name, names)}")
+                raise InputError(f"`weights` {name}: is not one of the metrics; {suggest_name(name, names)}")
             if not 0.0 < weight < np.inf:
                 raise InputError(f"`weights` {name}={weight:g}: give a number above 0.")
-        self._factors = self._matrix()
+        self._score_factors = self._make_score_factors()
 
     @classmethod
-    def of_study(cls, meta: StudyMeta) -> Objective:
+    def from_study_meta(cls, meta: StudyMeta) -> Objective:
         """Create the objective of a stored study."""
         metrics = [METRICS.create(name) for name in meta.metrics]
         return cls(metrics, meta.weights, meta.pareto)
 
-    def _matrix(self) -> FloatArray:
-        signs = np.array([metric.oriented(1.0) for metric in self.metrics])
+    def _make_score_factors(self) -> FloatArray:
+        signs = np.array([metric.to_minimize(1.0) for metric in self.metrics])
         if self.pareto:
             return np.diag(signs)
         weights = [self.weights.get(metric.name, 0.0) for metric in self.metrics]
         weight_vector = np.array(weights) if self.weights else np.eye(len(signs))[0]
         return np.asarray((weight_vector * signs)[:, None])
 
-    def oriented(self, scores: FloatArray) -> FloatArray:
+    def minimized(self, scores: FloatArray) -> FloatArray:
         """Return scores to minimize, shape (m,) or (m, metrics) for a front, from raw scores of shape (m, metrics)."""
         # Skip unused metrics: NaN times 0 is NaN.
-        has_weight = self._factors.any(axis=1)
+        has_weight = self._score_factors.any(axis=1)
         # Extreme weights may overflow.
         with np.errstate(over="ignore", invalid="ignore"):
-            values = scores[:, has_weight] @ self._factors[has_weight]
+            values = scores[:, has_weight] @ self._score_factors[has_weight]
         return np.asarray(values if self.pareto else values[:, 0])
 
-    def oriented_of(self, study: Study) -> FloatArray:
+    def minimized_scores(self, study: Study) -> FloatArray:
         """Return scores to minimize for all successful scenarios of a study, shape (n,) or (n, metrics) for a front."""
-        return self.oriented(self._scores(study))
+        return self.minimized(self._raw_scores(study))
 
-    def _scores(self, study: Study) -> FloatArray:
+    def _raw_scores(self, study: Study) -> FloatArray:
         return np.stack([study.scores(metric.name) for metric in self.metrics], axis=1)
 
-    def critical(self, scores: FloatArray, threshold: float | None) -> BoolArray:
+    def is_critical(self, scores: FloatArray, threshold: float | None) -> BoolArray:
         """Return which scenarios are critical, shape (m,), for raw scores (m, metrics) and a stored (raw) threshold.
 
         All False without a threshold and for a Pareto front.
         """
         if threshold is None or self.pareto:
             return np.zeros(len(scores), dtype=np.bool_)
-        return np.asarray(self.oriented(scores) <= self.flip(threshold))
+        return np.asarray(self.minimized(scores) <= self.convert_orientation(threshold))
 
-    def critical_of(self, study: Study) -> BoolArray:
+    def is_critical_in_study(self, study: Study) -> BoolArray:
         """Return which of the successful scenarios of a study are critical, shape (n,)."""
-        return self.critical(self._scores(study), study.critical)
+        return self.is_critical(self._raw_scores(study), study.critical)
 
     @property
-    def text(self) -> str:
+    def label(self) -> str:
         """Label of the objective, such as ``2 ttc + 1 (-speed)``."""
         if self.pareto:
             return "Pareto front of " + ", ".join(metric.name for metric in self.metrics)
@@ -101,7 +101,7 @@ class Objective:
         """Unit of the objective; empty for a weighted sum or a front."""
         return "" if self.weights or self.pareto or self.metrics[0].unit == "1" else self.metrics[0].unit
 
-    def threshold(self, given: float | None) -> float:
+    def minimized_threshold(self, raw_threshold: float | None) -> float:
         """Return the threshold as a minimized score; `given` is a raw score or weighted sum, None the metric's own.
 
         Raises `InputError` for a Pareto front, or if neither is available.
@@ -111,31 +111,31 @@ class Objective:
                 "`pareto`: a Pareto front has no threshold; use `weights` to combine the metrics into one score."
             )
         if self.weights:
-            if given is None:
+            if raw_threshold is None:
                 raise InputError("`weights`: set `critical` to the weighted sum up to which a scenario is critical.")
-            return float(given)
-        return self.flip(self.metrics[0].find_threshold(given))
+            return float(raw_threshold)
+        return self.convert_orientation(self.metrics[0].resolve_threshold(raw_threshold))
 
-    def known_threshold(self, given: float | None) -> float | None:
+    def minimized_threshold_or_none(self, raw_threshold: float | None) -> float | None:
         """Return the threshold as `threshold` does, but None if none is given and the metric has none."""
         try:
-            return self.threshold(given)
+            return self.minimized_threshold(raw_threshold)
         except InputError:
-            if given is not None:
+            if raw_threshold is not None:
                 raise
             return None
 
-    def flip(self, value: float) -> float:
+    def convert_orientation(self, score: float) -> float:
         """Convert one score between raw and minimized; a weighted sum is minimized already."""
-        return value if self.weights else self.metrics[0].oriented(value)
+        return score if self.weights else self.metrics[0].to_minimize(score)
 
     @property
-    def uncritical(self) -> FloatArray:
+    def least_critical_scores(self) -> FloatArray:
         """Minimized scores of a scenario in which every metric is at its cap, shape (1,) or (metrics,)."""
-        return self.oriented(np.array([[metric.cap for metric in self.metrics]])).ravel()
+        return self.minimized(np.array([[metric.cap for metric in self.metrics]])).ravel()
 
 
-def on_front(values: FloatArray) -> BoolArray:
+def is_on_pareto_front(values: FloatArray) -> BoolArray:
     """Return which rows are on the Pareto front (not dominated, lower is better), shape (m,); never rows with NaN.
 
     Source: H. T. Kung, F. Luccio, F. P. Preparata, "On finding the maxima of a set of vectors", Journal of the ACM 22
@@ -155,14 +155,14 @@ def on_front(values: FloatArray) -> BoolArray:
     return np.asarray(front)
 
 
-class Best:
+class Incumbent:
     """The most critical result so far: a score, or a Pareto front."""
 
     def __init__(self, objective: Objective) -> None:
         self._objective = objective
         self._front = np.zeros((0, 1))
 
-    def add(self, scores: FloatArray) -> bool:
+    def update(self, scores: FloatArray) -> bool:
         """Add minimized scores, shape (m,) or (m, k), NaN if failed; return whether any is an improvement.
 
         An improvement is dominated by no earlier score. A score with every metric at its cap counts only once.
@@ -172,28 +172,28 @@ class Best:
         if not len(values):
             return False
         if values.shape[1] == 1:
-            return self._add_single(values)
+            return self._update_single(values)
         before = self._front if len(self._front) else np.full((1, values.shape[1]), np.inf)
         worse = (before[:, None] <= values).all(axis=2) & (before[:, None] < values).any(axis=2)
         same = (before[:, None] == values).all(axis=2).any(axis=0)
-        capped = (values >= self._objective.uncritical).all(axis=1)
+        capped = (values >= self._objective.least_critical_scores).all(axis=1)
         is_new = ~worse.any(axis=0) & ~(same & capped)
         candidates = np.unique(np.concatenate([self._front.reshape(-1, values.shape[1]), values]), axis=0)
-        self._front = candidates[on_front(candidates)]
+        self._front = candidates[is_on_pareto_front(candidates)]
         return bool(is_new.any())
 
-    def _add_single(self, values: FloatArray) -> bool:
+    def _update_single(self, values: FloatArray) -> bool:
         """Like `add` for single scores; faster, since it is called for every scenario."""
         best = float(self._front[0, 0]) if len(self._front) else np.inf
-        is_new = (values <= best) & ~((values == best) & (values >= self._objective.uncritical))
+        is_new = (values <= best) & ~((values == best) & (values >= self._objective.least_critical_scores))
         self._front = np.full((1, 1), min(best, float(values.min())))
         return bool(is_new.any())
 
     @property
-    def text(self) -> str:
+    def label(self) -> str:
         """Short label such as ``best 0.3 s``; empty before the first score."""
         if not len(self._front):
             return ""
         if self._objective.pareto:
             return f"front of {len(self._front)}"
-        return f"best {self._objective.flip(float(self._front[0, 0])):.3g} {self._objective.unit}".rstrip()
+        return f"best {self._objective.convert_orientation(float(self._front[0, 0])):.3g} {self._objective.unit}".rstrip()

@@ -4,14 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-from cornercase._common.errors import InputError, PartError, SimulationError
-from cornercase._common.ledger import warn
-from cornercase.recordings import Recording, farthest_apart, same_bytes
+from cornercase._common.errors import InputError, PluginError, SimulationError
+from cornercase._common.ledger import issue_notice_warning
+from cornercase.recordings import Recording, max_position_difference, are_bitwise_equal
 from cornercase.simulators import SIMULATORS
-from cornercase.study import Row, Study
+from cornercase.study import ScenarioRecord, Study
 
 
-def try_repeatability(study: Study, again: Callable[[Row], Recording | SimulationError], advice: str) -> bool:
+def check_repeatability(study: Study, run_scenario: Callable[[ScenarioRecord], Recording | SimulationError], advice: str) -> bool:
     """Run the first finished scenario again by `again`, and store whether the recording is identical.
 
     Done once per study, and only for simulators that claim to be deterministic. One check proves nothing, but finds
@@ -21,28 +21,28 @@ def try_repeatability(study: Study, again: Callable[[Row], Recording | Simulatio
     row = next((row for row in study.rows() if row.state == "done"), None)
     if row is None:
         return False
-    if not study.meta.repeatability and _claims_to_repeat_itself(study.meta.simulator):
-        outcome = again(row)
-        if isinstance(outcome, PartError):
+    if not study.meta.repeatability and _is_declared_deterministic(study.meta.simulator):
+        outcome = run_scenario(row)
+        if isinstance(outcome, PluginError):
             study.writer.save_repeatability(row.id, False, None)
         elif isinstance(outcome, SimulationError):
             # The cause may be external, such as a time-out on a busy machine.
-            warn(
+            issue_notice_warning(
                 f"scenario {row.id} could not be run a second time ({outcome}), so it is unknown whether runs are"
                 " deterministic; run the same command again to retry"
             )
         else:
             first = study.recording(row.id)
-            same = same_bytes(first, outcome)
-            study.writer.save_repeatability(row.id, same, None if same else farthest_apart(first, outcome))
-    if advice and study.meta.runs_differ:
-        warn(f"runs differ: {study.meta.runs_differ}; {advice}")
+            same = are_bitwise_equal(first, outcome)
+            study.writer.save_repeatability(row.id, same, None if same else max_position_difference(first, outcome))
+    if advice and study.meta.nondeterminism_text:
+        issue_notice_warning(f"runs differ: {study.meta.nondeterminism_text}; {advice}")
     return True
 
 
-def _claims_to_repeat_itself(simulator: str) -> bool:
+def _is_declared_deterministic(simulator: str) -> bool:
     """Return whether the simulator declares that it is deterministic; False if it is not registered."""
     try:
-        return SIMULATORS.class_of(simulator).repeats_itself
+        return SIMULATORS.get_class(simulator).deterministic
     except InputError:
         return False

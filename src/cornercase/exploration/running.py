@@ -10,25 +10,25 @@ from typing import Any
 
 import numpy as np
 
-from cornercase._common.errors import InputError, PartError, SimulationError
+from cornercase._common.errors import InputError, PluginError, SimulationError
 from cornercase._common.typing import FloatArray
-from cornercase.exploration.configuration import Configuration
-from cornercase.exploration.deciding import SecondRuns, Undecided
+from cornercase.exploration.configuration import ExplorationConfig
+from cornercase.exploration.deciding import ReferenceRuns, PendingCondition
 from cornercase.exploration.objective import Objective
-from cornercase.exploration.repeatability import try_repeatability
-from cornercase.exploration.repeated import RepeatedScenario, Repetition
+from cornercase.exploration.repeatability import check_repeatability
+from cornercase.exploration.repeated import RepeatedRun, RepeatPolicy
 from cornercase.recordings import Recording
 from cornercase.scenario import ConcreteScenario
-from cornercase.simulators import RunNotices, Simulator, outcomes_of
-from cornercase.study import Row, Study
+from cornercase.simulators import RunNotices, Simulator, run_scenarios
+from cornercase.study import ScenarioRecord, Study
 
 
-class StageClock:
+class StageTimer:
     """Adds up how long the stages of an exploration take, and stores the sums in the study."""
 
     def __init__(self, study: Study) -> None:
         self._study = study
-        self._spent: dict[str, float] = {}
+        self._seconds_by_stage: dict[str, float] = {}
 
     @contextmanager
     def __call__(self, stage: str) -> Iterator[None]:
@@ -37,13 +37,13 @@ class StageClock:
         try:
             yield
         finally:
-            self._spent[stage] = self._spent.get(stage, 0.0) + time.monotonic() - start
+            self._seconds_by_stage[stage] = self._seconds_by_stage.get(stage, 0.0) + time.monotonic() - start
 
-    def note(self) -> None:
+    def save_times(self) -> None:
         """Store and reset the measured times."""
-        if self._spent:
-            self._study.writer.add_all_elapsed(self._spent)
-        self._spent.clear()
+        if self._seconds_by_stage:
+            self._study.writer.add_elapsed_times(self._seconds_by_stage)
+        self._seconds_by_stage.clear()
 
 
 class ScenarioRunner:
@@ -57,170 +57,170 @@ class ScenarioRunner:
 
     def __init__(
         self,
-        configuration: Configuration,
+        config: ExplorationConfig,
         simulator: Simulator,
         objective: Objective,
         study: Study,
-        clock: StageClock,
+        clock: StageTimer,
         references: Mapping[str, Simulator] | None = None,
     ) -> None:
-        self._configuration, self._simulator, self._objective = configuration, simulator, objective
+        self._config, self._simulator, self._objective = config, simulator, objective
         self._study, self._clock = study, clock
-        self._repetition = Repetition(configuration, objective)
+        self._repeat_policy = RepeatPolicy(config, objective)
         self.notices = RunNotices(simulator)
         # Number of scenarios that failed by an exception of a driver, the simulator or a metric, and the last error.
-        self._raised, self._last = 0, SimulationError()
-        condition = configuration.condition()
-        self._second, self._tried = None, False
+        self._n_exceptions, self._last_error = 0, SimulationError()
+        condition = config.make_condition()
+        self._reference_runs, self._repeatability_checked = None, False
         if condition is not None:
-            self._second = SecondRuns(configuration, condition, references or {}, self.outcomes)
-            if missing := [name for name in condition.references if name not in (references or {})]:
+            self._reference_runs = ReferenceRuns(config, condition, references or {}, self.simulate)
+            if missing := [name for name in condition.reference_drivers if name not in (references or {})]:
                 raise InputError(f"`references`: there is no simulator in which {missing[0]} drives the ego.")
 
-    def run(self, rows: Sequence[Row]) -> Iterator[tuple[int, Any]]:
+    def run_rows(self, rows: Sequence[ScenarioRecord]) -> Iterator[tuple[int, Any]]:
         """Run scenarios; yield id and minimized score (float, or shape (metrics,) for a front) of each successful one.
 
         Raises `InputError` if none of them can be run, or the simulator itself failed.
         """
         if not rows:
             return
-        waiting, remaining = list[Undecided](), deque(self.begun(row) for row in rows)
+        waiting, remaining = list[PendingCondition](), deque(self.start_scenario(row) for row in rows)
         while remaining:
-            unfinished = deque[RepeatedScenario]()
-            for scenario, outcomes in self._batch(remaining):
-                result = self.settled(scenario, outcomes)
-                if isinstance(result, RepeatedScenario):
+            unfinished = deque[RepeatedRun]()
+            for scenario, outcomes in self._run_batch(remaining):
+                result = self.record_outcomes(scenario, outcomes)
+                if isinstance(result, RepeatedRun):
                     unfinished.append(result)
-                elif isinstance(result, Undecided):
+                elif isinstance(result, PendingCondition):
                     waiting.append(result)
                 elif result is not None:
                     yield scenario.row.id, result
             remaining = unfinished
-        if self._second is not None and waiting:
+        if self._reference_runs is not None and waiting:
             with self._clock("simulate"):
-                decided = list(self._second.decide(waiting))
+                decided = list(self._reference_runs.decide_conditions(waiting))
             for pending in sorted(decided, key=lambda item: item.row.id):
-                score = self.stored(pending)
+                score = self.store_decided(pending)
                 if score is not None:
                     yield pending.row.id, score
-        self.require_results()
+        self.require_any_result()
 
-    def try_repeatability(self) -> None:
+    def check_repeatability(self) -> None:
         """Run the first finished scenario of the study a second time, to check if runs are deterministic."""
-        if self._tried:
+        if self._repeatability_checked:
             return
         advice = (
             "a driver or the simulator draws random numbers or keeps state between runs: fix it, or run each scenario"
             " several times with `repeats`"
         )
         with self._clock("simulate"):
-            self._tried = try_repeatability(
-                self._study, self._once_more, advice if self._configuration.repeats == 1 else ""
+            self._repeatability_checked = check_repeatability(
+                self._study, self._run_row, advice if self._config.repeats == 1 else ""
             )
 
-    def _once_more(self, row: Row) -> Recording | SimulationError:
-        (outcome,) = self.outcomes(self._simulator, [self._configuration.logical.concrete(row.values)])
+    def _run_row(self, row: ScenarioRecord) -> Recording | SimulationError:
+        (outcome,) = self.simulate(self._simulator, [self._config.logical.concrete_scenario(row.values)])
         return outcome
 
-    def _batch(
-        self, scenarios: deque[RepeatedScenario]
-    ) -> Iterator[tuple[RepeatedScenario, list[Recording | SimulationError]]]:
+    def _run_batch(
+        self, scenarios: deque[RepeatedRun]
+    ) -> Iterator[tuple[RepeatedRun, list[Recording | SimulationError]]]:
         """Run all requested runs in one batch; scenarios are removed from the deque as their results come."""
-        results = self.outcomes(
-            self._simulator, [concrete for scenario in scenarios for concrete in self.concretes(scenario)]
+        results = self.simulate(
+            self._simulator, [concrete for scenario in scenarios for concrete in self.requested_concrete_scenarios(scenario)]
         )
         while scenarios:
             scenario = scenarios.popleft()
             with self._clock("simulate"):
-                outcomes = [next(results) for _ in range(scenario.wanted)]
+                outcomes = [next(results) for _ in range(scenario.n_requested)]
             yield scenario, outcomes
         # Exhaust the iterator, so that the simulator cleans up before the next batch.
         for _ in results:
             pass
 
-    def begun(self, row: Row) -> RepeatedScenario:
+    def start_scenario(self, row: ScenarioRecord) -> RepeatedRun:
         """Create the state of a scenario without runs."""
-        return self._repetition.begin(row)
+        return self._repeat_policy.start_scenario(row)
 
-    def concretes(self, one: RepeatedScenario) -> list[ConcreteScenario]:
+    def requested_concrete_scenarios(self, repeated_run: RepeatedRun) -> list[ConcreteScenario]:
         """Create the concrete scenario once per requested run."""
-        return [self._configuration.logical.concrete(one.row.values) for _ in range(one.wanted)]
+        return [self._config.logical.concrete_scenario(repeated_run.row.values) for _ in range(repeated_run.n_requested)]
 
-    def settled(self, one: RepeatedScenario, outcomes: Sequence[Recording | SimulationError]) -> Any:
+    def record_outcomes(self, repeated_run: RepeatedRun, outcomes: Sequence[Recording | SimulationError]) -> Any:
         """Measure finished runs, and store the scenario if it needs no further run.
 
         Returns its minimized score or scores, `RepeatedRun` or `PendingCondition` if more runs are needed, None if it
         failed.
         """
-        row = one.row
+        row = repeated_run.row
         with self._clock("measure"):
-            self._repetition.take(one, outcomes)
-        if one.wanted:
-            return one
-        if not one.runs:
-            assert one.error is not None
-            self._fail(row, one.error)
+            self._repeat_policy.record_outcomes(repeated_run, outcomes)
+        if repeated_run.n_requested:
+            return repeated_run
+        if not repeated_run.runs:
+            assert repeated_run.error is not None
+            self._record_failure(row, repeated_run.error)
             return None
-        scores = self._repetition.scores(one)
-        middle = _middle(scores)
-        recording, courses = one.runs[middle]
-        self.notices.look(recording, lambda: self._configuration.logical.scenario)
+        scores = self._repeat_policy.minimized_scores(repeated_run)
+        middle = _median_index(scores)
+        recording, courses = repeated_run.runs[middle]
+        self.notices.add_run(recording, lambda: self._config.logical.scenario_file)
         repeats = None
-        if self._configuration.repeats > 1:
-            repeats = {name: [run[name].score for _, run in one.runs] for name in courses}
-        if self._second is None:
+        if self._config.repeats > 1:
+            repeats = {name: [run[name].score for _, run in repeated_run.runs] for name in courses}
+        if self._reference_runs is None:
             with self._clock("store"):
-                self._study.writer.finish(row.id, recording, courses, repeats)
+                self._study.writer.record_result(row.id, recording, courses, repeats)
             return scores[middle]
         with self._clock("measure"):
-            pending = self._second.look(row, recording, courses)
-        return self.stored(pending) if pending.wanted is None else pending
+            pending = self._reference_runs.evaluate_condition(row, recording, courses)
+        return self.store_decided(pending) if pending.next_reference is None else pending
 
-    def again(self, one: Undecided, outcome: Recording | SimulationError) -> None:
+    def record_reference_run(self, pending_condition: PendingCondition, outcome: Recording | SimulationError) -> None:
         """Record the run with the reference driver that a scenario was waiting for."""
-        if self._second is not None and one.wanted is not None:
-            self._second.take(one, one.wanted, outcome)
+        if self._reference_runs is not None and pending_condition.next_reference is not None:
+            self._reference_runs.record_reference_run(pending_condition, pending_condition.next_reference, outcome)
 
-    def stored(self, one: Undecided) -> Any:
+    def store_decided(self, pending_condition: PendingCondition) -> Any:
         """Store a scenario whose condition is decided; return its minimized score, None if a run failed."""
-        if one.error is not None:
-            self._fail(one.row, one.error)
+        if pending_condition.error is not None:
+            self._record_failure(pending_condition.row, pending_condition.error)
             return None
-        courses = one.decided()
+        courses = pending_condition.decided_results()
         with self._clock("store"):
-            self._study.writer.finish(one.row.id, one.recording, courses, references=one.outcomes)
-        return self._objective.oriented(np.array([[result.score for result in courses.values()]]))[0]
+            self._study.writer.record_result(pending_condition.row.id, pending_condition.recording, courses, references=pending_condition.reference_outcomes)
+        return self._objective.minimized(np.array([[result.score for result in courses.values()]]))[0]
 
-    def _fail(self, row: Row, error: SimulationError) -> None:
-        self._study.writer.fail(row.id, error)
-        if isinstance(error, PartError):
-            self._raised, self._last = self._raised + 1, error
+    def _record_failure(self, row: ScenarioRecord, error: SimulationError) -> None:
+        self._study.writer.record_failure(row.id, error)
+        if isinstance(error, PluginError):
+            self._n_exceptions, self._last_error = self._n_exceptions + 1, error
 
-    def require_results(self) -> None:
+    def require_any_result(self) -> None:
         """Raise `InputError` if `max_failures` scenarios failed by exceptions before any gave a result."""
-        if 0 < self._configuration.max_failures <= self._raised and not self._study.done():
+        if 0 < self._config.max_failures <= self._n_exceptions and not self._study.finished_rows():
             raise InputError(
-                f"None of {self._raised} scenarios gave a result (`max_failures`); in the last one {self._last}. Fix"
+                f"None of {self._n_exceptions} scenarios gave a result (`max_failures`); in the last one {self._last_error}. Fix"
                 " it, and run the same command again."
             )
 
-    def outcomes(
+    def simulate(
         self, simulator: Simulator, concretes: Sequence[ConcreteScenario]
     ) -> Iterator[Recording | SimulationError]:
         """Run scenarios; yield one recording or error each. A crash of the simulator itself raises `InputError`."""
         try:
-            yield from outcomes_of(simulator, concretes)
+            yield from run_scenarios(simulator, concretes)
         except InputError:
             raise
         except Exception as error:
             text = " ".join(f"{type(error).__name__}: {error}".split())
             raise InputError(
-                f"The simulator '{self._configuration.simulator}' failed ({text}); fix it, and run the same command"
+                f"The simulator '{self._config.simulator}' failed ({text}); fix it, and run the same command"
                 " again to resume."
             ) from error
 
 
-def _middle(scores: FloatArray) -> int:
+def _median_index(scores: FloatArray) -> int:
     """Index of the median of scores, shape (n,) or (n, k); of several scores the first counts."""
     first = scores.reshape(len(scores), -1)[:, 0].tolist()
     order = sorted(range(len(first)), key=first.__getitem__)

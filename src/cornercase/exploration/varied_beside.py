@@ -7,14 +7,14 @@ from contextlib import contextmanager, suppress
 from dataclasses import replace
 from pathlib import Path
 
-from cornercase._common.arguments import texts
+from cornercase._common.arguments import check_str_sequence
 from cornercase._common.errors import InputError
-from cornercase._common.files import read_file, require_other_file, write_files
-from cornercase.scenario import LogicalScenario, Parameter, ParameterSpace, VariedScenario, value_text
+from cornercase._common.files import read_file, check_output_differs_from_source, write_files
+from cornercase.scenario import LogicalScenario, Parameter, ParameterSpace, VariedScenario, format_value
 
 
 @contextmanager
-def explored_file(
+def open_logical_scenario(
     scenario: LogicalScenario | Path | str | None,
     study: Path,
     space: Path | str | None,
@@ -34,24 +34,24 @@ def explored_file(
             )
         yield scenario
         return
-    variables = texts("vary", vary)
+    variables = check_str_sequence("vary", vary)
     if not variables:
         yield LogicalScenario.read(scenario, space, ranges, continuous)
         return
     if scenario is None:
         if space is None:
             raise InputError("`vary`: no scenario given; name an OpenSCENARIO file.")
-        scenario = ParameterSpace.scenario_file(space)
-    varied = VariedScenario.read(scenario, variables)
+        scenario = ParameterSpace.read_scenario_path(space)
+    varied = VariedScenario.select(scenario, variables)
     file = study.with_name(f"{study.stem}.varied.xosc")
     created = [target for target in (file, *file.parents) if not target.exists()]
-    extra_files = varied.beside(file.parent)
-    _write(varied, extra_files, file, study)
+    extra_files = varied.companion_files(file.parent)
+    _write_varied_scenario(varied, extra_files, file, study)
     try:
-        all_ranges = [*texts("ranges", ranges), *map(_range_text, varied.parameters)]
+        all_ranges = [*check_str_sequence("ranges", ranges), *map(_format_range, varied.parameters)]
         logical = LogicalScenario.read(file, space, all_ranges, continuous)
-        _require_roads_here(logical, varied, file)
-        yield replace(logical, space=varied.with_units(logical.space))
+        _require_same_folder_for_roads(logical, varied, file)
+        yield replace(logical, space=varied.add_units(logical.space))
     except BaseException as error:
         if file not in created or study.exists():
             raise
@@ -62,15 +62,15 @@ def explored_file(
                 folder.rmdir()
         if type(error) is InputError:
             # Name the user's file: the copy has been removed.
-            raise InputError(str(error).replace(str(file), str(varied.source.path))) from error
+            raise InputError(str(error).replace(str(file), str(varied.file.path))) from error
         raise
 
 
-def _write(varied: VariedScenario, beside: Mapping[Path, bytes], file: Path, study: Path) -> None:
+def _write_varied_scenario(varied: VariedScenario, extra_files: Mapping[Path, bytes], file: Path, study: Path) -> None:
     """Write the copy; an existing study requires an identical one."""
-    for source_file in varied.source.files():
-        require_other_file(file, source_file, "study")
-    content = varied.content(file.parent)
+    for source_file in varied.file.all_paths():
+        check_output_differs_from_source(file, source_file, "study")
+    content = varied.scenario_content(file.parent)
     previous = read_file(file) if file.exists() else None
     if previous == content:
         return
@@ -79,19 +79,19 @@ def _write(varied: VariedScenario, beside: Mapping[Path, bytes], file: Path, stu
             f"{study}: was created with another scenario file or other names for `vary` ({file.name} differs); give the"
             " same, or name another study."
         )
-    write_files({**beside, file: content})
+    write_files({**extra_files, file: content})
 
 
-def _range_text(one: Parameter) -> str:
-    step = "" if one.step is None else f":{value_text(one.step)}"
-    return f"{one.name}={value_text(one.low)}:{value_text(one.high)}{step}"
+def _format_range(parameter: Parameter) -> str:
+    step = "" if parameter.step is None else f":{format_value(parameter.step)}"
+    return f"{parameter.name}={format_value(parameter.low)}:{format_value(parameter.high)}{step}"
 
 
-def _require_roads_here(logical: LogicalScenario, varied: VariedScenario, file: Path) -> None:
+def _require_same_folder_for_roads(logical: LogicalScenario, varied: VariedScenario, file: Path) -> None:
     """Refuse a space that names road files relative to a folder other than that of the study."""
-    roads = set(logical.space.assigns) & varied.source.path_parameters
-    if roads and file.parent.resolve() != varied.source.path.parent.resolve():
+    roads = set(logical.space.assigned_names) & varied.file.path_parameters
+    if roads and file.parent.resolve() != varied.file.path.parent.resolve():
         raise InputError(
-            f"{varied.source.path}: the parameter {min(roads)} names road files relative to the scenario's folder; with"
+            f"{varied.file.path}: the parameter {min(roads)} names road files relative to the scenario's folder; with"
             f" `vary`, write the study into that folder instead of {file.parent}."
         )

@@ -72,11 +72,11 @@ class Metric(ABC):
     unit: str
     lower_is_critical: bool
     cap: float
-    most_critical: float | None = None
-    critical: float | None = None
-    contact: float | None = None
+    bound: float | None = None
+    default_threshold: float | None = None
+    contact_score: float | None = None
     severity: bool = False
-    wants: str = ""
+    required_option: str = ""
     source: str = ""
 
     @abstractmethod
@@ -100,7 +100,7 @@ class Metric(ABC):
             There is no entity of that name.
         """
 
-    def require(self) -> None:  # noqa: B027 - optional
+    def check_installed(self) -> None:  # noqa: B027 - optional
         """Raise if a package that the metric requires is not installed. Called before anything is run.
 
         Studies of the metric can be read without that package, so the constructor does not check it.
@@ -111,7 +111,7 @@ class Metric(ABC):
             The package is missing; the message says how to install it. By default nothing is required.
         """
 
-    def capped(self, course: FloatArray) -> FloatArray:
+    def clip_course(self, course: FloatArray) -> FloatArray:
         """Clip a course between `cap` and `bound`, so that it is finite everywhere.
 
         Parameters
@@ -124,7 +124,7 @@ class Metric(ABC):
             `cap` where the metric is not defined.
         """
         filled = np.where(np.isnan(course), self.cap, course)
-        low, high = (self.most_critical, self.cap) if self.lower_is_critical else (self.cap, self.most_critical)
+        low, high = (self.bound, self.cap) if self.lower_is_critical else (self.cap, self.bound)
         return np.asarray(np.clip(filled, low, high))
 
     def score(self, course: FloatArray) -> float:
@@ -139,10 +139,10 @@ class Metric(ABC):
         float
             In the metric's unit; finite.
         """
-        values = self.capped(course)
+        values = self.clip_course(course)
         return float(values.min() if self.lower_is_critical else values.max())
 
-    def score_of_contact(self, score: float, change: float) -> float:
+    def score_with_contact(self, score: float, velocity_change: float) -> float:
         """Score of a recording in which both entities touch: at least as critical as `contact_score`.
 
         With `severity`, a tenth of the change of velocity in m/s is added beyond that, so that the scores of collisions
@@ -160,14 +160,14 @@ class Metric(ABC):
         -------
         float
         """
-        if self.contact is None:
+        if self.contact_score is None:
             return score
         more_critical = min if self.lower_is_critical else max
         sign = -1.0 if self.lower_is_critical else 1.0
-        base = more_critical(score, self.contact)
-        return base + sign * _SEVERITY_WEIGHT * change if self.severity else base
+        base = more_critical(score, self.contact_score)
+        return base + sign * _SEVERITY_WEIGHT * velocity_change if self.severity else base
 
-    def oriented(self, scores: Score) -> Score:
+    def to_minimize(self, scores: Score) -> Score:
         """Negate scores if higher is critical, so that lower is always more critical. Its own inverse.
 
         Parameters
@@ -180,7 +180,7 @@ class Metric(ABC):
         """
         return scores if self.lower_is_critical else -scores
 
-    def find_threshold(self, given: float | None = None) -> float:
+    def resolve_threshold(self, threshold: float | None = None) -> float:
         """Return the score from which a scenario counts as critical.
 
         Parameters
@@ -197,7 +197,7 @@ class Metric(ABC):
         InputError
             The metric has no default threshold, or the given one is not finite.
         """
-        value = self.critical if given is None else given
+        value = self.default_threshold if threshold is None else threshold
         if value is None:
             raise InputError(f"The metric '{self.name}' has no default threshold; give one with `critical`.")
         if not np.isfinite(value):

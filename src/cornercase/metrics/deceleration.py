@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from cornercase._common.typing import FloatArray
-from cornercase.metrics._parts.following import Following
-from cornercase.metrics._parts.numbers import checked, over
+from cornercase.metrics._parts.following import LeaderGap
+from cornercase.metrics._parts.numbers import check_nonnegative_options, divide_or_inf
 from cornercase.metrics.base import Metric
 from cornercase.recordings import Recording
 
@@ -27,12 +27,12 @@ class Drac(Metric):
     unit = "m/s²"
     lower_is_critical = False
     cap = 0.0
-    most_critical = 20.0
+    bound = 20.0
     source = "Cooper and Ferguson 1976"
 
     def course(self, recording: Recording, ego: str, other: str) -> FloatArray:
-        pair = Following.of(recording, ego, other)
-        return over(np.maximum(pair.closing, 0.0) ** 2, 2.0 * pair.gap)
+        pair = LeaderGap.from_recording(recording, ego, other)
+        return divide_or_inf(np.maximum(pair.closing_speed, 0.0) ** 2, 2.0 * pair.gap)
 
 
 class Mdrac(Metric):
@@ -55,17 +55,17 @@ class Mdrac(Metric):
     unit = "m/s²"
     lower_is_critical = False
     cap = 0.0
-    most_critical = 20.0
+    bound = 20.0
     source = "Alhajyaseen 2015"
 
     def __init__(self, reaction_time: float = 1.0) -> None:
-        checked(self.name, reaction_time=reaction_time)
+        check_nonnegative_options(self.name, reaction_time=reaction_time)
         self.reaction_time = reaction_time
 
     def course(self, recording: Recording, ego: str, other: str) -> FloatArray:
-        pair = Following.of(recording, ego, other)
-        closing = np.maximum(pair.closing, 0.0)
-        return over(closing**2, 2.0 * (pair.gap - closing * self.reaction_time))
+        pair = LeaderGap.from_recording(recording, ego, other)
+        closing = np.maximum(pair.closing_speed, 0.0)
+        return divide_or_inf(closing**2, 2.0 * (pair.gap - closing * self.reaction_time))
 
 
 class Dst(Metric):
@@ -89,18 +89,18 @@ class Dst(Metric):
     unit = "m/s²"
     lower_is_critical = False
     cap = 0.0
-    most_critical = 20.0
-    critical = 4.0
+    bound = 20.0
+    default_threshold = 4.0
     source = "Hupfer 1997"
 
     def __init__(self, safety_time: float = 1.0) -> None:
-        checked(self.name, safety_time=safety_time)
+        check_nonnegative_options(self.name, safety_time=safety_time)
         self.safety_time = safety_time
 
     def course(self, recording: Recording, ego: str, other: str) -> FloatArray:
-        pair = Following.of(recording, ego, other)
-        closing = np.maximum(pair.closing, 0.0)
-        return over(closing**2, 2.0 * (pair.gap - pair.leader_speed * self.safety_time))
+        pair = LeaderGap.from_recording(recording, ego, other)
+        closing = np.maximum(pair.closing_speed, 0.0)
+        return divide_or_inf(closing**2, 2.0 * (pair.gap - pair.leader_speed * self.safety_time))
 
 
 class LongitudinalAcceleration(Metric):
@@ -121,12 +121,12 @@ class LongitudinalAcceleration(Metric):
     unit = "m/s²"
     lower_is_critical = True
     cap = 0.0
-    most_critical = -20.0
-    critical = -5.0
+    bound = -20.0
+    default_threshold = -5.0
     source = "Jansson 2005, leader does not reverse"
 
     def course(self, recording: Recording, ego: str, other: str) -> FloatArray:
-        return required_acceleration(Following.of(recording, ego, other))
+        return required_longitudinal_acceleration(LeaderGap.from_recording(recording, ego, other))
 
 
 class Btn(Metric):
@@ -149,16 +149,16 @@ class Btn(Metric):
     unit = "1"
     lower_is_critical = False
     cap = 0.0
-    most_critical = 5.0
-    critical = 1.0
+    bound = 5.0
+    default_threshold = 1.0
     source = "Brännström et al. 2008"
 
     def __init__(self, deceleration: float = 8.0) -> None:
-        checked(self.name, deceleration=deceleration)
+        check_nonnegative_options(self.name, deceleration=deceleration)
         self.deceleration = deceleration
 
     def course(self, recording: Recording, ego: str, other: str) -> FloatArray:
-        return over(-required_acceleration(Following.of(recording, ego, other)), self.deceleration)
+        return divide_or_inf(-required_longitudinal_acceleration(LeaderGap.from_recording(recording, ego, other)), self.deceleration)
 
 
 class StoppingDistance(Metric):
@@ -179,32 +179,32 @@ class StoppingDistance(Metric):
     unit = "m"
     lower_is_critical = False
     cap = 0.0
-    most_critical = contact = 500.0
+    bound = contact_score = 500.0
     source = "Minimal stopping distance, as in Westhofen et al. 2023"
 
     def __init__(self, deceleration: float = 8.0) -> None:
-        checked(self.name, deceleration=deceleration)
+        check_nonnegative_options(self.name, deceleration=deceleration)
         self.deceleration = deceleration
 
     def course(self, recording: Recording, ego: str, other: str) -> FloatArray:
-        return over(recording.speed[recording.index(ego)] ** 2, 2.0 * self.deceleration)
+        return divide_or_inf(recording.speed[recording.entity_index(ego)] ** 2, 2.0 * self.deceleration)
 
 
-def required_acceleration(pair: Following) -> FloatArray:
+def required_longitudinal_acceleration(leader: LeaderGap) -> FloatArray:
     """Weakest acceleration that avoids contact (see `LongitudinalAcceleration`), shape (T,), in m/s², not above 0.
 
     NaN where `leader` has no gap.
     """
-    closing, acceleration = pair.closing, pair.leader_acceleration
-    brakes = (pair.leader_speed > 0.0) & (acceleration < 0.0)
-    stopping_distance = np.where(brakes, 0.5 * pair.leader_speed**2 / np.where(brakes, -acceleration, 1.0), 0.0)
-    stop_behind = -over(pair.speed**2, 2.0 * (pair.gap + stopping_distance))
+    closing, acceleration = leader.closing_speed, leader.leader_acceleration
+    brakes = (leader.leader_speed > 0.0) & (acceleration < 0.0)
+    stopping_distance = np.where(brakes, 0.5 * leader.leader_speed**2 / np.where(brakes, -acceleration, 1.0), 0.0)
+    stop_behind = -divide_or_inf(leader.speed**2, 2.0 * (leader.gap + stopping_distance))
     # A standing leader with negative acceleration holds its brake; it does not start to reverse.
-    leader_acceleration = np.where((pair.leader_speed == 0.0) & (acceleration < 0.0), 0.0, acceleration)
-    match_speed = leader_acceleration - over(np.maximum(closing, 0.0) ** 2, 2.0 * pair.gap)
+    leader_acceleration = np.where((leader.leader_speed == 0.0) & (acceleration < 0.0), 0.0, acceleration)
+    match_speed = leader_acceleration - divide_or_inf(np.maximum(closing, 0.0) ** 2, 2.0 * leader.gap)
     with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
         matches_before_stop = (closing > 0.0) & (
-            2.0 * pair.gap / closing <= pair.leader_speed / np.where(brakes, -acceleration, 1.0)
+            2.0 * leader.gap / closing <= leader.leader_speed / np.where(brakes, -acceleration, 1.0)
         )
     required = np.where(brakes & ~matches_before_stop, stop_behind, np.where(closing > 0.0, match_speed, 0.0))
-    return np.where(np.isnan(pair.gap + closing + acceleration), np.nan, np.minimum(required, 0.0))
+    return np.where(np.isnan(leader.gap + closing + acceleration), np.nan, np.minimum(required, 0.0))

@@ -6,7 +6,7 @@ import numpy as np
 
 from cornercase._common.geometry import box_distance
 from cornercase._common.typing import FloatArray
-from cornercase.metrics._parts.boxes import boxes
+from cornercase.metrics._parts.boxes import box_corners_over_time
 from cornercase.metrics.base import Metric
 from cornercase.recordings import Recording
 
@@ -32,14 +32,14 @@ class Distance(Metric):
     unit = "m"
     lower_is_critical = True
     cap = 100.0
-    contact = 0.0
+    contact_score = 0.0
     source = "Euclidean distance between the centres of the bounding boxes"
 
     def __init__(self, severity: bool = False) -> None:
         self.severity = severity
 
     def course(self, recording: Recording, ego: str, other: str) -> FloatArray:
-        offset = recording.center(other) - recording.center(ego)
+        offset = recording.box_center(other) - recording.box_center(ego)
         return np.hypot(offset[:, 0], offset[:, 1])
 
 
@@ -61,12 +61,12 @@ class Clearance(Metric):
     unit = "m"
     lower_is_critical = True
     cap = 100.0
-    critical = 1.0
-    contact = 0.0
+    default_threshold = 1.0
+    contact_score = 0.0
     source = "Euclidean distance of the bounding boxes"
 
     def __init__(self, severity: bool = False) -> None:
         self.severity = severity
 
     def course(self, recording: Recording, ego: str, other: str) -> FloatArray:
-        return box_distance(boxes(recording, ego), boxes(recording, other))
+        return box_distance(box_corners_over_time(recording, ego), box_corners_over_time(recording, other))

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import numpy as np
 
-from cornercase._common.geometry import box_distance, first_contact
+from cornercase._common.geometry import box_distance, time_to_contact
 from cornercase._common.typing import FloatArray
-from cornercase.metrics._parts.boxes import boxes, relative_velocity
+from cornercase.metrics._parts.boxes import box_corners_over_time, relative_velocity
 from cornercase.metrics.base import Metric
 from cornercase.recordings import Recording
 
-_TIE = 1e-9
+_GAP_TOLERANCE = 1e-9
 """Gaps in m that differ by less are equal."""
 
 
@@ -35,8 +35,8 @@ class Dce(Metric):
     unit = "m"
     lower_is_critical = True
     cap = 100.0
-    critical = 1.0
-    contact = 0.0
+    default_threshold = 1.0
+    contact_score = 0.0
     source = "Eggert 2014, boxes in the plane"
 
     def __init__(self, centers: bool = False, severity: bool = False) -> None:
@@ -81,28 +81,28 @@ def closest_encounter(recording: Recording, ego: str, other: str, centers: bool)
     """
     velocity = relative_velocity(recording, ego, other)
     if centers:
-        return _nearest((recording.center(other) - recording.center(ego))[:, None], velocity)
-    a, b = boxes(recording, ego), boxes(recording, other)
+        return _closest_approach_to_origin((recording.box_center(other) - recording.box_center(ego))[:, None], velocity)
+    a, b = box_corners_over_time(recording, ego), box_corners_over_time(recording, other)
     # If one of two convex shapes moves straight on, they are nearest now, or their nearest points then are corners.
     corner_offsets = (b[:, None] - a[:, :, None]).reshape(len(a), 16, 2)
-    gap, time = _nearest(corner_offsets, velocity)
+    gap, time = _closest_approach_to_origin(corner_offsets, velocity)
     present_gap = box_distance(a, b)
-    time = np.where(present_gap <= gap + _TIE, 0.0, time)
+    time = np.where(present_gap <= gap + _GAP_TOLERANCE, 0.0, time)
     gap = np.minimum(present_gap, gap)
-    contact = first_contact(a, b, velocity)
+    contact = time_to_contact(a, b, velocity)
     collides = np.isfinite(contact)
     return np.where(collides, 0.0, gap), np.where(collides, contact, time)
 
 
-def _nearest(points: FloatArray, way: FloatArray) -> tuple[FloatArray, FloatArray]:
+def _closest_approach_to_origin(points: FloatArray, velocity: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Smallest distance to the origin of points (T, n, 2) with velocity (T, 2), and the first time it is reached."""
-    squared_speed = (way**2).sum(-1)
+    squared_speed = (velocity**2).sum(-1)
     moves = squared_speed > 0.0
-    times = -(points * way[:, None]).sum(-1) / np.where(moves, squared_speed, 1.0)[:, None]
+    times = -(points * velocity[:, None]).sum(-1) / np.where(moves, squared_speed, 1.0)[:, None]
     times = np.maximum(np.where(moves[:, None], times, 0.0), 0.0)
-    closest_points = points + times[..., None] * way[:, None]
+    closest_points = points + times[..., None] * velocity[:, None]
     distances = np.hypot(closest_points[..., 0], closest_points[..., 1])
     gap = distances.min(-1)
     # For parallel sides several corners are equally near; the first time counts.
-    first = np.where(distances <= gap[:, None] + _TIE, times, np.inf).min(-1)
+    first = np.where(distances <= gap[:, None] + _GAP_TOLERANCE, times, np.inf).min(-1)
     return gap, np.where(np.isnan(gap), np.nan, first)

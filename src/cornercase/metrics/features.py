@@ -10,10 +10,10 @@ from typing import ClassVar, Final
 import numpy as np
 
 from cornercase._common.errors import InputError
-from cornercase._common.parts import guarded
+from cornercase._common.parts import convert_plugin_errors
 from cornercase._common.registry import Registry
 from cornercase._common.typing import FloatArray, IntArray
-from cornercase.metrics._parts.meeting import FAR, Meeting
+from cornercase.metrics._parts.meeting import NEVER_MET_DISTANCE, Encounter
 from cornercase.metrics.others import nearest_other
 from cornercase.recordings import Recording
 
@@ -75,7 +75,7 @@ class FeatureGroup(ABC):
     features: ClassVar[tuple[Feature, ...]]
 
     @abstractmethod
-    def values(self, meeting: Meeting) -> FloatArray:
+    def values(self, encounter: Encounter) -> FloatArray:
         """Compute the features of a recording.
 
         Parameters
@@ -111,17 +111,17 @@ class NearestApproach(FeatureGroup):
         Feature("nearest-way", "m"),
     )
 
-    def values(self, meeting: Meeting) -> FloatArray:
-        k, clearance = meeting.nearest
+    def values(self, encounter: Encounter) -> FloatArray:
+        k, clearance = encounter.closest_instant_and_gap
         if k is None:
-            return np.array([FAR, meeting.duration, FAR, 0.0, 1.0, 0.0, 0.0, 0.0, meeting.way_until(None)])
-        recording, ego, other = meeting.recording, meeting.ego_row, meeting.other_row
-        ahead, left, speed = meeting.other_from(k)
+            return np.array([NEVER_MET_DISTANCE, encounter.duration, NEVER_MET_DISTANCE, 0.0, 1.0, 0.0, 0.0, 0.0, encounter.distance_driven_until(None)])
+        recording, ego, other = encounter.recording, encounter.ego_row, encounter.other_row
+        ahead, left, speed = encounter.other_relative_to_ego(k)
         angle = recording.heading[other, k] - recording.heading[ego, k]
         return np.array(
             [
-                clearance, meeting.since_begin(k), ahead, left, np.cos(angle), np.sin(angle),
-                recording.speed[ego, k], speed, meeting.way_until(k),
+                clearance, encounter.elapsed_time(k), ahead, left, np.cos(angle), np.sin(angle),
+                recording.speed[ego, k], speed, encounter.distance_driven_until(k),
             ]
         )  # fmt: skip
 
@@ -135,31 +135,31 @@ class Approach(FeatureGroup):
     name = "approach"
     features = (Feature("approach-time", "s"), Feature("approach-ahead", "m"), Feature("approach-other-speed", "m/s"))
 
-    def values(self, meeting: Meeting) -> FloatArray:
-        both = meeting.both_there
+    def values(self, encounter: Encounter) -> FloatArray:
+        both = encounter.common_instants
         if not len(both):
-            return np.array([meeting.duration, FAR, 0.0])
-        distance = np.hypot(*(meeting.other_center[both] - meeting.ego_center[both]).T)
+            return np.array([encounter.duration, NEVER_MET_DISTANCE, 0.0])
+        distance = np.hypot(*(encounter.other_center[both] - encounter.ego_center[both]).T)
         is_near = distance < _APPROACH
         k = int(both[np.argmax(is_near) if is_near.any() else np.argmin(distance)])
-        ahead, _, speed = meeting.other_from(k)
-        return np.array([meeting.since_begin(k), ahead, speed])
+        ahead, _, speed = encounter.other_relative_to_ego(k)
+        return np.array([encounter.elapsed_time(k), ahead, speed])
 
 
-class Braking(FeatureGroup):
+class EgoBraking(FeatureGroup):
     """State when the ego first brakes with nine tenths of its strongest deceleration; else the end."""
 
     name = "braking"
     features = (Feature("braking-way", "m"), Feature("braking-speed", "m/s"))
 
-    def values(self, meeting: Meeting) -> FloatArray:
-        if not len(meeting.ego_there):
+    def values(self, encounter: Encounter) -> FloatArray:
+        if not len(encounter.ego_instants):
             return np.zeros(2)
-        k = _strongest_braking(meeting.recording.acceleration[meeting.ego_row], meeting.ego_there)
-        return np.array([meeting.way_until(k), meeting.recording.speed[meeting.ego_row, k]])
+        k = _instant_of_strongest_braking(encounter.recording.acceleration[encounter.ego_row], encounter.ego_instants)
+        return np.array([encounter.distance_driven_until(k), encounter.recording.speed[encounter.ego_row, k]])
 
 
-class Other(FeatureGroup):
+class OtherMotion(FeatureGroup):
     """Highest speed of the other, and the distance that it has driven until it brakes hardest; 0 if it never exists."""
 
     name = "other"
@@ -169,18 +169,18 @@ class Other(FeatureGroup):
         Feature("other-braking-way", "m"),
     )
 
-    def values(self, meeting: Meeting) -> FloatArray:
-        instants = meeting.other_there
+    def values(self, encounter: Encounter) -> FloatArray:
+        instants = encounter.other_instants
         if not len(instants):
             return np.zeros(3)
-        speeds = np.abs(meeting.recording.speed[meeting.other_row, instants])
+        speeds = np.abs(encounter.recording.speed[encounter.other_row, instants])
         k = int(np.argmax(speeds))
-        braking = _strongest_braking(meeting.recording.acceleration[meeting.other_row], instants)
-        steps = np.diff(meeting.other_center[instants[instants <= braking]], axis=0)
-        return np.array([speeds[k], meeting.since_begin(int(instants[k])), np.hypot(steps[:, 0], steps[:, 1]).sum()])
+        braking = _instant_of_strongest_braking(encounter.recording.acceleration[encounter.other_row], instants)
+        steps = np.diff(encounter.other_center[instants[instants <= braking]], axis=0)
+        return np.array([speeds[k], encounter.elapsed_time(int(instants[k])), np.hypot(steps[:, 0], steps[:, 1]).sum()])
 
 
-class Crossing(FeatureGroup):
+class PathCrossing(FeatureGroup):
     """Where the paths of both come nearest to each other, and how much later than the other the ego is there.
 
     Of equally near points the one counts that both pass with the least time between them: 1 s counts as much as 0.1 m.
@@ -189,11 +189,11 @@ class Crossing(FeatureGroup):
     name = "crossing"
     features = (Feature("crossing-distance", "m"), Feature("crossing-gap", "s", branch=True))
 
-    def values(self, meeting: Meeting) -> FloatArray:
-        return np.array(meeting.crossing)
+    def values(self, encounter: Encounter) -> FloatArray:
+        return np.array(encounter.path_distance_and_time_gap)
 
 
-class Slowest(FeatureGroup):
+class SlowestInstant(FeatureGroup):
     """State at the first instant at which the ego is slowest, with the other in the ego's frame."""
 
     name = "slowest"
@@ -206,17 +206,17 @@ class Slowest(FeatureGroup):
         Feature("lowest-speed-other-speed", "m/s"),
     )
 
-    def values(self, meeting: Meeting) -> FloatArray:
-        instants = meeting.ego_there
+    def values(self, encounter: Encounter) -> FloatArray:
+        instants = encounter.ego_instants
         if not len(instants):
-            return np.array([0.0, 0.0, 0.0, FAR, 0.0, 0.0])
-        speeds = np.abs(meeting.recording.speed[meeting.ego_row, instants])
+            return np.array([0.0, 0.0, 0.0, NEVER_MET_DISTANCE, 0.0, 0.0])
+        speeds = np.abs(encounter.recording.speed[encounter.ego_row, instants])
         lowest = int(np.argmin(speeds))
         k = int(instants[lowest])
-        return np.array([speeds[lowest], meeting.since_begin(k), meeting.way_until(k), *meeting.other_from(k)])
+        return np.array([speeds[lowest], encounter.elapsed_time(k), encounter.distance_driven_until(k), *encounter.other_relative_to_ego(k)])
 
 
-class Turn(FeatureGroup):
+class EgoTurn(FeatureGroup):
     """State when the ego turns fastest, and when its heading first differs by 0.05 rad from the initial one."""
 
     name = "turn"
@@ -227,54 +227,54 @@ class Turn(FeatureGroup):
         Feature("turn-begin-other-speed", "m/s"),
     )
 
-    def values(self, meeting: Meeting) -> FloatArray:
-        recording, instants = meeting.recording, meeting.ego_there
+    def values(self, encounter: Encounter) -> FloatArray:
+        recording, instants = encounter.recording, encounter.ego_instants
         if len(instants) < 2:
             return np.zeros(4)
-        heading = recording.heading[meeting.ego_row, instants]
-        turning = _between(heading, heading[0]) > _TURN_STARTED
-        _, left, speed = meeting.other_from(int(instants[np.argmax(turning) if turning.any() else -1]))
-        rates = _between(heading[1:], heading[:-1]) / np.diff(recording.time[instants])
+        heading = recording.heading[encounter.ego_row, instants]
+        turning = _angles_between(heading, heading[0]) > _TURN_STARTED
+        _, left, speed = encounter.other_relative_to_ego(int(instants[np.argmax(turning) if turning.any() else -1]))
+        rates = _angles_between(heading[1:], heading[:-1]) / np.diff(recording.time[instants])
         k = int(np.argmax(rates))
         if not rates[k] > _STRAIGHT:
             return np.array([0.0, 0.0, left, speed])
         fastest = int(instants[k + 1])
-        return np.array([meeting.since_begin(fastest), meeting.way_until(fastest), left, speed])
+        return np.array([encounter.elapsed_time(fastest), encounter.distance_driven_until(fastest), left, speed])
 
 
-class Whole(FeatureGroup):
+class WholeRecording(FeatureGroup):
     """Duration, distance that the ego drives, and whether both touch."""
 
     name = "whole"
     features = (Feature("duration", "s"), Feature("way", "m"), Feature("contact", "1", branch=True))
 
-    def values(self, meeting: Meeting) -> FloatArray:
-        recorded = meeting.recording.first_collision(meeting.ego, meeting.other)
-        is_contact = meeting.nearest[1] == 0.0 or recorded is not None
-        return np.array([meeting.duration, meeting.way_until(None), float(is_contact)])
+    def values(self, encounter: Encounter) -> FloatArray:
+        recorded = encounter.recording.first_collision(encounter.ego, encounter.other)
+        is_contact = encounter.closest_instant_and_gap[1] == 0.0 or recorded is not None
+        return np.array([encounter.duration, encounter.distance_driven_until(None), float(is_contact)])
 
 
-def _strongest_braking(accelerations: FloatArray, there: IntArray) -> int:
+def _instant_of_strongest_braking(accelerations: FloatArray, instants: IntArray) -> int:
     """First of the instants at which an entity brakes (nearly) hardest; the last one if it does not brake."""
-    braking = np.nan_to_num(-accelerations[there])
+    braking = np.nan_to_num(-accelerations[instants])
     strongest = float(braking.max())
-    return int(there[np.argmax(braking >= _STRONG * strongest) if strongest > _MIN_BRAKING else -1])
+    return int(instants[np.argmax(braking >= _STRONG * strongest) if strongest > _MIN_BRAKING else -1])
 
 
-def _between(headings: FloatArray, others: FloatArray | float) -> FloatArray:
+def _angles_between(headings: FloatArray, others: FloatArray | float) -> FloatArray:
     """Angles between headings, the shortest way round."""
     angle = np.abs(headings - others)
     return np.asarray(np.minimum(angle, np.abs(2.0 * np.pi - angle)))
 
 
-FEATURES: Final[Registry[FeatureGroup]] = Registry("group of features", "cornercase.features", FeatureGroup)
+FEATURES: Final[Registry[FeatureGroup]] = Registry("group of features", "cornercase.random_features", FeatureGroup)
 """Groups of features by name; other packages add subclasses of `FeatureGroup` through this entry-point group."""
 
-for _group in (NearestApproach, Approach, Braking, Crossing, Other, Slowest, Turn, Whole):
+for _group in (NearestApproach, Approach, EgoBraking, PathCrossing, OtherMotion, SlowestInstant, EgoTurn, WholeRecording):
     FEATURES.register(_group.name, _group)
 
 
-def known_features() -> tuple[Feature, ...]:
+def registered_features() -> tuple[Feature, ...]:
     """All registered features.
 
     Returns
@@ -282,10 +282,10 @@ def known_features() -> tuple[Feature, ...]:
     tuple of Feature
         Groups in alphabetical order; the features of a group in its own order.
     """
-    return tuple(feature for group in _groups() for feature in group.features)
+    return tuple(feature for group in _create_feature_groups() for feature in group.features)
 
 
-def features_of(recordings: Iterable[Recording | None], ego: str, other: str | Sequence[str]) -> FloatArray:
+def compute_features(recordings: Iterable[Recording | None], ego: str, other: str | Sequence[str]) -> FloatArray:
     """Compute the features of recordings.
 
     Parameters
@@ -308,25 +308,25 @@ def features_of(recordings: Iterable[Recording | None], ego: str, other: str | S
     InputError
         There is no entity of that name, or a group of another package does not return the features that it lists.
     """
-    groups = _groups()
+    groups = _create_feature_groups()
     count = sum(len(group.features) for group in groups)
     rows = [
-        np.full(count, np.nan) if recording is None else _row(groups, recording, ego, other) for recording in recordings
+        np.full(count, np.nan) if recording is None else _features_of_recording(groups, recording, ego, other) for recording in recordings
     ]
     return np.array(rows).reshape(len(rows), count)
 
 
-def _groups() -> list[FeatureGroup]:
+def _create_feature_groups() -> list[FeatureGroup]:
     return [FEATURES.create(name) for name in FEATURES.names()]
 
 
-def _row(groups: list[FeatureGroup], recording: Recording, ego: str, other: str | Sequence[str]) -> FloatArray:
-    meeting = Meeting(recording, ego, nearest_other(recording, ego, other))
-    return np.concatenate([_checked(group, meeting) for group in groups])
+def _features_of_recording(groups: list[FeatureGroup], recording: Recording, ego: str, other: str | Sequence[str]) -> FloatArray:
+    meeting = Encounter(recording, ego, nearest_other(recording, ego, other))
+    return np.concatenate([_compute_group(group, meeting) for group in groups])
 
 
-def _checked(group: FeatureGroup, meeting: Meeting) -> FloatArray:
-    with guarded(f"The group of features '{group.name}'", group):
+def _compute_group(group: FeatureGroup, meeting: Encounter) -> FloatArray:
+    with convert_plugin_errors(f"The group of features '{group.name}'", group):
         values = np.asarray(group.values(meeting), dtype=np.float64)
     if values.shape != (len(group.features),) or not np.isfinite(values).all():
         raise InputError(

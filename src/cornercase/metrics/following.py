@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from cornercase._common.typing import FloatArray
-from cornercase.metrics._parts.following import Following, time_to_cover
+from cornercase.metrics._parts.following import LeaderGap, time_to_travel_distance
 from cornercase.metrics.base import Metric
 from cornercase.recordings import Recording
 
@@ -28,7 +28,7 @@ class Headway(Metric):
     source = "Headway, as in Westhofen et al. 2023"
 
     def course(self, recording: Recording, ego: str, other: str) -> FloatArray:
-        return Following.of(recording, ego, other).gap
+        return LeaderGap.from_recording(recording, ego, other).gap
 
 
 class Thw(Metric):
@@ -51,16 +51,16 @@ class Thw(Metric):
     unit = "s"
     lower_is_critical = True
     cap = 10.0
-    critical = 0.9
+    default_threshold = 0.9
     source = "Jansson 2005, gap between boxes"
 
     def __init__(self, accelerating: bool = False) -> None:
         self.accelerating = accelerating
 
     def course(self, recording: Recording, ego: str, other: str) -> FloatArray:
-        pair = Following.of(recording, ego, other)
+        pair = LeaderGap.from_recording(recording, ego, other)
         acceleration = pair.acceleration if self.accelerating else np.zeros_like(pair.speed)
-        return time_to_cover(pair.gap, pair.speed, acceleration)
+        return time_to_travel_distance(pair.gap, pair.speed, acceleration)
 
 
 class Pttc(Metric):
@@ -82,15 +82,15 @@ class Pttc(Metric):
     source = "Wakabayashi et al. 2003"
 
     def course(self, recording: Recording, ego: str, other: str) -> FloatArray:
-        pair = Following.of(recording, ego, other)
+        pair = LeaderGap.from_recording(recording, ego, other)
         speed, acceleration = pair.leader_speed, pair.leader_acceleration
         brakes = speed * acceleration < 0.0
         # A standing leader with negative acceleration holds its brake; it does not start to reverse.
         acceleration = np.where((speed == 0.0) & (acceleration < 0.0), 0.0, acceleration)
         stop_time = np.where(brakes, -speed / np.where(brakes, acceleration, 1.0), np.inf)
-        time_before_stop = time_to_cover(pair.gap, pair.closing, -acceleration, stops=False)
+        time_before_stop = time_to_travel_distance(pair.gap, pair.closing_speed, -acceleration, stops_at_zero_speed=False)
         stop_distance = np.where(brakes, 0.5 * speed * np.where(brakes, stop_time, 0.0), 0.0)
-        time_to_stopped = time_to_cover(pair.gap + stop_distance, pair.speed, np.zeros_like(stop_distance))
+        time_to_stopped = time_to_travel_distance(pair.gap + stop_distance, pair.speed, np.zeros_like(stop_distance))
         return np.where(
             np.isnan(time_before_stop),
             np.nan,

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from cornercase._common.typing import FloatArray
-from cornercase.metrics._parts.crossing import ways_to_crossing
-from cornercase.metrics._parts.numbers import checked, over
+from cornercase.metrics._parts.crossing import distances_to_crossing
+from cornercase.metrics._parts.numbers import check_nonnegative_options, divide_or_inf
 from cornercase.metrics.base import Metric
 from cornercase.recordings import Recording
 
@@ -34,12 +34,12 @@ class GapTime(Metric):
     source = "Allen, Shin and Cooper 1978, predicted"
 
     def __init__(self, ahead: float = 100.0) -> None:
-        checked(self.name, ahead=ahead)
+        check_nonnegative_options(self.name, ahead=ahead)
         self.ahead = ahead
 
     def course(self, recording: Recording, ego: str, other: str) -> FloatArray:
-        ego_times, other_times = _arrivals(recording, ego, other, self.ahead)
-        return _apart(ego_times, other_times)
+        ego_times, other_times = _arrival_times(recording, ego, other, self.ahead)
+        return _time_difference(ego_times, other_times)
 
 
 class SquaredGapTime(GapTime):
@@ -62,24 +62,24 @@ class SquaredGapTime(GapTime):
     source = "Squared predicted relative encroachment time, as in Westhofen et al. 2023"
 
     def course(self, recording: Recording, ego: str, other: str) -> FloatArray:
-        ego_times, other_times = _arrivals(recording, ego, other, self.ahead)
-        return _apart(ego_times**2, other_times**2)
+        ego_times, other_times = _arrival_times(recording, ego, other, self.ahead)
+        return _time_difference(ego_times**2, other_times**2)
 
 
-def _arrivals(recording: Recording, ego: str, other: str, ahead: float) -> tuple[FloatArray, FloatArray]:
-    distances = ways_to_crossing(recording, ego, other, ahead)
-    speeds = (np.abs(recording.speed[recording.index(name)]) for name in (ego, other))
-    ego_times, other_times = (_time(distance, speed) for distance, speed in zip(distances, speeds, strict=True))
+def _arrival_times(recording: Recording, ego: str, other: str, ahead: float) -> tuple[FloatArray, FloatArray]:
+    distances = distances_to_crossing(recording, ego, other, ahead)
+    speeds = (np.abs(recording.speed[recording.entity_index(name)]) for name in (ego, other))
+    ego_times, other_times = (_arrival_time(distance, speed) for distance, speed in zip(distances, speeds, strict=True))
     return ego_times, other_times
 
 
-def _time(way: FloatArray, speed: FloatArray) -> FloatArray:
-    time = np.where(speed > 0.0, over(way, speed), np.where(way > 0.0, np.inf, 0.0))
-    return np.where(np.isnan(way + speed), np.nan, time)
+def _arrival_time(distance: FloatArray, speed: FloatArray) -> FloatArray:
+    time = np.where(speed > 0.0, divide_or_inf(distance, speed), np.where(distance > 0.0, np.inf, 0.0))
+    return np.where(np.isnan(distance + speed), np.nan, time)
 
 
-def _apart(one: FloatArray, two: FloatArray) -> FloatArray:
+def _time_difference(ego_times: FloatArray, other_times: FloatArray) -> FloatArray:
     with np.errstate(invalid="ignore"):
-        gap = np.abs(one - two)
+        gap = np.abs(ego_times - other_times)
     # Two standing entities never arrive, so they do not arrive together.
-    return np.where(np.isinf(one) & np.isinf(two), np.inf, gap)
+    return np.where(np.isinf(ego_times) & np.isinf(other_times), np.inf, gap)

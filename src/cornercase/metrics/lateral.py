@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 
 from cornercase._common.typing import FloatArray
-from cornercase.metrics._parts.boxes import boxes, velocity
-from cornercase.metrics._parts.following import Following
-from cornercase.metrics._parts.numbers import checked, over
+from cornercase.metrics._parts.boxes import box_corners_over_time, velocity_vectors
+from cornercase.metrics._parts.following import LeaderGap
+from cornercase.metrics._parts.numbers import check_nonnegative_options, divide_or_inf
 from cornercase.metrics.base import Metric
 from cornercase.recordings import Recording
 
@@ -28,11 +28,11 @@ class LateralAcceleration(Metric):
     unit = "m/s²"
     lower_is_critical = False
     cap = 0.0
-    most_critical = 20.0
+    bound = 20.0
     source = "Jansson 2005"
 
     def course(self, recording: Recording, ego: str, other: str) -> FloatArray:
-        return required_acceleration(recording, ego, other)
+        return required_lateral_acceleration(recording, ego, other)
 
 
 class Stn(Metric):
@@ -55,35 +55,35 @@ class Stn(Metric):
     unit = "1"
     lower_is_critical = False
     cap = 0.0
-    most_critical = 5.0
-    critical = 1.0
+    bound = 5.0
+    default_threshold = 1.0
     source = "Brännström et al. 2008"
 
     def __init__(self, acceleration: float = 8.0) -> None:
-        checked(self.name, acceleration=acceleration)
+        check_nonnegative_options(self.name, acceleration=acceleration)
         self.acceleration = acceleration
 
     def course(self, recording: Recording, ego: str, other: str) -> FloatArray:
-        required = required_acceleration(recording, ego, other)
-        return over(required, self.acceleration)
+        required = required_lateral_acceleration(recording, ego, other)
+        return divide_or_inf(required, self.acceleration)
 
 
-def required_acceleration(recording: Recording, ego: str, other: str) -> FloatArray:
+def required_lateral_acceleration(recording: Recording, ego: str, other: str) -> FloatArray:
     """Weakest lateral acceleration that avoids contact (see `LateralAcceleration`), shape (T,), in m/s², not negative.
 
     NaN if the other is not ahead of the ego.
     """
-    pair = Following.of(recording, ego, other)
-    heading = recording.heading[recording.index(ego)]
+    pair = LeaderGap.from_recording(recording, ego, other)
+    heading = recording.heading[recording.entity_index(ego)]
     left = np.stack([-np.sin(heading), np.cos(heading)], -1)
-    width = sum(np.ptp((boxes(recording, name) * left[:, None]).sum(-1), -1) for name in (ego, other))
-    offset = ((recording.center(other) - recording.center(ego)) * left).sum(-1)
-    drift = ((velocity(recording, other) - velocity(recording, ego)) * left).sum(-1)
-    closes = pair.closing > 0.0
-    time = np.where(closes, pair.gap / np.where(closes, pair.closing, 1.0), np.inf)
+    width = sum(np.ptp((box_corners_over_time(recording, name) * left[:, None]).sum(-1), -1) for name in (ego, other))
+    offset = ((recording.box_center(other) - recording.box_center(ego)) * left).sum(-1)
+    drift = ((velocity_vectors(recording, other) - velocity_vectors(recording, ego)) * left).sum(-1)
+    closes = pair.closing_speed > 0.0
+    time = np.where(closes, pair.gap / np.where(closes, pair.closing_speed, 1.0), np.inf)
     final_offset = offset + np.where(closes, drift * np.where(closes, time, 0.0), 0.0)
     distance = np.minimum(np.abs(0.5 * width + final_offset), np.abs(0.5 * width - final_offset))
     with np.errstate(divide="ignore"):
         required = np.where(closes, 2.0 * distance / np.where(closes, time, 1.0) ** 2, 0.0)
     required = np.where(closes & (time == 0.0), np.inf, required)
-    return np.where(np.isnan(pair.gap + pair.closing), np.nan, required)
+    return np.where(np.isnan(pair.gap + pair.closing_speed), np.nan, required)

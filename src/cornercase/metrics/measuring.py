@@ -9,15 +9,15 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from cornercase._common.arguments import path, shown, texts
-from cornercase._common.errors import InputError, PartError
-from cornercase._common.interrupts import requests_heard
-from cornercase._common.parts import failure_of
+from cornercase._common.arguments import check_path, repr_short, check_str_sequence
+from cornercase._common.errors import InputError, PluginError
+from cornercase._common.interrupts import count_requests
+from cornercase._common.parts import make_scenario_failure
 from cornercase._common.typing import FloatArray
 from cornercase.metrics.base import Metric
-from cornercase.metrics.others import name_others, others_there
+from cornercase.metrics.others import resolve_others, present_others
 from cornercase.metrics.registry import METRICS
-from cornercase.metrics.severity import find_contact
+from cornercase.metrics.severity import find_first_contact
 from cornercase.recordings import Recording, read_recording
 
 if TYPE_CHECKING:
@@ -49,7 +49,7 @@ class Measurement:
     lower_is_critical: Mapping[str, bool]
     against: Mapping[str, str | None] = field(default_factory=dict)
 
-    def head(self) -> tuple[str, ...]:
+    def column_names(self) -> tuple[str, ...]:
         """Column names of `rows`.
 
         Returns
@@ -72,7 +72,7 @@ class Measurement:
         ]
         return [(*row, self.against[row[0]] or "–") for row in plain] if self.against else list(plain)
 
-    def table(self) -> pd.DataFrame:
+    def to_dataframe(self) -> pd.DataFrame:
         """Courses as a table.
 
         Returns
@@ -85,7 +85,7 @@ class Measurement:
         return pd.DataFrame(dict(self.courses), index=pd.Index(self.time, name="time"))
 
     def __repr__(self) -> str:
-        rows = [self.head(), *self.rows()]
+        rows = [self.column_names(), *self.rows()]
         widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
         return "\n".join("  ".join(map(str.ljust, row, widths)).rstrip() for row in rows)
 
@@ -132,19 +132,19 @@ def measure(
     ttc     1.4    s     low
     drac    3.571  m/s²  high
     """
-    loaded = recording if isinstance(recording, Recording) else read_recording(path("recording", recording))
-    loaded.index(ego)
-    others = name_others(other, ego, loaded.names)
+    loaded = recording if isinstance(recording, Recording) else read_recording(check_path("recording", recording))
+    loaded.entity_index(ego)
+    others = resolve_others(other, ego, loaded.names)
     for entity in others:
-        loaded.index(entity)
-    optionless = [name for name in METRICS.names() if not METRICS.class_of(name).wants]
-    names = optionless if metrics is None else texts("metrics", metrics)
+        loaded.entity_index(entity)
+    optionless = [name for name in METRICS.names() if not METRICS.get_class(name).required_option]
+    names = optionless if metrics is None else check_str_sequence("metrics", metrics)
     created = [METRICS.create(name) for name in dict.fromkeys(names)]
     for metric in created:
-        metric.require()
+        metric.check_installed()
     try:
-        results = measured(created, loaded, ego, others)
-    except PartError as error:
+        results = evaluate_metrics(created, loaded, ego, others)
+    except PluginError as error:
         raise InputError(f"{str(error)[0].upper()}{str(error)[1:]}.") from error
     return Measurement(
         time=loaded.time,
@@ -156,7 +156,7 @@ def measure(
     )
 
 
-class Measured(NamedTuple):
+class MetricResult(NamedTuple):
     """Course and score of a metric; with several others, the most critical value at each instant, and score.
 
     `against`: name of the entity the score comes from (the first one if tied). None if there is only one other entity,
@@ -168,68 +168,68 @@ class Measured(NamedTuple):
     against: str | None = None
 
 
-def measured(
+def evaluate_metrics(
     metrics: Iterable[Metric], recording: Recording, ego: str, other: str | Sequence[str]
-) -> dict[str, Measured]:
+) -> dict[str, MetricResult]:
     """Evaluate metrics on a recording. Return the results by name of the metric.
 
     Of several others, those that never exist in the recording are skipped. Contacts count as in
     `Metric.score_with_contact`. PartError if a metric raises an exception, or returns no numbers.
     """
     named = (other,) if isinstance(other, str) else tuple(other)
-    others = others_there(recording, named)
+    others = present_others(recording, named)
     contacts: dict[str, tuple[int, float] | None] = {}  # cache by entity, shared by all metrics
     results = {}
     for metric in metrics:
-        per_entity = [_measured_against(metric, recording, ego, entity, contacts) for entity in others]
-        results[metric.name] = per_entity[0] if len(named) == 1 else _worst(metric, others, per_entity)
+        per_entity = [_evaluate_against(metric, recording, ego, entity, contacts) for entity in others]
+        results[metric.name] = per_entity[0] if len(named) == 1 else _combine_most_critical(metric, others, per_entity)
     return results
 
 
-def _measured_against(
+def _evaluate_against(
     metric: Metric, recording: Recording, ego: str, other: str, contacts: dict[str, tuple[int, float] | None]
-) -> Measured:
-    course, score = _asked(metric, recording, ego, other)
-    if metric.contact is not None:
+) -> MetricResult:
+    course, score = _compute_course_and_score(metric, recording, ego, other)
+    if metric.contact_score is not None:
         if other not in contacts:
-            contacts[other] = find_contact(recording, ego, other)
+            contacts[other] = find_first_contact(recording, ego, other)
         contact = contacts[other]
-        score = score if contact is None else metric.score_of_contact(score, contact[1])
-    return Measured(course, score)
+        score = score if contact is None else metric.score_with_contact(score, contact[1])
+    return MetricResult(course, score)
 
 
-def _asked(metric: Metric, recording: Recording, ego: str, other: str) -> tuple[FloatArray, float]:
+def _compute_course_and_score(metric: Metric, recording: Recording, ego: str, other: str) -> tuple[FloatArray, float]:
     """Course and score of a metric, which may be third-party code; check both."""
-    part, interrupts = f"the metric {metric.name}", requests_heard()
+    part, interrupts = f"the metric {metric.name}", count_requests()
     try:
         course = metric.course(recording, ego, other)
         score = metric.score(course)
-    except (InputError, PartError):
+    except (InputError, PluginError):
         raise
     except BaseException as error:
-        raise failure_of(part, error, interrupts) from error
+        raise make_scenario_failure(part, error, interrupts) from error
     if not (np.shape(course) == recording.time.shape and _is_numeric(course)):
-        raise PartError(
-            f"{part} gave {shown(course)} as its course, which is not a number for each of"
+        raise PluginError(
+            f"{part} gave {repr_short(course)} as its course, which is not a number for each of"
             f" {recording.time.size} instants"
         )
     if not (np.ndim(score) == 0 and _is_numeric(score)) or np.isnan(score):
-        raise PartError(f"{part} gave {shown(score)} as its score, which is not a number")
+        raise PluginError(f"{part} gave {repr_short(score)} as its score, which is not a number")
     return course, score
 
 
-def _is_numeric(given: object) -> bool:
-    return np.asarray(given).dtype.kind in "fiub"
+def _is_numeric(value: object) -> bool:
+    return np.asarray(value).dtype.kind in "fiub"
 
 
-def _worst(metric: Metric, others: Sequence[str], each: Sequence[Measured]) -> Measured:
+def _combine_most_critical(metric: Metric, others: Sequence[str], results: Sequence[MetricResult]) -> MetricResult:
     """Combine the results against several others, at least one of which exists."""
-    courses = metric.oriented(np.stack([np.asarray(result.course, dtype=np.float64) for result in each]))
-    scores = [metric.oriented(result.score) for result in each]
+    courses = metric.to_minimize(np.stack([np.asarray(result.course, dtype=np.float64) for result in results]))
+    scores = [metric.to_minimize(result.score) for result in results]
     k = scores.index(min(scores))
-    all_equal = len(each) > 1 and all(
+    all_equal = len(results) > 1 and all(
         score == scores[0] and np.array_equal(course, courses[0], equal_nan=True)
         for score, course in zip(scores, courses, strict=True)
     )
-    has_source = scores[k] < metric.oriented(metric.cap) and not all_equal
-    return Measured(metric.oriented(np.fmin.reduce(courses)), each[k].score, others[k] if has_source else None)
+    has_source = scores[k] < metric.to_minimize(metric.cap) and not all_equal
+    return MetricResult(metric.to_minimize(np.fmin.reduce(courses)), results[k].score, others[k] if has_source else None)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from cornercase._common.typing import FloatArray
-from cornercase.metrics._parts.conflict_area import TOUCH, Area, Stay, checked_area, visits
+from cornercase.metrics._parts.conflict_area import TIME_TOLERANCE, Area, AreaVisit, validate_area, area_visits
 from cornercase.metrics.base import Metric
 from cornercase.recordings import Recording
 
@@ -44,27 +44,27 @@ class Pet(Metric):
     unit = "s"
     lower_is_critical = True
     cap = 10.0
-    critical = 1.5
-    contact = 0.0
+    default_threshold = 1.5
+    contact_score = 0.0
     source = "Allen, Shin and Cooper 1978, areas swept by the boxes"
 
     def __init__(self, area: Area | None = None, signed: bool = False, severity: bool = False) -> None:
-        self.area = checked_area(self.name, area)
+        self.area = validate_area(self.name, area)
         self.signed, self.severity = signed, severity
 
     def course(self, recording: Recording, ego: str, other: str) -> FloatArray:
-        values = [value for pair in visits(recording, ego, other, self.area) for value in self._gaps(*pair)]
+        values = [value for pair in area_visits(recording, ego, other, self.area) for value in self._time_gaps(*pair)]
         return np.full(len(recording.time), min(values, default=np.nan))
 
-    def _gaps(self, one: Stay, two: Stay) -> list[float]:
+    def _time_gaps(self, ego_visit: AreaVisit, other_visit: AreaVisit) -> list[float]:
         gaps = [
-            second.enters - first.leaves
-            for first, second in ((one, two), (two, one))
-            if first.left and second.enters >= first.leaves - TOUCH
+            second.entry_time - first.exit_time
+            for first, second in ((ego_visit, other_visit), (other_visit, ego_visit))
+            if first.has_left and second.entry_time >= first.exit_time - TIME_TOLERANCE
         ]
         if gaps or not self.signed:
             return [max(gap, 0.0) for gap in gaps]
-        return [max(one.enters - two.leaves, two.enters - one.leaves)]
+        return [max(ego_visit.entry_time - other_visit.exit_time, other_visit.entry_time - ego_visit.exit_time)]
 
 
 class EncroachmentTime(Metric):
@@ -89,16 +89,16 @@ class EncroachmentTime(Metric):
     unit = "s"
     lower_is_critical = False
     cap = 0.0
-    most_critical = contact = 60.0
+    bound = contact_score = 60.0
     source = "Allen, Shin and Cooper 1978, areas swept by the boxes"
 
     def __init__(self, area: Area | None = None) -> None:
-        self.area = checked_area(self.name, area)
+        self.area = validate_area(self.name, area)
 
     def course(self, recording: Recording, ego: str, other: str) -> FloatArray:
         durations = [
-            stay.leaves - stay.enters if stay.left else np.inf
-            for stay, _ in visits(recording, ego, other, self.area)
-            if stay.left or stay.stands
+            stay.exit_time - stay.entry_time if stay.has_left else np.inf
+            for stay, _ in area_visits(recording, ego, other, self.area)
+            if stay.has_left or stay.is_standing
         ]
         return np.full(len(recording.time), max(durations, default=np.nan))

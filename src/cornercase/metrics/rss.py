@@ -7,10 +7,10 @@ from typing import Literal, get_args
 import numpy as np
 import numpy.typing as npt
 
-from cornercase._common.errors import InputError, suggestion
+from cornercase._common.errors import InputError, suggest_name
 from cornercase._common.typing import FloatArray
-from cornercase.metrics._parts.boxes import boxes, velocity
-from cornercase.metrics._parts.numbers import checked
+from cornercase.metrics._parts.boxes import box_corners_over_time, velocity_vectors
+from cornercase.metrics._parts.numbers import check_nonnegative_options
 from cornercase.metrics.base import Metric
 from cornercase.recordings import Recording
 
@@ -64,8 +64,8 @@ class Rss(Metric):
     unit = "m"
     lower_is_critical = True
     cap = 100.0
-    most_critical = contact = -500.0
-    critical = 0.0
+    bound = contact_score = -500.0
+    default_threshold = 0.0
     source = "Shalev-Shwartz et al. 2017, in the frame of the ego"
 
     def __init__(
@@ -80,13 +80,13 @@ class Rss(Metric):
         lateral_margin: float = 0.1,
         term: Term = "both",
     ) -> None:
-        checked(self.name, response_time=response_time, acceleration=acceleration)
-        checked(self.name, lateral_acceleration=lateral_acceleration, lateral_margin=lateral_margin)
+        check_nonnegative_options(self.name, response_time=response_time, acceleration=acceleration)
+        check_nonnegative_options(self.name, lateral_acceleration=lateral_acceleration, lateral_margin=lateral_margin)
         for braking in (min_braking, max_braking, correct_braking, lateral_braking):
             if not 0.0 < braking < np.inf:
                 raise InputError(f"{self.name} cannot take a braking of {braking} m/s²; give one above 0.")
         if term not in get_args(Term):
-            raise InputError(f"{self.name} has no term '{term}'; {suggestion(term, get_args(Term))}")
+            raise InputError(f"{self.name} has no term '{term}'; {suggest_name(term, get_args(Term))}")
         self.response_time, self.acceleration = response_time, acceleration
         self.min_braking, self.max_braking, self.correct_braking = min_braking, max_braking, correct_braking
         self.lateral_acceleration, self.lateral_braking = lateral_acceleration, lateral_braking
@@ -94,21 +94,21 @@ class Rss(Metric):
         self.term = term
 
     def course(self, recording: Recording, ego: str, other: str) -> FloatArray:
-        heading = recording.heading[recording.index(ego)]
+        heading = recording.heading[recording.entity_index(ego)]
         forward = np.stack([np.cos(heading), np.sin(heading)], -1)
         left = np.stack([-forward[:, 1], forward[:, 0]], -1)
-        along = self._along(recording, ego, other, forward)
-        across = self._across(recording, ego, other, left)
+        along = self._longitudinal_surplus(recording, ego, other, forward)
+        across = self._lateral_surplus(recording, ego, other, left)
         both = np.where(across < 0.0, along, np.maximum(along, across))
         chosen = {"both": both, "longitudinal": along, "lateral": across}[self.term]
         return np.where(np.isnan(along + across), np.nan, chosen)
 
-    def _along(self, recording: Recording, ego: str, other: str, axis: FloatArray) -> FloatArray:
-        gap, ahead = _gap(recording, ego, other, axis)
-        ego_speed, other_speed = ((velocity(recording, name) * axis).sum(-1) for name in (ego, other))
+    def _longitudinal_surplus(self, recording: Recording, ego: str, other: str, axis: FloatArray) -> FloatArray:
+        gap, ahead = _projected_gap(recording, ego, other, axis)
+        ego_speed, other_speed = ((velocity_vectors(recording, name) * axis).sum(-1) for name in (ego, other))
         # Speeds in the direction from the ego to the other.
         ego_speed, other_speed = np.where(ahead, ego_speed, -ego_speed), np.where(ahead, other_speed, -other_speed)
-        rear = longitudinal_minimum(
+        rear = min_longitudinal_gap(
             np.maximum(ego_speed, 0.0),
             other_speed,
             self.response_time,
@@ -116,7 +116,7 @@ class Rss(Metric):
             self.min_braking,
             self.max_braking,
         )
-        front = longitudinal_minimum(
+        front = min_longitudinal_gap(
             np.maximum(-other_speed, 0.0),
             -ego_speed,
             self.response_time,
@@ -124,18 +124,18 @@ class Rss(Metric):
             self.min_braking,
             self.max_braking,
         )
-        opposite = opposite_minimum(
+        opposite = min_oncoming_gap(
             ego_speed, -other_speed, self.response_time, self.acceleration, self.correct_braking, self.min_braking
         )
         towards = (ego_speed >= 0.0) & (other_speed < 0.0)
         surplus: FloatArray = gap - np.where(towards, opposite, np.where(ego_speed >= 0.0, rear, front))
         return surplus
 
-    def _across(self, recording: Recording, ego: str, other: str, axis: FloatArray) -> FloatArray:
-        gap, is_left = _gap(recording, ego, other, axis)
-        ego_speed, other_speed = ((velocity(recording, name) * axis).sum(-1) for name in (ego, other))
+    def _lateral_surplus(self, recording: Recording, ego: str, other: str, axis: FloatArray) -> FloatArray:
+        gap, is_left = _projected_gap(recording, ego, other, axis)
+        ego_speed, other_speed = ((velocity_vectors(recording, name) * axis).sum(-1) for name in (ego, other))
         ego_speed, other_speed = np.where(is_left, ego_speed, -ego_speed), np.where(is_left, -other_speed, other_speed)
-        minimum = lateral_minimum(
+        minimum = min_lateral_gap(
             ego_speed,
             other_speed,
             self.response_time,
@@ -146,32 +146,32 @@ class Rss(Metric):
         return gap - minimum
 
 
-def _gap(recording: Recording, ego: str, other: str, axis: FloatArray) -> tuple[FloatArray, npt.NDArray[np.bool_]]:
+def _projected_gap(recording: Recording, ego: str, other: str, axis: FloatArray) -> tuple[FloatArray, npt.NDArray[np.bool_]]:
     """Gap between the boxes' projections on `axis` (negative if they overlap), and whether the other lies towards +."""
-    a, b = ((boxes(recording, name) * axis[:, None]).sum(-1) for name in (ego, other))
+    a, b = ((box_corners_over_time(recording, name) * axis[:, None]).sum(-1) for name in (ego, other))
     positive = b.max(-1) + b.min(-1) >= a.max(-1) + a.min(-1)
     return np.where(positive, b.min(-1) - a.max(-1), a.min(-1) - b.max(-1)), positive
 
 
-def longitudinal_minimum(
-    rear: FloatArray,
-    front: FloatArray,
+def min_longitudinal_gap(
+    rear_speed: FloatArray,
+    front_speed: FloatArray,
     response_time: float,
     acceleration: float,
     min_braking: float,
     max_braking: float,
 ) -> FloatArray:
     """Least safe gap in m if both go the same way (definition 1). Speeds in m/s; a negative front speed counts as 0."""
-    response_speed = rear + response_time * acceleration
+    response_speed = rear_speed + response_time * acceleration
     distance: FloatArray = (
-        rear * response_time + 0.5 * acceleration * response_time**2 + response_speed**2 / (2.0 * min_braking)
+        rear_speed * response_time + 0.5 * acceleration * response_time**2 + response_speed**2 / (2.0 * min_braking)
     )
-    return np.maximum(distance - np.maximum(front, 0.0) ** 2 / (2.0 * max_braking), 0.0)
+    return np.maximum(distance - np.maximum(front_speed, 0.0) ** 2 / (2.0 * max_braking), 0.0)
 
 
-def opposite_minimum(
-    correct: FloatArray,
-    wrong: FloatArray,
+def min_oncoming_gap(
+    correct_side_speed: FloatArray,
+    wrong_side_speed: FloatArray,
     response_time: float,
     acceleration: float,
     correct_braking: float,
@@ -182,22 +182,22 @@ def opposite_minimum(
     `correct_side_speed` and `wrong_side_speed` are the speeds towards each other in m/s, of the vehicle on its own side
     and of the other.
     """
-    distance = np.zeros_like(correct)
-    for speed, braking in ((correct, correct_braking), (wrong, min_braking)):
+    distance = np.zeros_like(correct_side_speed)
+    for speed, braking in ((correct_side_speed, correct_braking), (wrong_side_speed, min_braking)):
         response_speed = speed + response_time * acceleration
         distance = distance + 0.5 * (speed + response_speed) * response_time + response_speed**2 / (2.0 * braking)
     return distance
 
 
-def lateral_minimum(
-    one: FloatArray, two: FloatArray, response_time: float, acceleration: float, braking: float, margin: float
+def min_lateral_gap(
+    ego_speed: FloatArray, other_speed: FloatArray, response_time: float, acceleration: float, braking: float, margin: float
 ) -> FloatArray:
     """Least safe lateral gap in m (definition 6): both drift towards each other during the response, then brake.
 
     `ego_speed` and `other_speed` are the lateral speeds of both towards each other, in m/s. At least `margin`.
     """
-    distance = np.zeros_like(one)
-    for speed in (one, two):
+    distance = np.zeros_like(ego_speed)
+    for speed in (ego_speed, other_speed):
         response_speed = speed + response_time * acceleration
         # An entity that still moves away afterwards increases the gap while it brakes.
         distance = (

@@ -9,8 +9,8 @@ import numpy as np
 
 from cornercase._common.errors import InputError
 from cornercase._common.typing import FloatArray
-from cornercase.metrics._parts.boxes import relative_velocity, touching
-from cornercase.metrics._parts.numbers import checked
+from cornercase.metrics._parts.boxes import relative_velocity, boxes_touch_over_time
+from cornercase.metrics._parts.numbers import check_nonnegative_options
 from cornercase.metrics.base import Metric
 from cornercase.metrics.ttc import Ttc
 from cornercase.recordings import Recording
@@ -63,14 +63,14 @@ class DeltaV(Metric):
     source = "Shelby 2011, velocities as vectors"
 
     def __init__(self, masses: Mapping[str, float] | None = None, predicted: bool = False) -> None:
-        self.masses = _checked_masses(self.name, masses)
+        self.masses = _validate_masses(self.name, masses)
         self.predicted = predicted
 
     def course(self, recording: Recording, ego: str, other: str) -> FloatArray:
-        change = _change(recording, ego, other, self.masses)
+        change = _ego_velocity_change(recording, ego, other, self.masses)
         if self.predicted:
             return change
-        touch = touching(recording, ego, other)
+        touch = boxes_touch_over_time(recording, ego, other)
         begins = np.where(touch & ~np.append(False, touch[:-1]), np.arange(len(touch)), 0)
         return np.where(touch, change[np.maximum.accumulate(begins)], np.nan)
 
@@ -100,25 +100,25 @@ class ConflictSeverity(Metric):
     source = "Bagdadi 2013"
 
     def __init__(self, deceleration: float = 8.0, masses: Mapping[str, float] | None = None) -> None:
-        checked(self.name, deceleration=deceleration)
+        check_nonnegative_options(self.name, deceleration=deceleration)
         self.deceleration = deceleration
-        self.masses = _checked_masses(self.name, masses)
+        self.masses = _validate_masses(self.name, masses)
 
     def course(self, recording: Recording, ego: str, other: str) -> FloatArray:
-        change = _change(recording, ego, other, self.masses)
+        change = _ego_velocity_change(recording, ego, other, self.masses)
         time = Ttc().course(recording, ego, other)
         is_predicted = np.isfinite(time)
-        reduction = self.deceleration * np.where(is_predicted, time, 0.0) * _share(recording, ego, other, self.masses)
+        reduction = self.deceleration * np.where(is_predicted, time, 0.0) * _ego_fraction_of_change(recording, ego, other, self.masses)
         remaining = np.where(is_predicted, np.maximum(change - reduction, 0.0), 0.0)
         return np.where(np.isnan(time), np.nan, remaining)
 
 
-def find_contact(recording: Recording, ego: str, other: str) -> tuple[int, float] | None:
+def find_first_contact(recording: Recording, ego: str, other: str) -> tuple[int, float] | None:
     """First instant of a contact, and the velocity change of the lighter entity in m/s if both stick together.
 
     None without a contact; a change of 0 if the velocities then are unknown.
     """
-    touch = touching(recording, ego, other)
+    touch = boxes_touch_over_time(recording, ego, other)
     recorded = recording.first_collision(ego, other)
     if recorded is not None:
         # A recorded contact counts from its own instant, even if boxes overlap only from the next one.
@@ -127,27 +127,27 @@ def find_contact(recording: Recording, ego: str, other: str) -> tuple[int, float
         return None
     first = int(np.argmax(touch))
     speed = float(np.hypot(*relative_velocity(recording, ego, other)[first]))
-    share = _share(recording, ego, other, {})
+    share = _ego_fraction_of_change(recording, ego, other, {})
     return first, (max(share, 1.0 - share) * speed if np.isfinite(speed) else 0.0)
 
 
-def _change(recording: Recording, ego: str, other: str, masses: Mapping[str, float]) -> FloatArray:
+def _ego_velocity_change(recording: Recording, ego: str, other: str, masses: Mapping[str, float]) -> FloatArray:
     velocity = relative_velocity(recording, ego, other)
-    change: FloatArray = _share(recording, ego, other, masses) * np.hypot(velocity[:, 0], velocity[:, 1])
+    change: FloatArray = _ego_fraction_of_change(recording, ego, other, masses) * np.hypot(velocity[:, 0], velocity[:, 1])
     return change
 
 
-def _share(recording: Recording, ego: str, other: str, masses: Mapping[str, float]) -> float:
-    ego_mass, other_mass = (_mass(recording, name, masses) for name in (ego, other))
+def _ego_fraction_of_change(recording: Recording, ego: str, other: str, masses: Mapping[str, float]) -> float:
+    ego_mass, other_mass = (_mass_of_entity(recording, name, masses) for name in (ego, other))
     return other_mass / (ego_mass + other_mass)
 
 
-def _mass(recording: Recording, name: str, masses: Mapping[str, float]) -> float:
-    object_type = recording.kinds[recording.index(name)].lower()
+def _mass_of_entity(recording: Recording, name: str, masses: Mapping[str, float]) -> float:
+    object_type = recording.object_types[recording.entity_index(name)].lower()
     return masses.get(name, masses.get(object_type, MASSES.get(object_type, _DEFAULT_MASS)))
 
 
-def _checked_masses(metric: str, masses: Mapping[str, float] | None) -> dict[str, float]:
+def _validate_masses(metric: str, masses: Mapping[str, float] | None) -> dict[str, float]:
     for name, mass in (masses or {}).items():
         if not 0.0 < mass < np.inf:
             raise InputError(f"{metric} cannot take a mass of {mass} kg for '{name}'; give one above 0.")

@@ -10,12 +10,12 @@ import numpy as np
 from cornercase._common.typing import FloatArray
 from cornercase.metrics.base import Metric
 from cornercase.metrics.formulas.formula import Formula
-from cornercase.metrics.formulas.signals import is_metric, signals_of
-from cornercase.metrics.formulas.terms import Bound, Predicate
+from cornercase.metrics.formulas.signals import is_metric_signal, signals_from_recording
+from cornercase.metrics.formulas.terms import Constant, Comparison
 from cornercase.metrics.registry import METRICS
 from cornercase.recordings import Recording
 
-_FAR: Final = 100.0
+_DEFAULT_CAP: Final = 100.0
 
 
 class Stl(Metric):
@@ -43,41 +43,41 @@ class Stl(Metric):
     name = "stl"
     unit = "1"
     lower_is_critical = True
-    cap = _FAR
-    critical = 0.0
-    wants = "FORMULA"
+    cap = _DEFAULT_CAP
+    default_threshold = 0.0
+    required_option = "FORMULA"
     source = "Fainekos and Pappas 2009, Donzé and Maler 2010"
 
     def __init__(self, formula: str = "clearance > 0", /) -> None:
         self.formula = Formula.parse(formula)
         self.unit = self.formula.unit
         comparisons = self.formula.comparisons
-        self.cap = max(map(_cap, comparisons))
-        self.most_critical = -max(_FAR, *(gap for comparison in comparisons for gap in _beyond(comparison)), 0.0)
+        self.cap = max(map(_cap_of_comparison, comparisons))
+        self.bound = -max(_DEFAULT_CAP, *(gap for comparison in comparisons for gap in _distance_to_metric_bound(comparison)), 0.0)
 
-    def require(self) -> None:
-        self.formula.require()
+    def check_installed(self) -> None:
+        self.formula.check_installed()
 
     def course(self, recording: Recording, ego: str, other: str) -> FloatArray:
-        signals = signals_of(recording, ego, other)
+        signals = signals_from_recording(recording, ego, other)
         if all(np.isnan(comparison.margin(signals)).all() for comparison in self.formula.comparisons):
             return np.full(len(signals.time), np.nan)
         return self.formula.robustness(signals)
 
     def score(self, course: FloatArray) -> float:
-        return float(self.capped(course[:1])[0])
+        return float(self.clip_course(course[:1])[0])
 
 
-def _cap(comparison: Predicate) -> float:
+def _cap_of_comparison(comparison: Comparison) -> float:
     name, limit = comparison.left.name, comparison.right
-    if not isinstance(limit, Bound) or not is_metric(name):
-        return _FAR
+    if not isinstance(limit, Constant) or not is_metric_signal(name):
+        return _DEFAULT_CAP
     return abs(METRICS.create(name).cap - limit.value)
 
 
-def _beyond(comparison: Predicate) -> Iterator[float]:
+def _distance_to_metric_bound(comparison: Comparison) -> Iterator[float]:
     name, limit = comparison.left.name, comparison.right
-    if isinstance(limit, Bound) and is_metric(name):
-        worst = METRICS.create(name).most_critical
+    if isinstance(limit, Constant) and is_metric_signal(name):
+        worst = METRICS.create(name).bound
         if worst is not None:
             yield abs(worst - limit.value)

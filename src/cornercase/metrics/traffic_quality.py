@@ -6,10 +6,10 @@ from typing import Literal, get_args
 
 import numpy as np
 
-from cornercase._common.errors import InputError, suggestion
+from cornercase._common.errors import InputError, suggest_name
 from cornercase._common.geometry import box_distance
 from cornercase._common.typing import BoolArray, FloatArray, IntArray
-from cornercase.metrics._parts.boxes import boxes
+from cornercase.metrics._parts.boxes import box_corners_over_time
 from cornercase.metrics.base import Metric
 from cornercase.recordings import Recording
 
@@ -57,18 +57,18 @@ class TrafficQuality(Metric):
     unit = "1"
     lower_is_critical = False
     cap = 0.0
-    most_critical = contact = 10.0
+    bound = contact_score = 10.0
     source = "Schütt, Zipfl et al. 2023"
 
     def __init__(self, term: Term = "all") -> None:
         if term not in get_args(Term):
-            raise InputError(f"Traffic quality has no term '{term}'; {suggestion(term, get_args(Term))}")
+            raise InputError(f"Traffic quality has no term '{term}'; {suggest_name(term, get_args(Term))}")
         self.term = term
         self.name = "traffic-quality" if term == "all" else f"traffic-quality-{term}"
 
     def course(self, recording: Recording, ego: str, other: str = "") -> FloatArray:
         """Traffic quality, or the chosen term of it, at each instant; `other` is not used."""
-        scene = _Scene(recording, ego)
+        scene = _TrafficScene(recording, ego)
         if self.term != "all":
             term: FloatArray = getattr(scene, f"{self.term}_term")()
             return np.where(scene.exists[scene.ego], term, np.nan)
@@ -78,13 +78,13 @@ class TrafficQuality(Metric):
         return np.where(scene.exists[scene.ego], scene.penalty_term() * np.sqrt(squares), np.nan)
 
 
-class _Scene:
+class _TrafficScene:
     """All entities of a recording, relative to the ego; each term has shape (T,)."""
 
     def __init__(self, recording: Recording, ego: str) -> None:
         self.recording = recording
-        self.ego = recording.index(ego)
-        self.centers = np.stack([recording.center(name) for name in recording.names])
+        self.ego = recording.entity_index(ego)
+        self.centers = np.stack([recording.box_center(name) for name in recording.names])
         self.speed = np.abs(recording.speed)
         self.exists: BoolArray = np.isfinite(self.centers).all(-1) & np.isfinite(self.speed)
         offsets = self.centers - self.centers[self.ego]
@@ -94,21 +94,21 @@ class _Scene:
         self.near[self.ego] = False
 
     def macro_term(self) -> FloatArray:
-        return _variation(self.speed, self.exists)
+        return _coefficient_of_variation(self.speed, self.exists)
 
     def micro_term(self) -> FloatArray:
         fraction: FloatArray = self.near.sum(0) / np.maximum(self.exists.sum(0), 1)
         return fraction
 
     def nano_term(self) -> FloatArray:
-        return _variation(self.speed, self.near)
+        return _coefficient_of_variation(self.speed, self.near)
 
     def individual_term(self) -> FloatArray:
         time = self.recording.time
         # Stored times are rounded, so a sample that is 2 s old up to a small tolerance belongs to the window.
         first = np.searchsorted(time, time - _WINDOW - 1e-6)
-        acceleration = _mean_since(first, self.recording.acceleration[self.ego])
-        speed = _mean_since(first, self.speed[self.ego])
+        acceleration = _mean_from_index(first, self.recording.acceleration[self.ego])
+        speed = _mean_from_index(first, self.speed[self.ego])
         return 0.5 * (np.abs(acceleration) / 1.5 + speed / 13.89)
 
     def penalty_term(self) -> FloatArray:
@@ -120,23 +120,23 @@ class _Scene:
         min_gap = center_distance - (reach[a] + reach[b])[:, None]
         is_candidate = np.isfinite(center_distance) & (min_gap <= center_distance.min(0, initial=np.inf))
         pair, instant = np.nonzero(is_candidate)
-        corners = np.stack([boxes(self.recording, name) for name in self.recording.names])
+        corners = np.stack([box_corners_over_time(self.recording, name) for name in self.recording.names])
         smallest = np.full(len(self.recording.time), np.inf)
         np.minimum.at(smallest, instant, box_distance(corners[a[pair], instant], corners[b[pair], instant]))
         penalty: FloatArray = np.exp(-smallest / 5.0)
         return penalty
 
 
-def _variation(speed: FloatArray, counted: BoolArray) -> FloatArray:
+def _coefficient_of_variation(speed: FloatArray, is_counted: BoolArray) -> FloatArray:
     """Coefficient of variation (standard deviation over mean) of the counted speeds; 0 if all stand or none count."""
-    count = np.maximum(counted.sum(0), 1)
-    mean = np.where(counted, speed, 0.0).sum(0) / count
-    spread = np.sqrt((np.where(counted, speed - mean, 0.0) ** 2).sum(0) / count)
+    count = np.maximum(is_counted.sum(0), 1)
+    mean = np.where(is_counted, speed, 0.0).sum(0) / count
+    spread = np.sqrt((np.where(is_counted, speed - mean, 0.0) ** 2).sum(0) / count)
     moves = mean >= _STANDSTILL
     return np.where(moves, spread / np.where(moves, mean, 1.0), 0.0)
 
 
-def _mean_since(first: IntArray, values: FloatArray) -> FloatArray:
+def _mean_from_index(first: IntArray, values: FloatArray) -> FloatArray:
     """Mean of the finite values from `first` up to each instant, 0 if there are none."""
     is_finite = np.isfinite(values)
     total = np.append(0.0, np.cumsum(np.where(is_finite, values, 0.0)))

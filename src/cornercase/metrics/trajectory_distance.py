@@ -6,7 +6,7 @@ import numpy as np
 
 from cornercase._common.errors import InputError
 from cornercase._common.typing import FloatArray
-from cornercase.metrics._parts.crossing import ways_to_crossing
+from cornercase.metrics._parts.crossing import distances_to_crossing
 from cornercase.metrics.base import Metric
 from cornercase.recordings import Recording
 
@@ -49,5 +49,5 @@ class TrajectoryDistance(Metric):
         self.ahead = ahead
 
     def course(self, recording: Recording, ego: str, other: str) -> FloatArray:
-        ego_distance, other_distance = ways_to_crossing(recording, ego, other, self.ahead)
+        ego_distance, other_distance = distances_to_crossing(recording, ego, other, self.ahead)
         return ego_distance + other_distance

@@ -6,9 +6,9 @@ from itertools import pairwise
 
 import numpy as np
 
-from cornercase._common.geometry import first_contact
+from cornercase._common.geometry import time_to_contact
 from cornercase._common.typing import FloatArray
-from cornercase.metrics._parts.boxes import boxes, relative_velocity, without_rounding
+from cornercase.metrics._parts.boxes import box_corners_over_time, relative_velocity, zero_rounding_errors
 from cornercase.metrics.base import Metric
 from cornercase.recordings import Recording
 
@@ -39,61 +39,61 @@ class Ttc(Metric):
     unit = "s"
     lower_is_critical = True
     cap = 10.0
-    critical = 1.5
-    contact = 0.0
+    default_threshold = 1.5
+    contact_score = 0.0
     source = "Hayward 1972, boxes in the plane"
 
     def __init__(self, accelerating: bool = False, severity: bool = False) -> None:
         self.accelerating, self.severity = accelerating, severity
 
     def course(self, recording: Recording, ego: str, other: str) -> FloatArray:
-        a, b = boxes(recording, ego), boxes(recording, other)
+        a, b = box_corners_over_time(recording, ego), box_corners_over_time(recording, other)
         if not self.accelerating:
-            return first_contact(a, b, relative_velocity(recording, ego, other))
-        ego_motion, other_motion = _Braking(recording, ego), _Braking(recording, other)
+            return time_to_contact(a, b, relative_velocity(recording, ego, other))
+        ego_motion, other_motion = _StraightMotion(recording, ego), _StraightMotion(recording, other)
         first = np.full(len(recording.time), np.nan)
         # Both accelerations are constant between the times at which an entity stops.
         zeros = np.zeros_like(first)
-        stops = np.sort(np.stack([zeros, ego_motion.stop, other_motion.stop, zeros + np.inf]), 0)
+        stops = np.sort(np.stack([zeros, ego_motion.stop_time, other_motion.stop_time, zeros + np.inf]), 0)
         for begin, end in pairwise(stops):
             start = np.where(np.isfinite(begin), begin, 0.0)
-            contact = first_contact(
-                a + ego_motion.way(start)[:, None, :],
-                b + other_motion.way(start)[:, None, :],
-                without_rounding(other_motion.velocity(start) - ego_motion.velocity(start)),
-                other_motion.acceleration(start) - ego_motion.acceleration(start),
+            contact = time_to_contact(
+                a + ego_motion.displacement(start)[:, None, :],
+                b + other_motion.displacement(start)[:, None, :],
+                zero_rounding_errors(other_motion.velocity_at(start) - ego_motion.velocity_at(start)),
+                other_motion.acceleration_at(start) - ego_motion.acceleration_at(start),
                 np.where(np.isfinite(begin), end - start, -1.0),
             )
             first = np.fmin(first, begin + contact)
         is_unknown = np.isnan(a + b).any((1, 2)) | np.isnan(
-            ego_motion.speed + other_motion.speed + ego_motion.rate + other_motion.rate
+            ego_motion.speed + other_motion.speed + ego_motion.acceleration_along + other_motion.acceleration_along
         )
         return np.where(is_unknown, np.nan, first)
 
 
-class _Braking:
+class _StraightMotion:
     """Straight motion from each instant on, with constant acceleration until the stop."""
 
     def __init__(self, recording: Recording, name: str) -> None:
-        i = recording.index(name)
+        i = recording.entity_index(name)
         heading = recording.heading[i]
         self.direction = np.stack([np.cos(heading), np.sin(heading)], -1)
         self.speed = recording.speed[i]
         acceleration = recording.acceleration[i]
-        self.rate = np.where((self.speed == 0.0) & (acceleration < 0.0), 0.0, acceleration)
-        slows = self.speed * self.rate < 0.0
-        self.stop = np.where(slows, -self.speed / np.where(slows, self.rate, 1.0), np.inf)
+        self.acceleration_along = np.where((self.speed == 0.0) & (acceleration < 0.0), 0.0, acceleration)
+        slows = self.speed * self.acceleration_along < 0.0
+        self.stop_time = np.where(slows, -self.speed / np.where(slows, self.acceleration_along, 1.0), np.inf)
 
-    def way(self, time: FloatArray) -> FloatArray:
-        moving = np.minimum(time, self.stop)
-        return self._ahead(self.speed * moving + 0.5 * self.rate * moving**2)
+    def displacement(self, time: FloatArray) -> FloatArray:
+        moving = np.minimum(time, self.stop_time)
+        return self._along_heading(self.speed * moving + 0.5 * self.acceleration_along * moving**2)
 
-    def velocity(self, time: FloatArray) -> FloatArray:
-        return self._ahead(np.where(time < self.stop, self.speed + self.rate * time, 0.0))
+    def velocity_at(self, time: FloatArray) -> FloatArray:
+        return self._along_heading(np.where(time < self.stop_time, self.speed + self.acceleration_along * time, 0.0))
 
-    def acceleration(self, time: FloatArray) -> FloatArray:
-        return self._ahead(np.where(time < self.stop, self.rate, 0.0))
+    def acceleration_at(self, time: FloatArray) -> FloatArray:
+        return self._along_heading(np.where(time < self.stop_time, self.acceleration_along, 0.0))
 
-    def _ahead(self, size: FloatArray) -> FloatArray:
-        vector: FloatArray = size[:, None] * self.direction
+    def _along_heading(self, length: FloatArray) -> FloatArray:
+        vector: FloatArray = length[:, None] * self.direction
         return vector

@@ -16,7 +16,7 @@ from cornercase.metrics._parts import wttc_kernel
 from cornercase.metrics.base import Metric
 from cornercase.recordings import Recording
 
-_VULNERABLE = frozenset({"bicycle", "pedestrian", "wheelchair", "animal"})
+_VULNERABLE_TYPES = frozenset({"bicycle", "pedestrian", "wheelchair", "animal"})
 
 
 class Wttc(Metric):
@@ -55,8 +55,8 @@ class Wttc(Metric):
     unit = "s"
     lower_is_critical = True
     cap = 10.0
-    critical = 1.0
-    contact = 0.0
+    default_threshold = 1.0
+    contact_score = 0.0
     source = "Wachenfeld et al. 2016"
 
     def __init__(
@@ -72,23 +72,23 @@ class Wttc(Metric):
         self.severity = severity
 
     def course(self, recording: Recording, ego: str, other: str) -> FloatArray:
-        rows = [recording.index(ego), recording.index(other)]
+        rows = [recording.entity_index(ego), recording.entity_index(other)]
         course = np.empty(len(recording.time))
-        wttc_kernel.course(
+        wttc_kernel.wttc_of_recording(
             *map(np.ascontiguousarray, (recording.x, recording.y, recording.heading, recording.speed)),
             np.ascontiguousarray(recording.center_x),
             *rows,
             0.5 * sum(math.hypot(recording.length[i], recording.width[i]) for i in rows),
-            sum(self._greatest_acceleration(recording.kinds[i]) for i in rows),
+            sum(self._greatest_acceleration(recording.object_types[i]) for i in rows),
             course,
         )
         return course
 
-    def _greatest_acceleration(self, kind: str) -> float:
-        return self.vulnerable_acceleration if kind.lower() in _VULNERABLE else self.vehicle_acceleration
+    def _greatest_acceleration(self, object_type: str) -> float:
+        return self.vulnerable_acceleration if object_type.lower() in _VULNERABLE_TYPES else self.vehicle_acceleration
 
 
-def worst_contact(
+def earliest_circle_contact(
     position: FloatArray, velocity: FloatArray, radius: npt.ArrayLike, acceleration: npt.ArrayLike
 ) -> FloatArray:
     """Smallest t >= 0 in s with |position + velocity t| = radius + acceleration t²/2, for all elements at once.
@@ -106,7 +106,7 @@ def worst_contact(
     position, velocity = np.asarray(position, dtype=np.float64), np.asarray(velocity, dtype=np.float64)
     shape = np.broadcast_shapes(position.shape[:-1], velocity.shape[:-1], radius.shape, growth.shape)
     roots = np.empty(math.prod(shape))
-    wttc_kernel.roots(
+    wttc_kernel.wttc_of_circles(
         *(np.ascontiguousarray(np.broadcast_to(vector, (*shape, 2)).reshape(-1, 2)) for vector in (position, velocity)),
         *(np.ascontiguousarray(np.broadcast_to(number, shape).ravel()) for number in (radius, growth)),
         roots,

@@ -1,4 +1,4 @@
-from .base import Need as Need
+from .base import OptimizerInput as OptimizerInput
 from .base import Optimizer as Optimizer
 from .bayes import BayesOptimizer as BayesOptimizer
 from .committee import CommitteeOptimizer as CommitteeOptimizer
@@ -8,6 +8,6 @@ from .level_set import LevelSetOptimizer as LevelSetOptimizer
 from .optuna_sampler import OptunaOptimizer as OptunaOptimizer
 from .registry import OPTIMIZERS as OPTIMIZERS
 from .registry import create_optimizer as create_optimizer
-from .registry import optimizer_needs as optimizer_needs
+from .registry import optimizer_requirements as optimizer_requirements
 from .sequences import RandomOptimizer as RandomOptimizer
 from .sequences import SobolOptimizer as SobolOptimizer

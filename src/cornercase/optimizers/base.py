@@ -9,7 +9,7 @@ from typing import Any, ClassVar, Literal
 from cornercase._common.errors import InputError
 from cornercase._common.typing import FloatArray
 
-Need = Literal["threshold", "budget", "features"]
+OptimizerInput = Literal["threshold", "budget", "features"]
 """Constructor arguments that an optimizer may require besides space and seed."""
 
 
@@ -62,10 +62,10 @@ class Optimizer(ABC):
     """
 
     name: str
-    takes_several: ClassVar[bool] = False
-    begins_from_studies: ClassVar[bool] = False
-    needs: ClassVar[frozenset[Need]] = frozenset()
-    remembers_asking: ClassVar[bool] = False
+    multi_objective: ClassVar[bool] = False
+    supports_warm_start: ClassVar[bool] = False
+    requires: ClassVar[frozenset[OptimizerInput]] = frozenset()
+    is_stateful_ask: ClassVar[bool] = False
 
     @abstractmethod
     def ask(self, n: int) -> FloatArray:
@@ -93,7 +93,7 @@ class Optimizer(ABC):
             `multi_objective`.
         """
 
-    def ask_beside(self, n: int, pending: FloatArray, *lies: Any) -> FloatArray:
+    def ask_async(self, n: int, pending: FloatArray, *pseudo_results: Any) -> FloatArray:
         """Propose points while others are running, in a search without rounds.
 
         By default a copy of the optimizer observes the mean of all scores for each pending point (constant liar), and
@@ -119,10 +119,10 @@ class Optimizer(ABC):
         """
         optimizer = deepcopy(self)
         if len(pending):
-            optimizer.tell(pending, *lies)
+            optimizer.tell(pending, *pseudo_results)
         return optimizer.ask(n)
 
-    def begin_from(self, points: FloatArray, scores: FloatArray) -> None:
+    def warm_start(self, points: FloatArray, scores: FloatArray) -> None:
         """Observe another study, before the first `tell`. Refused by default.
 
         Parameters
@@ -137,4 +137,4 @@ class Optimizer(ABC):
         InputError
             The optimizer does not support a warm start.
         """
-        raise InputError(f"`from_study`: {self.name} learns nothing from another study; use level-set or committee.")
+        raise InputError(f"`warm_start`: {self.name} learns nothing from another study; use level-set or committee.")

@@ -10,17 +10,17 @@ from typing import Any, Final
 import numpy as np
 from scipy.spatial.distance import pdist
 
-from cornercase._common.threads import one_thread
+from cornercase._common.threads import single_threaded_blas
 from cornercase._common.typing import FloatArray
-from cornercase.evidence import encoded, evenly
+from cornercase.evidence import encode_points, evenly_spaced_indices
 from cornercase.optimizers.candidates import CandidateOptimizer
-from cornercase.optimizers.feature_process import FeatureProcess
+from cornercase.optimizers.feature_process import RandomFeatureProcess
 from cornercase.scenario import ParameterSpace
 
 _INITIAL: Final = 20
 _STEPS, _STEP_SIZE = 50, 0.01  # of Adam: a tenth of PHYSBO's number of steps, ten times as long
-_COMPARED: Final = 200  # points on which initial length scales are compared
-_APART: Final = 2000  # points whose distances give the initial length scales
+_N_COMPARED: Final = 200  # points on which initial length scales are compared
+_N_DISTANCE_POINTS: Final = 2000  # points whose distances give the initial length scales
 
 
 class BayesOptimizer(CandidateOptimizer):
@@ -56,44 +56,44 @@ class BayesOptimizer(CandidateOptimizer):
     ) -> None:
         super().__init__(space, seed, initial=_INITIAL, filling=filling)
         self._count, self._features = candidates, features
-        self._process: FeatureProcess
-        self._scale: tuple[float, float]
+        self._process: RandomFeatureProcess
+        self._score_mean_and_deviation: tuple[float, float]
 
-    def _learn(self, points: FloatArray, scores: FloatArray, seed: int) -> None:
-        self._scale = float(scores.mean()), float(scores.std())
-        with _alone(seed):
-            self._process = _learned(self._places(points), self._target(scores), self._features)
+    def _fit_model(self, points: FloatArray, scores: FloatArray, seed: int) -> None:
+        self._score_mean_and_deviation = float(scores.mean()), float(scores.std())
+        with _isolate_physbo(seed):
+            self._process = _fit_feature_process(self._process_coordinates(points), self._standardized_negative_scores(scores), self._features)
 
-    def _choose(self, points: FloatArray, scores: FloatArray, filling: FloatArray, n: int) -> FloatArray:
+    def _choose_points(self, points: FloatArray, scores: FloatArray, filling: FloatArray, n: int) -> FloatArray:
         # Thompson sampling: each point is the best of its part of the candidates, by its own sample of the process.
-        candidates = self._new(max(self._count * n // (n + self._pending), n), filling)
+        candidates = self._new_candidates(max(self._count * n // (n + self._n_pending), n), filling)
         if len(candidates) <= n:
             return candidates
         # Consecutive points of a Sobol' sequence fill the space; every n-th point need not.
         parts = np.array_split(candidates, n)
-        with one_thread():
-            process = self._process.extended(self._places(points), self._target(scores))
-            if self._pending:
-                process = process.expecting(self._places(filling[: self._pending]))
-            samples = process.samples(n, np.random.default_rng(self._round_seed))
+        with single_threaded_blas():
+            process = self._process.with_more_values(self._process_coordinates(points), self._standardized_negative_scores(scores))
+            if self._n_pending:
+                process = process.with_own_mean_at(self._process_coordinates(filling[: self._n_pending]))
+            samples = process.draw_weights(n, np.random.default_rng(self._round_seed))
             return np.array(
                 [
-                    part[np.argmax(process.features(self._places(part)) @ sample)]
+                    part[np.argmax(process.random_features(self._process_coordinates(part)) @ sample)]
                     for part, sample in zip(parts, samples, strict=True)
                 ]
             )
 
-    def _places(self, points: FloatArray) -> FloatArray:
+    def _process_coordinates(self, points: FloatArray) -> FloatArray:
         """Coordinates of points for the process, (n, e); choices are equidistant."""
-        return 2.0 * encoded(self._space, points) - 1.0
+        return 2.0 * encode_points(self._space, points) - 1.0
 
-    def _target(self, scores: FloatArray) -> FloatArray:
+    def _standardized_negative_scores(self, scores: FloatArray) -> FloatArray:
         """Standardized negative scores, which PHYSBO maximizes, (n,)."""
-        mean, deviation = self._scale
+        mean, deviation = self._score_mean_and_deviation
         return -(scores - mean) / deviation
 
 
-def _learned(points: FloatArray, values: FloatArray, features: int) -> FeatureProcess:
+def _fit_feature_process(points: FloatArray, values: FloatArray, features: int) -> RandomFeatureProcess:
     """Process with the hyperparameters that PHYSBO learns by Adam, started at the best of five length scales."""
     import physbo
 
@@ -103,9 +103,9 @@ def _learned(points: FloatArray, values: FloatArray, features: int) -> FeaturePr
     )
     # Noise, mean, length scale and signal of the process; all but the mean as logarithms.
     signal = np.log(np.std(values))
-    scales = np.log(np.quantile(pdist(points[evenly(len(points), _APART)]), (0.1, 0.3, 0.5, 0.7, 0.9)) + 1e-6)
+    scales = np.log(np.quantile(pdist(points[evenly_spaced_indices(len(points), _N_DISTANCE_POINTS)]), (0.1, 0.3, 0.5, 0.7, 0.9)) + 1e-6)
     starts = [np.array([signal - np.log(10.0), np.median(values), scale, signal]) for scale in scales]
-    start = min(starts, key=lambda x: model.eval_marlik(x.copy(), points[:_COMPARED], values[:_COMPARED]))
+    start = min(starts, key=lambda x: model.eval_marlik(x.copy(), points[:_N_COMPARED], values[:_N_COMPARED]))
     config = physbo.misc.SetConfig()
     config.learning.alpha, config.learning.num_disp = _STEP_SIZE, 1
     # An epoch has a step per batch of points, so fewer epochs with more points keep the number of steps.
@@ -114,18 +114,18 @@ def _learned(points: FloatArray, values: FloatArray, features: int) -> FeaturePr
     linear = model.export_blm(features).lik.linear
     frequencies, phases, amplitude = linear.basis.params
     scalars = [np.asarray(scalar).item() for scalar in (amplitude, linear.bias, model.lik.std)]
-    return FeatureProcess(frequencies, phases, *scalars).extended(points, values)
+    return RandomFeatureProcess(frequencies, phases, *scalars).with_more_values(points, values)
 
 
 @contextlib.contextmanager
-def _alone(seed: int) -> Iterator[None]:
+def _isolate_physbo(seed: int) -> Iterator[None]:
     """Silence PHYSBO, run it on one thread, and restore NumPy's global generator, which it draws from.
 
     Its matrices are small, so more threads would not be faster, and sums in another order would give other points.
     """
     state: Any = np.random.get_state()  # noqa: NPY002
     try:
-        with contextlib.redirect_stdout(io.StringIO()), one_thread():
+        with contextlib.redirect_stdout(io.StringIO()), single_threaded_blas():
             np.random.seed(seed)  # noqa: NPY002
             yield
     finally:

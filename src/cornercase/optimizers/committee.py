@@ -9,20 +9,20 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from cornercase._common.typing import FloatArray, IntArray
-from cornercase.evidence import Committee, encoded, with_foretold
+from cornercase.evidence import Committee, encode_points, augment_points
 from cornercase.metrics import Feature
-from cornercase.optimizers.begun import BegunOptimizer
-from cornercase.optimizers.unseen import Unseen
+from cornercase.optimizers.begun import WarmStartOptimizer
+from cornercase.optimizers.unseen import Deduplicator
 from cornercase.scenario import ParameterSpace
 
 _INITIAL: Final = 24
 _TREES: Final = 64
-_WAY: Final = 0.5  # weight of an uncertain branch against an uncertain outcome
-_LEAST: Final = 0.1  # least scale of a coordinate that the score depends on little
-_NEAR, _STEP = 0.85, 0.06  # fraction of the candidates near critical scenarios, and their greatest deviation
+_BRANCH_WEIGHT: Final = 0.5  # weight of an uncertain branch against an uncertain outcome
+_MIN_SIDE: Final = 0.1  # least scale of a coordinate that the score depends on little
+_NEAR_FRACTION, _MAX_DEVIATION = 0.85, 0.06  # fraction of the candidates near critical scenarios, and their greatest deviation
 
 
-class CommitteeOptimizer(BegunOptimizer):
+class CommitteeOptimizer(WarmStartOptimizer):
     """Proposes the scenarios about which a `Committee` is most uncertain.
 
     It learns from features of the recordings, so that it follows scores that jump between branches of a scenario. It
@@ -55,8 +55,8 @@ class CommitteeOptimizer(BegunOptimizer):
     """
 
     name = "committee"
-    needs = frozenset({"threshold", "features"})
-    growth = 0.25
+    requires = frozenset({"threshold", "features"})
+    relearn_growth = 0.25
 
     def __init__(
         self,
@@ -69,8 +69,8 @@ class CommitteeOptimizer(BegunOptimizer):
     ) -> None:
         super().__init__(space, seed, initial=_INITIAL, filling=filling)
         self.threshold, self._features, self._count = threshold, tuple(features), candidates
-        self._unseen = Unseen(space)
-        self._told: FloatArray | None = np.zeros((0, len(self._features))) if self._features else None
+        self._deduplicator = Deduplicator(space)
+        self._observed_features: FloatArray | None = np.zeros((0, len(self._features))) if self._features else None
         self._committee: Committee
 
     def tell(self, points: FloatArray, scores: FloatArray, features: FloatArray | None = None) -> None:
@@ -85,71 +85,71 @@ class CommitteeOptimizer(BegunOptimizer):
             NaN for a scenario that failed.
         """
         super().tell(points, scores)
-        self._unseen.tell(points)
-        self._told = None if self._told is None or features is None else np.concatenate([self._told, features])
+        self._deduplicator.remember(points)
+        self._observed_features = None if self._observed_features is None or features is None else np.concatenate([self._observed_features, features])
 
-    def _learn(self, points: FloatArray, scores: FloatArray, seed: int) -> None:
+    def _fit_model(self, points: FloatArray, scores: FloatArray, seed: int) -> None:
         self._committee = Committee(
-            _level(scores, self.threshold),
-            self._features if self._told is not None else (),
-            foretold=self._elsewhere is not None,
+            _threshold_between_scores(scores, self.threshold),
+            self._features if self._observed_features is not None else (),
+            has_prediction=self._source_model is not None,
         )
-        self._committee.fit(self._coordinates(points), scores, self._known_features(len(points)))
+        self._committee.fit(self._model_coordinates(points), scores, self._features_of_finished(len(points)))
 
-    def _choose(self, points: FloatArray, scores: FloatArray, filling: FloatArray, n: int) -> FloatArray:
-        run, run_scores = self._points[self._known], self._scores[self._known]
-        candidates = self._candidates(run[run_scores <= max(self.threshold, run_scores.min())], filling, n)
+    def _choose_points(self, points: FloatArray, scores: FloatArray, filling: FloatArray, n: int) -> FloatArray:
+        run, run_scores = self._points[self._is_finished], self._scores[self._is_finished]
+        candidates = self._draw_near_and_far(run[run_scores <= max(self.threshold, run_scores.min())], filling, n)
         if len(candidates) <= n:
             return candidates
         if len(points):
-            self._committee.know(self._coordinates(run), run_scores, self._known_features(len(run)))
-        x = encoded(self._space, candidates)
-        probabilities = self._committee.predict(with_foretold(self._elsewhere, x))
-        gain = acquisition(*probabilities) * (1.0 - self._failing(x))
+            self._committee.condition_on(self._model_coordinates(run), run_scores, self._features_of_finished(len(run)))
+        x = encode_points(self._space, candidates)
+        probabilities = self._committee.predict(augment_points(self._source_model, x))
+        gain = committee_acquisition(*probabilities) * (1.0 - self._failure_probability(x))
         known = np.concatenate([self._points, filling])
         # The prediction of another study is not a coordinate of the space.
-        length_scales = self._committee.process.kernel.widths[: x.shape[1]]
-        sides = np.maximum(length_scales.min() / length_scales, _LEAST)
-        return candidates[_spread(x * sides, gain, encoded(self._space, known) * sides, sides, n)]
+        length_scales = self._committee.process.kernel.length_scales[: x.shape[1]]
+        sides = np.maximum(length_scales.min() / length_scales, _MIN_SIDE)
+        return candidates[_choose_spread_out(x * sides, gain, encode_points(self._space, known) * sides, sides, n)]
 
-    def _known_features(self, count: int) -> FloatArray | None:
-        return None if self._told is None else self._told[self._known][:count]
+    def _features_of_finished(self, count: int) -> FloatArray | None:
+        return None if self._observed_features is None else self._observed_features[self._is_finished][:count]
 
-    def _candidates(self, critical: FloatArray, filling: FloatArray, n: int) -> FloatArray:
+    def _draw_near_and_far(self, critical: FloatArray, filling: FloatArray, n: int) -> FloatArray:
         """Points all over the space, and around critical ones."""
-        near = int(_NEAR * self._count)
+        near = int(_NEAR_FRACTION * self._count)
         rng = np.random.default_rng(self._round_seed)
         centers = critical[rng.integers(len(critical), size=near)]
         # Varying deviations, since the size of the critical region is unknown.
-        deviations = _STEP * rng.random((near, 1)) ** 2
+        deviations = _MAX_DEVIATION * rng.random((near, 1)) ** 2
         moved = np.clip(centers + deviations * rng.normal(size=centers.shape), 0.0, 1.0)
-        everywhere = self._new(max(self._count - near, n), filling)
-        return np.concatenate([everywhere, self._unseen.among(moved, np.concatenate([everywhere, filling]))])
+        everywhere = self._new_candidates(max(self._count - near, n), filling)
+        return np.concatenate([everywhere, self._deduplicator.filter(moved, np.concatenate([everywhere, filling]))])
 
-    def _failing(self, places: FloatArray) -> FloatArray:
+    def _failure_probability(self, encoded_points: FloatArray) -> FloatArray:
         """Probability that scenarios fail, (m,)."""
-        failed = ~self._known
+        failed = ~self._is_finished
         if not failed.any():
-            return np.zeros(len(places))
+            return np.zeros(len(encoded_points))
         from sklearn.ensemble import ExtraTreesClassifier
 
-        trees = ExtraTreesClassifier(_TREES, random_state=0).fit(encoded(self._space, self._points), failed)
-        probability: FloatArray = trees.predict_proba(places)[:, trees.classes_].sum(axis=1)
+        trees = ExtraTreesClassifier(_TREES, random_state=0).fit(encode_points(self._space, self._points), failed)
+        probability: FloatArray = trees.predict_proba(encoded_points)[:, trees.classes_].sum(axis=1)
         return probability
 
 
-def acquisition(critical: FloatArray, branch: FloatArray) -> FloatArray:
+def committee_acquisition(p_critical: FloatArray, p_likeliest_branch: FloatArray) -> FloatArray:
     """Expected information of scenarios (m,), from the probabilities of being critical and of the likeliest branch."""
-    return np.maximum(0.5 - np.abs(critical - 0.5), _WAY * (1.0 - branch))
+    return np.maximum(0.5 - np.abs(p_critical - 0.5), _BRANCH_WEIGHT * (1.0 - p_likeliest_branch))
 
 
-def _level(scores: FloatArray, threshold: float) -> float:
+def _threshold_between_scores(scores: FloatArray, threshold: float) -> float:
     """Threshold with scenarios on both sides: the given one, if it has."""
     lowest, below_highest = np.sort(scores)[[0, -2]]
     return float(min(max(threshold, lowest), below_highest))
 
 
-def _spread(places: FloatArray, gain: FloatArray, known: FloatArray, sides: FloatArray, n: int) -> IntArray:
+def _choose_spread_out(points: FloatArray, gain: FloatArray, known: FloatArray, sides: FloatArray, n: int) -> IntArray:
     """Choose `n` of the points (m, e), each by its gain (m,) times its distance from all others.
 
     The others are the `known` points (k, e) and those chosen before it. Distances are limited to the spacing of points
@@ -158,11 +158,11 @@ def _spread(places: FloatArray, gain: FloatArray, known: FloatArray, sides: Floa
     # Points this far apart do not differ along short sides: use the longest sides, as many as maximize the spacing.
     longest = np.sort(sides)[::-1]
     spacing = ((np.cumprod(longest) / len(known)) ** (1.0 / np.arange(1, len(sides) + 1))).max()
-    distance = np.minimum(cKDTree(known).query(places)[0], spacing)
+    distance = np.minimum(cKDTree(known).query(points)[0], spacing)
     selected: list[int] = []
     for _ in range(n):
         value = gain * distance
         value[selected] = -1.0
         selected.append(int(np.argmax(value)))
-        distance = np.minimum(distance, np.linalg.norm(places - places[selected[-1]], axis=1))
+        distance = np.minimum(distance, np.linalg.norm(points - points[selected[-1]], axis=1))
     return np.array(selected, dtype=np.int64)

@@ -10,10 +10,10 @@ from scipy.spatial import cKDTree
 from cornercase._common.typing import FloatArray
 
 # Greatest distance of a minimum from the threshold, relative to its depth below the neighbouring scores.
-_MOST: Final = 3.0
+_MAX_RELATIVE_HEIGHT: Final = 3.0
 
 
-def below_dips(at: FloatArray, scores: FloatArray, threshold: float, most: int | None = None) -> FloatArray:
+def suggest_below_local_minima(points: FloatArray, scores: FloatArray, threshold: float, max_count: int | None = None) -> FloatArray:
     """Suggest points downhill from local minima that do not reach the threshold, (m, e), the most promising first.
 
     A process of all scores, most of which may be flat, does not distinguish such a minimum from noise, and a boundary
@@ -25,18 +25,18 @@ def below_dips(at: FloatArray, scores: FloatArray, threshold: float, most: int |
     `points` (n, e) are encoded scenarios that were run, `scores` (n,) are minimized; NaN for a failed scenario counts
     as the highest. At most `max_count` points, by default all.
     """
-    count = 2 * at.shape[1]
-    if len(at) <= count:
-        return at[:0]
+    count = 2 * points.shape[1]
+    if len(points) <= count:
+        return points[:0]
     scores = np.where(np.isnan(scores), np.nanmax(scores), scores)
-    distance, near = map(np.asarray, cKDTree(at).query(at, k=count + 1))
+    distance, near = map(np.asarray, cKDTree(points).query(points, k=count + 1))
     neighbour_scores = scores[near[:, 1:]]
     height, depth = scores - threshold, np.median(neighbour_scores, axis=1) - scores
-    minima = np.flatnonzero((height > 0.0) & (scores < neighbour_scores.min(axis=1)) & (height <= _MOST * depth))
-    minima = minima[np.argsort(height[minima] / depth[minima], kind="stable")][:most]
-    suggestions = np.empty((len(minima), at.shape[1]))
+    minima = np.flatnonzero((height > 0.0) & (scores < neighbour_scores.min(axis=1)) & (height <= _MAX_RELATIVE_HEIGHT * depth))
+    minima = minima[np.argsort(height[minima] / depth[minima], kind="stable")][:max_count]
+    suggestions = np.empty((len(minima), points.shape[1]))
     for k, i in enumerate(minima):
         others = near[i, 1:]
-        slope = np.linalg.lstsq(at[others] - at[i], scores[others] - scores[i], rcond=None)[0]
-        suggestions[k] = at[i] - 0.5 * distance[i, 1] * slope / max(float(np.linalg.norm(slope)), 1e-12)
+        slope = np.linalg.lstsq(points[others] - points[i], scores[others] - scores[i], rcond=None)[0]
+        suggestions[k] = points[i] - 0.5 * distance[i, 1] * slope / max(float(np.linalg.norm(slope)), 1e-12)
     return suggestions

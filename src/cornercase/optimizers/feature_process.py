@@ -8,7 +8,7 @@ from scipy.linalg import cho_solve, cholesky, solve_triangular
 from cornercase._common.typing import FloatArray
 
 
-class FeatureProcess:
+class RandomFeatureProcess:
     """Gaussian process approximated by random features: a linear model with a normal prior on the weights.
 
     `frequencies` (f, d), `phases` (f,) and `amplitude` define the features, `mean` is the prior mean, and `noise` the
@@ -33,32 +33,32 @@ class FeatureProcess:
         self._gram = np.zeros([len(phases)] * 2) if gram is None else gram
         self._moment = np.zeros(len(phases)) if moment is None else moment
 
-    def features(self, points: FloatArray) -> FloatArray:
+    def random_features(self, points: FloatArray) -> FloatArray:
         """Features of points, (n, f); in single precision, in which a cosine takes a tenth of the time."""
         frequencies, phases, amplitude = self._map
         angles = (points @ frequencies.T + phases).astype(np.float32)
         return amplitude * np.cos(angles, out=angles).astype(np.float64)
 
-    def extended(self, points: FloatArray, values: FloatArray) -> FeatureProcess:
+    def with_more_values(self, points: FloatArray, values: FloatArray) -> RandomFeatureProcess:
         """Process conditioned on additional values (n,) at points (n, d)."""
-        rows = self.features(points)
+        rows = self.random_features(points)
         gram, moment = self._gram + rows.T @ rows, self._moment + rows.T @ (values - self._mean)
-        return FeatureProcess(*self._map, self._mean, self._noise, gram, moment)
+        return RandomFeatureProcess(*self._map, self._mean, self._noise, gram, moment)
 
-    def expecting(self, points: FloatArray) -> FeatureProcess:
+    def with_own_mean_at(self, points: FloatArray) -> RandomFeatureProcess:
         """Process conditioned on its own mean at points (n, d): the mean stays, the variance shrinks."""
-        rows = self.features(points)
-        mean = cho_solve((self._precision(), False), self._moment / self._noise**2)
+        rows = self.random_features(points)
+        mean = cho_solve((self._precision_factor(), False), self._moment / self._noise**2)
         gram, moment = self._gram + rows.T @ rows, self._moment + rows.T @ (rows @ mean)
-        return FeatureProcess(*self._map, self._mean, self._noise, gram, moment)
+        return RandomFeatureProcess(*self._map, self._mean, self._noise, gram, moment)
 
-    def samples(self, n: int, rng: np.random.Generator) -> FloatArray:
+    def draw_weights(self, n: int, rng: np.random.Generator) -> FloatArray:
         """Draw `n` samples of the weights of the features, (n, f)."""
-        upper = self._precision()
+        upper = self._precision_factor()
         mean = cho_solve((upper, False), self._moment / self._noise**2)
         return np.asarray(mean + solve_triangular(upper, rng.standard_normal((n, len(mean))).T).T)
 
-    def _precision(self) -> FloatArray:
+    def _precision_factor(self) -> FloatArray:
         """Upper Cholesky factor of the precision of the weights, (f, f)."""
         precision = self._gram / self._noise**2 + np.eye(len(self._moment))
         return np.asarray(cholesky(precision, overwrite_a=True, check_finite=False))

@@ -12,7 +12,7 @@ from cornercase._common.typing import FloatArray, IntArray
 from cornercase.optimizers.base import Optimizer
 from cornercase.scenario import ParameterSpace
 
-_MOST: Final = 1_000_000
+_MAX_POINTS: Final = 1_000_000
 
 
 class GridOptimizer(Optimizer):
@@ -34,11 +34,11 @@ class GridOptimizer(Optimizer):
     """
 
     name = "grid"
-    takes_several = True
-    needs = frozenset({"budget"})
+    multi_objective = True
+    requires = frozenset({"budget"})
 
     def __init__(self, space: ParameterSpace, seed: int, budget: int = 3375) -> None:
-        self._told = 0
+        self._n_observed = 0
         steps = [1] * space.dimension
         sizes = [parameter.size or budget for parameter in space.parameters]
         while True:
@@ -48,30 +48,30 @@ class GridOptimizer(Optimizer):
             if grown is None:
                 break
             steps[grown] += 1
-            if math.prod(steps) > _MOST:
+            if math.prod(steps) > _MAX_POINTS:
                 raise InputError(
-                    f"`budget` {budget}: its grid has more than {_MOST} points, which would take gigabytes of memory;"
+                    f"`budget` {budget}: its grid has more than {_MAX_POINTS} points, which would take gigabytes of memory;"
                     " give less, or search with 'sobol'."
                 )
-        grid = space.lattice(steps)
-        grid = grid[_spread_out(steps)]
-        self._points = grid[space.admits(grid)]
+        grid = space.full_factorial(steps)
+        grid = grid[_space_filling_order(steps)]
+        self._points = grid[space.is_admissible(grid)]
 
     def ask(self, n: int) -> FloatArray:
         """Return the next at most `n` points of the grid, (m, d)."""
-        return self._points[self._told : self._told + n].copy()
+        return self._points[self._n_observed : self._n_observed + n].copy()
 
-    def ask_beside(self, n: int, pending: FloatArray, *lies: Any) -> FloatArray:
+    def ask_async(self, n: int, pending: FloatArray, *lies: Any) -> FloatArray:
         """Return the next points of the grid, as in `Optimizer.ask_async`, without pseudo-results."""
-        start = self._told + len(pending)
+        start = self._n_observed + len(pending)
         return self._points[start : start + n].copy()
 
     def tell(self, points: FloatArray, scores: FloatArray) -> None:
         """Continue after these points."""
-        self._told += len(points)
+        self._n_observed += len(points)
 
 
-def _spread_out(steps: list[int]) -> IntArray:
+def _space_filling_order(steps: list[int]) -> IntArray:
     """Order of the cells of a grid in which every prefix covers the space: that in which Sobol' points reach them."""
     size = int(np.prod(steps))
     # Imported late, since it takes half a second and few searches need it.

@@ -7,11 +7,11 @@ from typing import Any, Final
 
 import numpy as np
 
-from cornercase._common.errors import InputError, suggestion
+from cornercase._common.errors import InputError, suggest_name
 from cornercase._common.typing import FloatArray
 from cornercase.optimizers.base import Optimizer
 from cornercase.optimizers.sequences import SobolOptimizer
-from cornercase.optimizers.unseen import Unseen
+from cornercase.optimizers.unseen import Deduplicator
 from cornercase.scenario import ParameterSpace
 
 _SAMPLERS: Final = ("tpe", "nsga2", "cmaes", "gp", "random")
@@ -42,44 +42,44 @@ class OptunaOptimizer(Optimizer):
     """
 
     name = "optuna"
-    takes_several = True
-    remembers_asking = True
+    multi_objective = True
+    is_stateful_ask = True
 
     def __init__(self, space: ParameterSpace, seed: int, sampler: str = "tpe") -> None:
         if sampler not in _SAMPLERS:
-            raise InputError(f"There is no sampler '{sampler}' of Optuna here; {suggestion(sampler, _SAMPLERS)}")
-        self._space, self._seed, self._kind = space, seed, sampler
+            raise InputError(f"There is no sampler '{sampler}' of Optuna here; {suggest_name(sampler, _SAMPLERS)}")
+        self._space, self._seed, self._sampler_name = space, seed, sampler
         self._sequence = SobolOptimizer(space, seed)
-        self._unseen = Unseen(space)
+        self._deduplicator = Deduplicator(space)
         # Optuna's trials of proposed points without a result; None for points of the sequence.
-        self._asked: dict[bytes, Any] = {}
+        self._open_trials: dict[bytes, Any] = {}
         self._study: Any = None
         self._in_rounds = True
-        self._optuna = _imported()
-        self._sampler = self._made()
+        self._optuna = _import_optuna()
+        self._sampler = self._create_sampler()
 
     def ask(self, n: int) -> FloatArray:
         """Propose at most `n` points, (m, d), as in `Optimizer.ask`."""
-        return self._proposed(n, np.zeros((0, self._space.dimension)))
+        return self._propose(n, np.zeros((0, self._space.dimension)))
 
-    def ask_beside(self, n: int, pending: FloatArray, *lies: Any) -> FloatArray:
+    def ask_async(self, n: int, pending: FloatArray, *lies: Any) -> FloatArray:
         """Propose points, as in `Optimizer.ask_async`: pending points are running trials, which TPE treats as bad."""
         self._in_rounds = False
-        return self._proposed(n, pending)
+        return self._propose(n, pending)
 
-    def _proposed(self, n: int, pending: FloatArray) -> FloatArray:
+    def _propose(self, n: int, pending: FloatArray) -> FloatArray:
         if self._study is None:
             # Optuna needs the number of scores, which is known with the first result.
-            return self._sequence.ask(n, besides=pending)
+            return self._sequence.ask(n, exclude=pending)
         points: list[FloatArray] = []
         for _ in range(n):
-            point = self._new(pending)
+            point = self._new_point(pending)
             if point is None:
-                candidates = self._sequence.ask(1, besides=np.concatenate([pending, self._open]))
+                candidates = self._sequence.ask(1, exclude=np.concatenate([pending, self._open_points]))
                 if not len(candidates):
                     break
                 point = candidates[0]
-                self._asked[point.tobytes()] = None
+                self._open_trials[point.tobytes()] = None
             points.append(point)
         return np.array(points).reshape(-1, self._space.dimension)
 
@@ -88,10 +88,10 @@ class OptunaOptimizer(Optimizer):
         columns = scores.reshape(len(points), -1)
         if self._study is None:
             self._study = self._optuna.create_study(directions=["minimize"] * columns.shape[1], sampler=self._sampler)
-        elif self._in_rounds and not any(point.tobytes() in self._asked for point in points):
+        elif self._in_rounds and not any(point.tobytes() in self._open_trials for point in points):
             self.ask(len(points))
         for point, score in zip(points, columns.tolist(), strict=True):
-            trial = self._asked.pop(point.tobytes(), None)
+            trial = self._open_trials.pop(point.tobytes(), None)
             failed = not np.isfinite(score).all()
             if trial is not None:
                 state = self._optuna.trial.TrialState.FAIL if failed else None
@@ -99,49 +99,49 @@ class OptunaOptimizer(Optimizer):
             elif not failed:
                 self._study.add_trial(
                     self._optuna.trial.create_trial(
-                        params=self._parameters(point), distributions=self._distributions(), values=score
+                        params=self._values_from_point(point), distributions=self._parameter_distributions(), values=score
                     )
                 )
         if self._in_rounds:
-            self._forget_open()
-        self._unseen.tell(points)
+            self._fail_open_trials()
+        self._deduplicator.remember(points)
         self._sequence.tell(points, scores)
 
-    def _forget_open(self) -> None:
+    def _fail_open_trials(self) -> None:
         """Fail the trials of proposed points that got no score in their round, since they will never get one."""
-        for trial in self._asked.values():
+        for trial in self._open_trials.values():
             if trial is not None:
                 self._study.tell(trial, state=self._optuna.trial.TrialState.FAIL)
-        self._asked.clear()
+        self._open_trials.clear()
 
     @property
-    def _open(self) -> FloatArray:
+    def _open_points(self) -> FloatArray:
         """Points that were proposed and have no result yet, (m, d)."""
-        return np.array([np.frombuffer(key) for key in self._asked]).reshape(-1, self._space.dimension)
+        return np.array([np.frombuffer(key) for key in self._open_trials]).reshape(-1, self._space.dimension)
 
-    def _new(self, pending: FloatArray) -> FloatArray | None:
+    def _new_point(self, pending: FloatArray) -> FloatArray | None:
         """Point of the sampler that was not proposed yet, (d,); None if it finds none."""
         for _ in range(_TRIES):
-            trial = self._study.ask(self._distributions())
-            for point in self._unseen.among(self._point(trial.params)[None], np.concatenate([pending, self._open])):
-                self._asked[point.tobytes()] = trial
+            trial = self._study.ask(self._parameter_distributions())
+            for point in self._deduplicator.filter(self._point_from_values(trial.params)[None], np.concatenate([pending, self._open_points])):
+                self._open_trials[point.tobytes()] = trial
                 return np.asarray(point)
             self._study.tell(trial, state=self._optuna.trial.TrialState.FAIL)
         return None
 
-    def _made(self) -> Any:
+    def _create_sampler(self) -> Any:
         samplers = self._optuna.samplers
-        package = {"cmaes": "cmaes", "gp": "torch"}.get(self._kind)
+        package = {"cmaes": "cmaes", "gp": "torch"}.get(self._sampler_name)
         if package is not None and find_spec(package) is None:
             raise InputError(
-                f"The sampler '{self._kind}' of Optuna needs the package {package}; pip install {package}."
+                f"The sampler '{self._sampler_name}' of Optuna needs the package {package}; pip install {package}."
             )
-        if self._kind == "tpe":
+        if self._sampler_name == "tpe":
             return samplers.TPESampler(seed=self._seed, constant_liar=True)
         classes = {"nsga2": "NSGAIISampler", "cmaes": "CmaEsSampler", "gp": "GPSampler", "random": "RandomSampler"}
-        return getattr(samplers, classes[self._kind])(seed=self._seed)
+        return getattr(samplers, classes[self._sampler_name])(seed=self._seed)
 
-    def _distributions(self) -> dict[str, Any]:
+    def _parameter_distributions(self) -> dict[str, Any]:
         distributions = self._optuna.distributions
         return {
             parameter.name: distributions.CategoricalDistribution(list(range(len(parameter.choices))))
@@ -150,24 +150,24 @@ class OptunaOptimizer(Optimizer):
             for parameter in self._space.parameters
         }
 
-    def _point(self, values: dict[str, Any]) -> FloatArray:
+    def _point_from_values(self, values: dict[str, Any]) -> FloatArray:
         return np.array(
             [
-                parameter.middles(np.array([values[parameter.name]]))[0]
+                parameter.level_midpoints(np.array([values[parameter.name]]))[0]
                 if parameter.choices
                 else values[parameter.name]
                 for parameter in self._space.parameters
             ]
         )
 
-    def _parameters(self, point: FloatArray) -> dict[str, Any]:
+    def _values_from_point(self, point: FloatArray) -> dict[str, Any]:
         return {
-            parameter.name: int(parameter.numbers(point[j : j + 1])[0]) if parameter.choices else float(point[j])
+            parameter.name: int(parameter.level_indices(point[j : j + 1])[0]) if parameter.choices else float(point[j])
             for j, parameter in enumerate(self._space.parameters)
         }
 
 
-def _imported() -> Any:
+def _import_optuna() -> Any:
     try:
         import optuna
     except ImportError as error:

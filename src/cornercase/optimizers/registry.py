@@ -6,8 +6,8 @@ from typing import Any, Final
 
 from cornercase._common.errors import InputError
 from cornercase._common.registry import Registry
-from cornercase.metrics import known_features
-from cornercase.optimizers.base import Need, Optimizer
+from cornercase.metrics import registered_features
+from cornercase.optimizers.base import OptimizerInput, Optimizer
 from cornercase.scenario import ParameterSpace
 
 OPTIMIZERS: Final[Registry[Optimizer]] = Registry("optimizer", "cornercase.optimizers", Optimizer)
@@ -26,9 +26,9 @@ for _name, _target in (
     OPTIMIZERS.register(_name, f"cornercase.optimizers.{_target}")
 
 
-def optimizer_needs(name: str) -> frozenset[Need]:
+def optimizer_requirements(name: str) -> frozenset[OptimizerInput]:
     """Arguments that an optimizer requires besides space and seed. InputError if there is no such optimizer."""
-    return OPTIMIZERS.class_of(name).needs
+    return OPTIMIZERS.get_class(name).requires
 
 
 def create_optimizer(name: str, space: ParameterSpace, seed: int, *, threshold: float | None, budget: int) -> Optimizer:
@@ -55,7 +55,7 @@ def create_optimizer(name: str, space: ParameterSpace, seed: int, *, threshold: 
         There is no such optimizer or option, or the optimizer requires a threshold and there is none.
     """
     options: dict[str, Any] = {}
-    needs = optimizer_needs(name)
+    needs = optimizer_requirements(name)
     if "threshold" in needs:
         if threshold is None:
             raise InputError(f"The optimizer '{name}' needs a threshold; give one with `critical`.")
@@ -63,5 +63,5 @@ def create_optimizer(name: str, space: ParameterSpace, seed: int, *, threshold: 
     if "budget" in needs:
         options["budget"] = budget
     if "features" in needs:
-        options["features"] = known_features()
+        options["features"] = registered_features()
     return OPTIMIZERS.create(name, space=space, seed=seed, **options)

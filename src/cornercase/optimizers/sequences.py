@@ -9,11 +9,11 @@ import numpy as np
 
 from cornercase._common.typing import FloatArray
 from cornercase.optimizers.base import Optimizer
-from cornercase.optimizers.unseen import Unseen
+from cornercase.optimizers.unseen import Deduplicator
 from cornercase.scenario import ParameterSpace
 
 _CHUNK: Final = 256
-_MOST: Final = 1 << 20
+_MAX_DRAWN: Final = 1 << 20
 """Number of points after which a sequence counts as exhausted; more if many were observed."""
 
 
@@ -24,20 +24,20 @@ class SequenceOptimizer(Optimizer):
     in a random order of the same seed.
     """
 
-    takes_several = True
+    multi_objective = True
 
     def __init__(self, space: ParameterSpace, seed: int) -> None:
         self._space, self._seed = space, seed
-        self._unseen = Unseen(space)
+        self._deduplicator = Deduplicator(space)
         # Drawn points of the sequence that can be proposed.
-        self._ahead = np.zeros((0, space.dimension))
-        self._drawn, self._over = 0, False
+        self._ready_points = np.zeros((0, space.dimension))
+        self._n_drawn, self._is_exhausted = 0, False
 
     @abstractmethod
-    def _draw(self, count: int) -> FloatArray:
+    def _draw_next(self, count: int) -> FloatArray:
         """Return the next points of the sequence, (count, d)."""
 
-    def ask(self, n: int, besides: FloatArray | None = None) -> FloatArray:
+    def ask(self, n: int, exclude: FloatArray | None = None) -> FloatArray:
         """Propose the next at most `n` points of the sequence, (m, d), neither observed nor in `exclude` (k, d).
 
         Parameters
@@ -51,39 +51,39 @@ class SequenceOptimizer(Optimizer):
         ndarray of float64, shape (m, d)
             m < n only if the space has no more.
         """
-        while len(points := self._left(besides)) < n and self._lengthen(n - len(points)):
+        while len(points := self._filter_ready_points(exclude)) < n and self._draw_more(n - len(points)):
             pass
         return points[:n]
 
-    def ask_beside(self, n: int, pending: FloatArray, *lies: Any) -> FloatArray:
+    def ask_async(self, n: int, pending: FloatArray, *lies: Any) -> FloatArray:
         """Propose the next points of the sequence, as in `Optimizer.ask_async`, without pseudo-results."""
-        return self.ask(n, besides=pending)
+        return self.ask(n, exclude=pending)
 
     def tell(self, points: FloatArray, scores: FloatArray) -> None:
         """Exclude these points (m, d) from now on; scores are not used."""
-        self._unseen.tell(points)
-        self._ahead = self._unseen.left(self._ahead)
+        self._deduplicator.remember(points)
+        self._ready_points = self._deduplicator.filter_snapped(self._ready_points)
 
-    def _left(self, besides: FloatArray | None) -> FloatArray:
+    def _filter_ready_points(self, exclude: FloatArray | None) -> FloatArray:
         # `_ready_points` has no observed points, so it is filtered only if there is something to exclude.
-        return self._ahead if besides is None or not len(besides) else self._unseen.left(self._ahead, besides)
+        return self._ready_points if exclude is None or not len(exclude) else self._deduplicator.filter_snapped(self._ready_points, exclude)
 
-    def _lengthen(self, missing: int) -> bool:
+    def _draw_more(self, missing: int) -> bool:
         """Draw as many points again, or at least as many as are missing; False if there are no more."""
         size = self._space.size
-        if self._over or self._drawn >= _MOST + 4 * len(self._unseen):
+        if self._is_exhausted or self._n_drawn >= _MAX_DRAWN + 4 * len(self._deduplicator):
             return False
-        finite_size = size if size is not None and size <= _MOST // 4 else None
-        if finite_size is not None and self._drawn >= 4 * finite_size:
-            points = np.random.default_rng(self._seed).permutation(self._space.lattice())
-            self._over = True
+        finite_size = size if size is not None and size <= _MAX_DRAWN // 4 else None
+        if finite_size is not None and self._n_drawn >= 4 * finite_size:
+            points = np.random.default_rng(self._seed).permutation(self._space.full_factorial())
+            self._is_exhausted = True
         else:
-            count = max(_CHUNK, self._drawn)
-            while finite_size is None and count < min(missing, _MOST):
+            count = max(_CHUNK, self._n_drawn)
+            while finite_size is None and count < min(missing, _MAX_DRAWN):
                 count *= 2
-            self._drawn += count
-            points = self._draw(count)
-        self._ahead = np.concatenate([self._ahead, self._unseen.among(points, besides=self._ahead)])
+            self._n_drawn += count
+            points = self._draw_next(count)
+        self._ready_points = np.concatenate([self._ready_points, self._deduplicator.filter(points, exclude=self._ready_points)])
         return True
 
 
@@ -108,7 +108,7 @@ class SobolOptimizer(SequenceOptimizer):
 
         self._sobol = qmc.Sobol(space.dimension, scramble=True, seed=np.random.default_rng(seed))
 
-    def _draw(self, count: int) -> FloatArray:
+    def _draw_next(self, count: int) -> FloatArray:
         return np.asarray(self._sobol.random(count))
 
 
@@ -127,5 +127,5 @@ class RandomOptimizer(SequenceOptimizer):
         super().__init__(space, seed)
         self._random = np.random.default_rng(seed)
 
-    def _draw(self, count: int) -> FloatArray:
+    def _draw_next(self, count: int) -> FloatArray:
         return self._random.random((count, self._space.dimension))

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from cornercase._common.rows import row_keys, surely_distinct
+from cornercase._common.rows import row_keys, no_duplicates
 from cornercase._common.typing import FloatArray
 from cornercase.scenario import ParameterSpace
 
 
-class Unseen:
+class Deduplicator:
     """Remembers the observed points of a space, and excludes them from proposals.
 
     Two points are equal if they represent the same concrete scenario: points are snapped to steps and choices before
@@ -16,27 +16,27 @@ class Unseen:
 
     def __init__(self, space: ParameterSpace) -> None:
         self._space = space
-        self._told: set[bytes] = set()
+        self._remembered: set[bytes] = set()
 
     def __len__(self) -> int:
-        return len(self._told)
+        return len(self._remembered)
 
-    def tell(self, points: FloatArray) -> None:
+    def remember(self, points: FloatArray) -> None:
         """Remember points (n, d)."""
-        self._told |= _keys(self._space.snap(points))
+        self._remembered |= _point_keys(self._space.snap(points))
 
-    def among(self, points: FloatArray, besides: FloatArray | None = None) -> FloatArray:
+    def filter(self, points: FloatArray, exclude: FloatArray | None = None) -> FloatArray:
         """Snap points (n, d) of the unit cube, and return the distinct ones that can be proposed, (m, d).
 
         They keep their order, are within the constraints of the space, and neither remembered nor in `exclude` (k, d).
         """
         snapped = self._space.snap(points)
-        return self.left(snapped[self._space.admits(snapped)], besides)
+        return self.filter_snapped(snapped[self._space.is_admissible(snapped)], exclude)
 
-    def left(self, points: FloatArray, besides: FloatArray | None = None) -> FloatArray:
+    def filter_snapped(self, points: FloatArray, exclude: FloatArray | None = None) -> FloatArray:
         """Like `filter`, for points that are already snapped and admissible."""
-        excluded = self._told if besides is None else self._told | _keys(self._space.snap(besides))
-        if surely_distinct(points, excluded):
+        excluded = self._remembered if exclude is None else self._remembered | _point_keys(self._space.snap(exclude))
+        if no_duplicates(points, excluded):
             return points
         keys = row_keys(points)
         # Inserted in reverse, so that the first of equal points remains; fast for 100,000 points.
@@ -46,5 +46,5 @@ class Unseen:
         return points[sorted(first.values())].reshape(-1, self._space.dimension)
 
 
-def _keys(points: FloatArray) -> set[bytes]:
+def _point_keys(points: FloatArray) -> set[bytes]:
     return set(row_keys(points))

@@ -10,50 +10,50 @@ from pathlib import Path
 
 import numpy as np
 
-from cornercase._common.errors import InputError, suggestion
-from cornercase._common.files import read_file, written_whole
-from cornercase._common.texts import cell_text, text_of_cell
+from cornercase._common.errors import InputError, suggest_name
+from cornercase._common.files import read_file, atomic_write
+from cornercase._common.texts import escape_csv_cell, unescape_csv_cell
 from cornercase._common.typing import FloatArray, IntArray
-from cornercase.recordings.recording import BOX, COLUMNS, MOTION, Collision, Recording
-from cornercase.recordings.samples import require_box, require_motion, require_size, require_times
+from cornercase.recordings.recording import BOX_ARRAYS, CSV_COLUMNS, MOTION_ARRAYS, Collision, Recording
+from cornercase.recordings.samples import require_valid_box, require_valid_motion, require_loadable_size, require_valid_times
 
 
-def read_csv(path: Path) -> Recording:
+def read_recording_csv(path: Path) -> Recording:
     """Read a table with one row per entity and instant, with at least the columns `CSV_COLUMNS`."""
-    rows = _Rows()
-    for line, row in _read_rows(path):
-        rows.add(path, line, row)
+    rows = _CsvColumns()
+    for line, row in _iter_csv_rows(path):
+        rows.add_row(path, line, row)
     if not rows.lines:
         raise InputError(f"{path}: has a header but no rows.")
     numbers = np.frombuffer(rows.numbers, dtype=np.float64).reshape(len(rows.lines), -1)
-    names, entity = tuple(rows.kinds), np.frombuffer(rows.entities, dtype=np.int64)
+    names, entity = tuple(rows.object_types), np.frombuffer(rows.entities, dtype=np.int64)
     if not np.isfinite(numbers[:, 0]).all():
         raise InputError(f"{path}: every row needs a finite time.")
-    require_times(path, numbers[:, 0])
+    require_valid_times(path, numbers[:, 0])
     time, instant = np.unique(numbers[:, 0], return_inverse=True)
-    require_size(path, len(names), len(time))
-    _refuse_doubles(path, rows.lines, entity * len(time) + instant)
-    require_motion(path, numbers[:, 1 : 1 + len(MOTION)].T)
-    motion = np.full((len(MOTION), len(names), len(time)), np.nan)
-    motion[:, entity, instant] = numbers[:, 1 : 1 + len(MOTION)].T
+    require_loadable_size(path, len(names), len(time))
+    _refuse_duplicate_rows(path, rows.lines, entity * len(time) + instant)
+    require_valid_motion(path, numbers[:, 1 : 1 + len(MOTION_ARRAYS)].T)
+    motion = np.full((len(MOTION_ARRAYS), len(names), len(time)), np.nan)
+    motion[:, entity, instant] = numbers[:, 1 : 1 + len(MOTION_ARRAYS)].T
     _, first_rows = np.unique(entity, return_index=True)
-    box = numbers[first_rows, 1 + len(MOTION) :].T
+    box = numbers[first_rows, 1 + len(MOTION_ARRAYS) :].T
     if not (np.isfinite(box).all() and (box[:2] >= 0).all()):
         raise InputError(f"{path}: length and width must be finite and not negative for every entity.")
     for name, values in zip(names, box.T.tolist(), strict=True):
-        require_box(path, name, *values)
+        require_valid_box(path, name, *values)
     x, y, heading, speed, acceleration = motion
     length, width, center_x = box
     entities = set(names)
     collisions = [
         Collision(float(numbers[i, 0]), (names[entity[i]], partner))
-        for i, text in rows.touched.items()
-        for partner in _touched(path, rows.lines[i], text, entities)
+        for i, text in rows.collision_cells.items()
+        for partner in _parse_collision_cell(path, rows.lines[i], text, entities)
     ]
     return Recording(
         time=time,
         names=names,
-        kinds=tuple(rows.kinds.values()),
+        object_types=tuple(rows.object_types.values()),
         x=x,
         y=y,
         heading=heading,
@@ -66,36 +66,36 @@ def read_csv(path: Path) -> Recording:
     )
 
 
-class _Rows:
+class _CsvColumns:
     """Content of the rows in little memory: numbers in one array, each text once."""
 
     def __init__(self) -> None:
         self.lines: list[int] = []
         self.numbers, self.entities = array("d"), array("q")
-        self.kinds: dict[str, str] = {}
-        self.touched: dict[int, str] = {}
+        self.object_types: dict[str, str] = {}
+        self.collision_cells: dict[int, str] = {}
         self._index: dict[str, int] = {}
 
-    def add(self, path: Path, line: int, row: dict[str, str | None]) -> None:
-        if None in row or any(row[column] is None for column in COLUMNS):
+    def add_row(self, path: Path, line: int, row: dict[str, str | None]) -> None:
+        if None in row or any(row[column] is None for column in CSV_COLUMNS):
             raise InputError(f"{path}, line {line}: has too many or too few fields.")
-        name = text_of_cell(row["entity"] or "")
+        name = unescape_csv_cell(row["entity"] or "")
         if touched := row.get("collision"):
-            self.touched[len(self.lines)] = text_of_cell(touched)
+            self.collision_cells[len(self.lines)] = unescape_csv_cell(touched)
         self.lines.append(line)
         self.entities.append(self._index.setdefault(name, len(self._index)))
-        self.kinds.setdefault(name, text_of_cell(row["kind"] or ""))
-        self.numbers.extend(_number(path, line, row, column) for column in ("time", *MOTION, *BOX))
+        self.object_types.setdefault(name, unescape_csv_cell(row["kind"] or ""))
+        self.numbers.extend(_parse_float_cell(path, line, row, column) for column in ("time", *MOTION_ARRAYS, *BOX_ARRAYS))
 
 
-def _read_rows(path: Path) -> Iterator[tuple[int, dict[str, str | None]]]:
+def _iter_csv_rows(path: Path) -> Iterator[tuple[int, dict[str, str | None]]]:
     """Yield line numbers and rows, by column."""
     try:
         reader = csv.DictReader(io.StringIO(read_file(path).decode("utf-8-sig"), newline=""))
-        missing = [column for column in COLUMNS if column not in (reader.fieldnames or ())]
+        missing = [column for column in CSV_COLUMNS if column not in (reader.fieldnames or ())]
         if missing:
             raise InputError(
-                f"{path}: the header lacks {', '.join(missing)}; a recording has the columns {', '.join(COLUMNS)}."
+                f"{path}: the header lacks {', '.join(missing)}; a recording has the columns {', '.join(CSV_COLUMNS)}."
             )
         for row in reader:
             yield reader.line_num, row
@@ -105,19 +105,19 @@ def _read_rows(path: Path) -> Iterator[tuple[int, dict[str, str | None]]]:
 
 def write_courses(path: Path | str, time: FloatArray, courses: Mapping[str, FloatArray]) -> None:
     """Write time series of metrics, one row per instant; empty cells for NaN."""
-    with written_whole(path) as temporary, open(temporary, "w", newline="", encoding="utf-8") as file:
+    with atomic_write(path) as temporary, open(temporary, "w", newline="", encoding="utf-8") as file:
         writer = csv.writer(file, lineterminator="\n")
-        writer.writerow(("time", *map(cell_text, courses)))
+        writer.writerow(("time", *map(escape_csv_cell, courses)))
         columns = (
             ["" if value != value else value for value in series.tolist()] for series in (time, *courses.values())
         )
         writer.writerows(zip(*columns, strict=True))
 
 
-def _refuse_doubles(path: Path, lines: list[int], place: IntArray) -> None:
+def _refuse_duplicate_rows(path: Path, lines: list[int], keys: IntArray) -> None:
     """Refuse two rows of an entity at one instant."""
-    order = np.argsort(place, kind="stable")
-    double = np.flatnonzero(np.diff(place[order]) == 0)
+    order = np.argsort(keys, kind="stable")
+    double = np.flatnonzero(np.diff(keys[order]) == 0)
     if len(double):
         first, second = order[double[0]], order[double[0] + 1]
         raise InputError(
@@ -126,16 +126,16 @@ def _refuse_doubles(path: Path, lines: list[int], place: IntArray) -> None:
         )
 
 
-def _touched(path: Path, line: int, text: str, names: set[str]) -> list[str]:
+def _parse_collision_cell(path: Path, line: int, text: str, names: set[str]) -> list[str]:
     """Return the entities in the column ``collision``."""
     names_touched = [part.strip() for part in text.split(";") if part.strip()]
     for name in names_touched:
         if name not in names:
-            raise InputError(f"{path}, line {line}: collision names '{name}'; {suggestion(name, names)}")
+            raise InputError(f"{path}, line {line}: collision names '{name}'; {suggest_name(name, names)}")
     return names_touched
 
 
-def _number(path: Path, line: int, row: dict[str, str | None], column: str) -> float:
+def _parse_float_cell(path: Path, line: int, row: dict[str, str | None], column: str) -> float:
     text = (row[column] or "").strip()
     if text == "":
         return float("nan")

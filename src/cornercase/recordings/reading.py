@@ -6,11 +6,11 @@ from pathlib import Path
 
 from cornercase._common import arguments
 from cornercase._common.errors import InputError
-from cornercase.recordings.csv import read_csv
+from cornercase.recordings.csv import read_recording_csv
 from cornercase.recordings.formats.carla_log import read_carla_log
 from cornercase.recordings.formats.commonroad import read_commonroad
 from cornercase.recordings.formats.erg import read_erg
-from cornercase.recordings.formats.esmini import FIRST_WORDS, read_esmini
+from cornercase.recordings.formats.esmini import ESMINI_LOG_START, read_esmini_log
 from cornercase.recordings.formats.osi import read_osi
 from cornercase.recordings.formats.sumo_fcd import read_sumo_fcd
 from cornercase.recordings.recording import Recording
@@ -37,7 +37,7 @@ def read_recording(path: Path | str) -> Recording:
         The file cannot be read, a column is missing, a field is not a number, or an entity has two rows of the same
         time; the message names the line. Or the required extra is not installed.
     """
-    path = arguments.path("path", path)
+    path = arguments.check_path("path", path)
     # Opening a pipe could block.
     if path.exists() and not path.is_file():
         raise InputError(f"{path}: is not a file.")
@@ -48,13 +48,13 @@ def read_recording(path: Path | str) -> Recording:
     if path.suffix.lower() == ".log":
         return read_carla_log(path)
     if path.suffix.lower() == ".xml":
-        return read_sumo_fcd(path) if _begins(path, "<fcd-export") else read_commonroad(path)
-    if _begins(path, FIRST_WORDS):
-        return read_esmini(path)
-    return read_csv(path)
+        return read_sumo_fcd(path) if _starts_with_words(path, "<fcd-export") else read_commonroad(path)
+    if _starts_with_words(path, ESMINI_LOG_START):
+        return read_esmini_log(path)
+    return read_recording_csv(path)
 
 
-def _begins(path: Path, words: str) -> bool:
+def _starts_with_words(path: Path, words: str) -> bool:
     """Whether a file has these words near its beginning."""
     try:
         with open(path, encoding="utf-8", errors="replace") as file:

@@ -14,21 +14,21 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from cornercase._common.errors import InputError, suggestion
-from cornercase._common.files import written_whole
-from cornercase._common.texts import cell_text
+from cornercase._common.errors import InputError, suggest_name
+from cornercase._common.files import atomic_write
+from cornercase._common.texts import escape_csv_cell
 from cornercase._common.typing import FloatArray
-from cornercase.recordings.sketch import COLORS, tracks_as_svg
+from cornercase.recordings.sketch import TRACK_COLORS, draw_tracks
 
 if TYPE_CHECKING:
     import pandas
 
-COLUMNS = (
+CSV_COLUMNS = (
     "time", "entity", "kind", "x", "y", "heading", "speed", "acceleration", "length", "width", "center_x",
 )  # fmt: skip
-MOTION = ("x", "y", "heading", "speed", "acceleration")
+MOTION_ARRAYS = ("x", "y", "heading", "speed", "acceleration")
 """Arrays of a recording with its motion, shape (A, T)."""
-BOX = ("length", "width", "center_x")
+BOX_ARRAYS = ("length", "width", "center_x")
 """Arrays of a recording with its bounding boxes, shape (A,)."""
 
 
@@ -94,7 +94,7 @@ class Recording:
 
     time: FloatArray
     names: tuple[str, ...]
-    kinds: tuple[str, ...]
+    object_types: tuple[str, ...]
     x: FloatArray
     y: FloatArray
     heading: FloatArray
@@ -104,11 +104,11 @@ class Recording:
     width: FloatArray
     center_x: FloatArray
     collisions: tuple[Collision, ...] = ()
-    cut_off: bool | None = None
+    is_truncated: bool | None = None
 
     def __repr__(self) -> str:
-        entities = ", ".join(f"{name} ({kind})" for name, kind in zip(self.names, self.kinds, strict=True))
-        return f"<Recording of {entities}, {self._span()}, {self._contacts()}>"
+        entities = ", ".join(f"{name} ({kind})" for name, kind in zip(self.names, self.object_types, strict=True))
+        return f"<Recording of {entities}, {self._describe_duration()}, {self._describe_collisions()}>"
 
     def _repr_html_(self) -> str:
         """Show entities, collisions and tracks in a notebook."""
@@ -118,23 +118,23 @@ class Recording:
             when = f"{self.time[present[0]]:g} s to {self.time[present[-1]]:g} s" if len(present) else "never"
             speeds = self.speed[a, present]
             how = f"{speeds.min():.1f} to {speeds.max():.1f} m/s" if len(present) else ""
-            dot = f'<span style="color:{COLORS[a % len(COLORS)]}">●</span>'
-            rows.append(f"<td>{dot} {escape(name)}</td><td>{escape(self.kinds[a])}</td><td>{when}</td><td>{how}</td>")
+            dot = f'<span style="color:{TRACK_COLORS[a % len(TRACK_COLORS)]}">●</span>'
+            rows.append(f"<td>{dot} {escape(name)}</td><td>{escape(self.object_types[a])}</td><td>{when}</td><td>{how}</td>")
         head = "<th>entity</th><th>kind</th><th>there</th><th>speed</th>"
         body = "".join(f"<tr>{row}</tr>" for row in rows)
-        summary = escape(f"{self._span()}; {self._contacts()}")
-        return f"<p>{summary}</p><table><tr>{head}</tr>{body}</table>{tracks_as_svg(self.x, self.y)}"
+        summary = escape(f"{self._describe_duration()}; {self._describe_collisions()}")
+        return f"<p>{summary}</p><table><tr>{head}</tr>{body}</table>{draw_tracks(self.x, self.y)}"
 
-    def _span(self) -> str:
+    def _describe_duration(self) -> str:
         duration = float(self.time[-1] - self.time[0]) if len(self.time) else 0.0
         return f"{duration:g} s in {len(self.time)} instants"
 
-    def _contacts(self) -> str:
+    def _describe_collisions(self) -> str:
         return "; ".join(
             f"{' and '.join(collision.entities)} collide at {collision.time:g} s" for collision in self.collisions
         ) or ("no collision")
 
-    def index(self, name: str) -> int:
+    def entity_index(self, name: str) -> int:
         """Return the row of an entity.
 
         Parameters
@@ -152,10 +152,10 @@ class Recording:
             There is no such entity.
         """
         if name not in self.names:
-            raise InputError(f"The recording has no entity '{name}'; {suggestion(name, self.names)}")
+            raise InputError(f"The recording has no entity '{name}'; {suggest_name(name, self.names)}")
         return self.names.index(name)
 
-    def center(self, name: str) -> FloatArray:
+    def box_center(self, name: str) -> FloatArray:
         """Return the center of an entity's bounding box over time.
 
         Parameters
@@ -173,11 +173,11 @@ class Recording:
         InputError
             There is no such entity.
         """
-        i = self.index(name)
+        i = self.entity_index(name)
         ahead = self.center_x[i]
         return np.stack([self.x[i] + ahead * np.cos(self.heading[i]), self.y[i] + ahead * np.sin(self.heading[i])], -1)
 
-    def first_collision(self, one: str, other: str) -> Collision | None:
+    def first_collision(self, name: str, other_name: str) -> Collision | None:
         """Return the first collision of two entities with each other.
 
         Parameters
@@ -189,10 +189,10 @@ class Recording:
         -------
         Collision or None
         """
-        collisions = (collision for collision in self.collisions if set(collision.entities) == {one, other})
+        collisions = (collision for collision in self.collisions if set(collision.entities) == {name, other_name})
         return min(collisions, key=attrgetter("time"), default=None)
 
-    def with_absent(self, names: Iterable[str]) -> Recording:
+    def with_absent_entities(self, names: Iterable[str]) -> Recording:
         """Add entities that never exist.
 
         Parameters
@@ -212,12 +212,12 @@ class Recording:
         return replace(
             self,
             names=self.names + missing,
-            kinds=self.kinds + ("misc",) * len(missing),
-            **{name: np.concatenate((getattr(self, name), nowhere)) for name in MOTION},
-            **{name: np.concatenate((getattr(self, name), np.zeros(len(missing)))) for name in BOX},
+            object_types=self.object_types + ("misc",) * len(missing),
+            **{name: np.concatenate((getattr(self, name), nowhere)) for name in MOTION_ARRAYS},
+            **{name: np.concatenate((getattr(self, name), np.zeros(len(missing)))) for name in BOX_ARRAYS},
         )
 
-    def table(self) -> pandas.DataFrame:
+    def to_dataframe(self) -> pandas.DataFrame:
         """Return the recording as a table.
 
         Returns
@@ -230,18 +230,18 @@ class Recording:
         import pandas
 
         entities, instants = len(self.names), len(self.time)
-        touched = self._touched()
+        touched = self._first_contacts()
         columns: dict[str, object] = {
             "time": np.repeat(self.time, entities),
             "entity": self.names * instants,
-            "kind": self.kinds * instants,
+            "kind": self.object_types * instants,
         }
-        columns |= {column: getattr(self, column).T.ravel() for column in MOTION}
-        columns |= {column: np.tile(getattr(self, column), instants) for column in BOX}
+        columns |= {column: getattr(self, column).T.ravel() for column in MOTION_ARRAYS}
+        columns |= {column: np.tile(getattr(self, column), instants) for column in BOX_ARRAYS}
         columns["collision"] = [";".join(touched.get((t, name), ())) for t in range(instants) for name in self.names]
         return pandas.DataFrame(columns)
 
-    def _touched(self) -> dict[tuple[int, str], list[str]]:
+    def _first_contacts(self) -> dict[tuple[int, str], list[str]]:
         """Return the entities that an entity first touches, by instant index and name."""
         touched: dict[tuple[int, str], list[str]] = {}
         for collision in self.collisions:
@@ -251,24 +251,24 @@ class Recording:
             touched.setdefault((nearest, first), []).append(second)
         return touched
 
-    def _lines(self, touched: Mapping[tuple[int, str], Sequence[str]]) -> Iterator[str]:
+    def _csv_lines(self, contacts: Mapping[tuple[int, str], Sequence[str]]) -> Iterator[str]:
         """Yield the lines of the CSV; repeated cells are formatted once, since formatting takes the time."""
         entities = len(self.names)
-        boxes = np.array([getattr(self, column) for column in BOX], dtype=np.float64).T.tolist()
+        boxes = np.array([getattr(self, column) for column in BOX_ARRAYS], dtype=np.float64).T.tolist()
         begins = [
-            f",{_cells(cell_text(name), cell_text(kind))}," for name, kind in zip(self.names, self.kinds, strict=True)
+            f",{_format_csv_cells(escape_csv_cell(name), escape_csv_cell(kind))}," for name, kind in zip(self.names, self.object_types, strict=True)
         ]
-        ends = [f",{_cells(*box)}," for box in boxes]
+        ends = [f",{_format_csv_cells(*box)}," for box in boxes]
         met = {
-            instant * entities + row: _cells(cell_text(";".join(touched[instant, name])))
-            for instant in sorted({index for index, _ in touched})
+            instant * entities + row: _format_csv_cells(escape_csv_cell(";".join(contacts[instant, name])))
+            for instant in sorted({index for index, _ in contacts})
             for row, name in enumerate(self.names)
-            if (instant, name) in touched
+            if (instant, name) in contacts
         }
         rows = zip(
             chain.from_iterable(repeat(str(time), entities) for time in self.time.tolist()),
             cycle(begins),
-            *(getattr(self, column).T.ravel().astype(np.float64).tolist() for column in MOTION),
+            *(getattr(self, column).T.ravel().astype(np.float64).tolist() for column in MOTION_ARRAYS),
             cycle(ends),
             strict=False,
         )
@@ -291,16 +291,16 @@ class Recording:
         InputError
             The file cannot be written, or the name of an entity that collides has a semicolon.
         """
-        touched = self._touched()
+        touched = self._first_contacts()
         for second in (name for names in touched.values() for name in names):
             if ";" in second:
                 raise InputError(f"{path}: the name '{second}' contains a semicolon; rename the entity.")
-        with written_whole(path) as temporary, open(temporary, "w", newline="", encoding="utf-8") as file:
-            file.write(_cells(*COLUMNS, "collision") + "\n")
-            file.writelines(self._lines(touched))
+        with atomic_write(path) as temporary, open(temporary, "w", newline="", encoding="utf-8") as file:
+            file.write(_format_csv_cells(*CSV_COLUMNS, "collision") + "\n")
+            file.writelines(self._csv_lines(touched))
 
 
-def _cells(*cells: object) -> str:
+def _format_csv_cells(*cells: object) -> str:
     """Format cells of a CSV line, without line end."""
     line = io.StringIO()
     # Cells with a line terminator are quoted.

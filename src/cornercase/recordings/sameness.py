@@ -6,28 +6,28 @@ from typing import Final
 
 import numpy as np
 
-from cornercase.recordings.recording import BOX, MOTION, Recording
+from cornercase.recordings.recording import BOX_ARRAYS, MOTION_ARRAYS, Recording
 
-ARRAYS: Final = ("time", *MOTION, *BOX)
+NUMERIC_ARRAYS: Final = ("time", *MOTION_ARRAYS, *BOX_ARRAYS)
 """All numeric arrays of a recording."""
 
 
-def same_bytes(before: Recording, now: Recording) -> bool:
+def are_bitwise_equal(first: Recording, second: Recording) -> bool:
     """Whether entities, collisions and all bits of all numbers are equal; 0.0 differs from -0.0."""
-    facts = [(recording.names, recording.kinds, recording.collisions) for recording in (before, now)]
+    facts = [(recording.names, recording.object_types, recording.collisions) for recording in (first, second)]
     return facts[0] == facts[1] and all(
-        np.asarray(getattr(before, name)).tobytes() == np.asarray(getattr(now, name)).tobytes() for name in ARRAYS
+        np.asarray(getattr(first, name)).tobytes() == np.asarray(getattr(second, name)).tobytes() for name in NUMERIC_ARRAYS
     )
 
 
-def farthest_apart(before: Recording, now: Recording) -> float | None:
+def max_position_difference(first: Recording, second: Recording) -> float | None:
     """Return the largest distance in m of an entity's positions at the same instant; None if not comparable.
 
     Only instants that both recordings have are compared.
     """
-    count = min(len(before.time), len(now.time))
-    if before.names != now.names or not np.array_equal(before.time[:count], now.time[:count]):
+    count = min(len(first.time), len(second.time))
+    if first.names != second.names or not np.array_equal(first.time[:count], second.time[:count]):
         return None
-    distances = np.hypot(before.x[:, :count] - now.x[:, :count], before.y[:, :count] - now.y[:, :count])
+    distances = np.hypot(first.x[:, :count] - second.x[:, :count], first.y[:, :count] - second.y[:, :count])
     finite = distances[np.isfinite(distances)]
     return float(finite.max()) if len(finite) else None

@@ -15,12 +15,12 @@ from cornercase._common.typing import FloatArray
 from cornercase.recordings.recording import Collision, Recording
 
 # Pairs of an entity and an instant: 1 GB.
-_MOST: Final = 20_000_000
-_FARTHEST: Final = 1e9
+_MAX_SAMPLES: Final = 20_000_000
+_MAX_MOTION_VALUE: Final = 1e9
 # Longest box in m.
-_LONGEST: Final = 10_000.0
+_MAX_BOX_SIZE: Final = 10_000.0
 # Largest time in s.
-_LATEST: Final = 1e12
+_MAX_TIME: Final = 1e12
 
 
 @dataclass
@@ -30,7 +30,7 @@ class EntitySamples:
     A sample has x and y of the box center in m, heading in rad, speed and acceleration; NaN for unknown values.
     """
 
-    kind: str
+    object_type: str
     length: float
     width: float
     samples: dict[float, tuple[float, float, float, float, float]] = field(default_factory=dict)
@@ -40,91 +40,91 @@ class EntitySamples:
 class EntityBox:
     """Kind and bounding box of an entity, if the file of its motion lacks them; as in `Recording`."""
 
-    kind: str
+    object_type: str
     length: float
     width: float
 
 
-def box_center(x: float, y: float, heading: float, ahead: float, left: float = 0.0) -> tuple[float, float]:
+def box_center_from_point(x: float, y: float, heading: float, ahead: float, left: float = 0.0) -> tuple[float, float]:
     """Return the center of a box that is `ahead` and `left` m from a point with a heading."""
     # Invalid headings are refused when the recording is created.
     cos, sin = (math.cos(heading), math.sin(heading)) if math.isfinite(heading) else (math.nan, math.nan)
     return x + ahead * cos - left * sin, y + ahead * sin + left * cos
 
 
-def require_size(path: Path, entities: int, instants: int) -> None:
+def require_loadable_size(path: Path, n_entities: int, n_instants: int) -> None:
     """Raise `InputError` if a recording would take too much memory."""
-    if entities * instants > _MOST:
+    if n_entities * n_instants > _MAX_SAMPLES:
         raise InputError(
-            f"{path}: has {entities} entities and {instants} instants; at most {_MOST} pairs of both are read."
+            f"{path}: has {n_entities} entities and {n_instants} instants; at most {_MAX_SAMPLES} pairs of both are read."
         )
 
 
-def require_box(path: Path, name: str, length: float, width: float, center_x: float = 0.0) -> None:
+def require_valid_box(path: Path, name: str, length: float, width: float, center_x: float = 0.0) -> None:
     """Raise `InputError` for an impossible bounding box."""
-    if not (0.0 <= length <= _LONGEST and 0.0 <= width <= _LONGEST and abs(center_x) <= _LONGEST):
+    if not (0.0 <= length <= _MAX_BOX_SIZE and 0.0 <= width <= _MAX_BOX_SIZE and abs(center_x) <= _MAX_BOX_SIZE):
         raise InputError(
-            f"{path}: entity {name} has a box of {length} m x {width} m; lengths from 0 to {_LONGEST:g} m are read."
+            f"{path}: entity {name} has a box of {length} m x {width} m; lengths from 0 to {_MAX_BOX_SIZE:g} m are read."
         )
 
 
-def require_times(path: Path, time: FloatArray) -> None:
+def require_valid_times(path: Path, time: FloatArray) -> None:
     """Raise `InputError` for times that are not finite or too large."""
     if not np.isfinite(time).all():
         raise InputError(f"{path}: has a time that is not finite.")
-    if len(time) and (latest := float(np.abs(time).max())) > _LATEST:
-        raise InputError(f"{path}: has a time of {latest:g} s, at most {_LATEST:g} s are read.")
+    if len(time) and (latest := float(np.abs(time).max())) > _MAX_TIME:
+        raise InputError(f"{path}: has a time of {latest:g} s, at most {_MAX_TIME:g} s are read.")
 
 
-def require_motion(path: Path, motion: FloatArray) -> None:
+def require_valid_motion(path: Path, motion: FloatArray) -> None:
     """Raise `InputError` for impossible motion, shape (5, N); NaN is allowed."""
     worst = np.nanmax(np.abs(motion), initial=0.0, axis=1)
     for name, largest in zip(("position", "position", "heading", "speed", "acceleration"), worst.tolist(), strict=True):
-        if largest > _FARTHEST:
-            raise InputError(f"{path}: has a {name} of {largest:g}, at most {_FARTHEST:g} is read.")
+        if largest > _MAX_MOTION_VALUE:
+            raise InputError(f"{path}: has a {name} of {largest:g}, at most {_MAX_MOTION_VALUE:g} is read.")
 
 
 @np.errstate(all="ignore")
-def recording_of(path: Path, tracks: dict[str, EntitySamples], collisions: Sequence[Collision] = ()) -> Recording:
+def recording_from_samples(path: Path, samples_by_entity: dict[str, EntitySamples], collisions: Sequence[Collision] = ()) -> Recording:
     """Create a recording from samples of entities, by name.
 
     Reference points are the box centers. Missing speeds and accelerations are differences along the heading.
     """
-    time = np.unique([t for track in tracks.values() for t in track.samples])
+    time = np.unique([t for track in samples_by_entity.values() for t in track.samples])
     if not len(time):
         raise InputError(f"{path}: holds no moving entity with a position.")
-    require_times(path, time)
-    require_size(path, len(tracks), len(time))
-    motion = np.full((5, len(tracks), len(time)), np.nan)
-    for row, (name, track) in enumerate(tracks.items()):
-        require_box(path, name, track.length, track.width)
+    require_valid_times(path, time)
+    require_loadable_size(path, len(samples_by_entity), len(time))
+    motion = np.full((5, len(samples_by_entity), len(time)), np.nan)
+    for row, (name, track) in enumerate(samples_by_entity.items()):
+        require_valid_box(path, name, track.length, track.width)
         at = np.searchsorted(time, list(track.samples))
         motion[:, row, at] = np.array(list(track.samples.values())).T
-        require_motion(path, motion[:, row])
+        require_valid_motion(path, motion[:, row])
         x, y, heading, speed, acceleration = motion[:, row]
         exists = np.flatnonzero(np.isfinite(x))
         if np.isnan(speed[exists]).any():
-            along = np.cos(heading) * _rate(time, x, exists) + np.sin(heading) * _rate(time, y, exists)
+            along = np.cos(heading) * _time_derivative(time, x, exists) + np.sin(heading) * _time_derivative(time, y, exists)
             speed[exists] = np.where(np.isnan(speed), along, speed)[exists]
         if np.isnan(acceleration[exists]).any():
-            acceleration[exists] = np.where(np.isnan(acceleration), _rate(time, speed, exists), acceleration)[exists]
+            acceleration[exists] = np.where(np.isnan(acceleration), _time_derivative(time, speed, exists), acceleration)[exists]
     return Recording(
         time=time,
-        names=tuple(tracks),
-        kinds=tuple(track.kind for track in tracks.values()),
+        names=tuple(samples_by_entity),
+        object_types=tuple(track.object_type for track in samples_by_entity.values()),
         x=motion[0],
         y=motion[1],
         heading=motion[2],
         speed=motion[3],
         acceleration=motion[4],
-        length=np.array([track.length for track in tracks.values()]),
-        width=np.array([track.width for track in tracks.values()]),
-        center_x=np.zeros(len(tracks)),
+        length=np.array([track.length for track in samples_by_entity.values()]),
+        width=np.array([track.width for track in samples_by_entity.values()]),
+        center_x=np.zeros(len(samples_by_entity)),
         collisions=tuple(collisions),
     )
 
 
-def _rate(time: FloatArray, values: FloatArray, exists: np.ndarray[tuple[int], np.dtype[np.int64]]) -> FloatArray:
+def _time_derivative(time: FloatArray, values: FloatArray, exists: np.ndarray[tuple[int], np.dtype[np.int64]]) -> FloatArray:
     rate = np.zeros_like(values)
     if len(exists) > 1:
         rate[exists] = np.gradient(values[exists], time[exists])

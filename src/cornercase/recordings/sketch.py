@@ -8,13 +8,13 @@ import numpy as np
 
 from cornercase._common.typing import FloatArray
 
-COLORS: Final = ("#1f77b4", "#d62728", "#2ca02c", "#9467bd", "#ff7f0e", "#8c564b", "#e377c2", "#7f7f7f")
+TRACK_COLORS: Final = ("#1f77b4", "#d62728", "#2ca02c", "#9467bd", "#ff7f0e", "#8c564b", "#e377c2", "#7f7f7f")
 # Size and margin in pixels, and largest number of points of a track.
 _WIDTH, _HEIGHT, _MARGIN = 420.0, 240.0, 8.0
-_POINTS: Final = 400
+_MAX_POINTS: Final = 400
 
 
-def tracks_as_svg(x: FloatArray, y: FloatArray) -> str:
+def draw_tracks(x: FloatArray, y: FloatArray) -> str:
     """Draw tracks in the order of `TRACK_COLORS`, with a dot at the start; empty if no entity ever exists.
 
     x and y are in m, shape (A, T), NaN while an entity does not exist.
@@ -28,13 +28,13 @@ def tracks_as_svg(x: FloatArray, y: FloatArray) -> str:
     width, height = scale * (right - left) + 2 * _MARGIN, scale * (high - low) + 2 * _MARGIN
     elements = []
     for a in range(len(x)):
-        color = COLORS[a % len(COLORS)]
+        color = TRACK_COLORS[a % len(TRACK_COLORS)]
         across, down = _MARGIN + scale * (x[a] - left), _MARGIN + scale * (high - y[a])
         # Interrupt the track while the entity does not exist.
         for piece in np.split(np.arange(x.shape[1]), np.flatnonzero(np.diff(exists[a])) + 1):
             if not exists[a, piece[0]]:
                 continue
-            shown = piece[np.unique(np.linspace(0, len(piece) - 1, min(len(piece), _POINTS)).astype(int))]
+            shown = piece[np.unique(np.linspace(0, len(piece) - 1, min(len(piece), _MAX_POINTS)).astype(int))]
             points = " ".join(f"{across[k]:.1f},{down[k]:.1f}" for k in shown)
             elements.append(f'<polyline points="{points}" fill="none" stroke="{color}" stroke-width="2"/>')
         for k in np.flatnonzero(exists[a])[:1]:

@@ -15,18 +15,18 @@ from threadpoolctl import threadpool_limits
 from cornercase._common.errors import InputError
 from cornercase._common.typing import FloatArray, IntArray
 
-MOST_ARCHETYPES: Final = 15
+MAX_ARCHETYPES: Final = 15
 """Number per hull in the paper."""
 
 # An archetype is added as long as it explains at least this share of the variance.
-_ELBOW: Final = 0.02
+_MIN_EXPLAINED_GAIN: Final = 0.02
 # Kernel width relative to the median distance within the cluster; narrow enough that every scenario along a horseshoe
 # is extreme in kernel space.
-_GAMMA: Final = 4.0
+_KERNEL_GAMMA: Final = 4.0
 # The time grows with the cube of the number of scenarios.
-_MOST_IN_KERNEL: Final = 2000
+_MAX_IN_KERNEL: Final = 2000
 # The same for studies with landmarks, where more would take minutes.
-_MOST_SPREAD: Final = 400
+_MAX_EVENLY_SPACED: Final = 400
 _KEPT_VARIANCE: Final = 0.99
 _ITERATIONS: Final = 300
 
@@ -40,10 +40,10 @@ class Archetypes:
     """
 
     indices: IntArray
-    explained: tuple[float, ...]
+    explained_variance: tuple[float, ...]
 
 
-def find_archetypes(points: FloatArray, k: int | None = None, *, most: int = MOST_ARCHETYPES) -> Archetypes:
+def find_archetypes(points: FloatArray, k: int | None = None, *, max_k: int = MAX_ARCHETYPES) -> Archetypes:
     """Find k archetypes: every point is approximately a mixture of them. They are snapped to the nearest scenarios.
 
     By default `k` is at the bend of the curve of the explained variance: the first number, up to `max_k`, after which
@@ -53,43 +53,43 @@ def find_archetypes(points: FloatArray, k: int | None = None, *, most: int = MOS
     points = np.asarray(points, dtype=np.float64)
     if points.ndim != 2 or not len(points):
         raise InputError(f"Points of shape {points.shape} have no archetypes; give shape (n, d) with n at least 1.")
-    if (most if k is None else k) < 1:
-        raise InputError(f"`{'most' if k is None else 'k'}` {most if k is None else k}: give at least 1.")
+    if (max_k if k is None else k) < 1:
+        raise InputError(f"`{'most' if k is None else 'k'}` {max_k if k is None else k}: give at least 1.")
     distinct = np.unique(points, axis=0)
     variance = float(((points - points.mean(axis=0)) ** 2).sum())
     if len(distinct) <= (1 if k is None else k) or variance == 0.0:
-        return Archetypes(_snapped(distinct, points), (1.0,))
+        return Archetypes(_snap_to_points(distinct, points), (1.0,))
     if k is not None:
-        archetypes, residual = _fitted(points, k)
-        return Archetypes(_snapped(archetypes, points), (1.0 - residual / variance,))
+        archetypes, residual = _fit_archetypal_analysis(points, k)
+        return Archetypes(_snap_to_points(archetypes, points), (1.0 - residual / variance,))
     explained: list[float] = []
     best = points.mean(axis=0, keepdims=True)
-    for number in range(1, min(most, len(distinct) - 1) + 1):
-        archetypes, residual = _fitted(points, number)
+    for number in range(1, min(max_k, len(distinct) - 1) + 1):
+        archetypes, residual = _fit_archetypal_analysis(points, number)
         share = 1.0 - residual / variance
-        if explained and share - explained[-1] < _ELBOW:
+        if explained and share - explained[-1] < _MIN_EXPLAINED_GAIN:
             break
         explained.append(share)
         best = archetypes
-    return Archetypes(_snapped(best, points), tuple(explained))
+    return Archetypes(_snap_to_points(best, points), tuple(explained))
 
 
-def find_kernel_archetypes(distances: FloatArray, k: int) -> Archetypes:
+def find_kernel_archetypes(cluster_distances: FloatArray, k: int) -> Archetypes:
     """Find k archetypes of a cluster in the space of a Gaussian kernel of distances, shape (n, n).
 
     The kernel falls so fast that scenarios far apart along a bent cluster are unrelated, so archetypes spread all along
     it. Coordinates are those whose inner products are the centred kernel. Of more than 2,000 scenarios, 2,000 are used,
     evenly spaced by the sum of their distances to the others.
     """
-    if len(distances) > _MOST_IN_KERNEL:
-        order = np.argsort(distances.sum(axis=1), kind="stable")
-        sample = np.sort(order[np.linspace(0, len(order) - 1, _MOST_IN_KERNEL).astype(np.int64)])
-        archetypes = find_kernel_archetypes(distances[np.ix_(sample, sample)], k)
-        return Archetypes(np.asarray(sample[archetypes.indices], dtype=np.int64), archetypes.explained)
-    positive = distances[distances > 0.0]
+    if len(cluster_distances) > _MAX_IN_KERNEL:
+        order = np.argsort(cluster_distances.sum(axis=1), kind="stable")
+        sample = np.sort(order[np.linspace(0, len(order) - 1, _MAX_IN_KERNEL).astype(np.int64)])
+        archetypes = find_kernel_archetypes(cluster_distances[np.ix_(sample, sample)], k)
+        return Archetypes(np.asarray(sample[archetypes.indices], dtype=np.int64), archetypes.explained_variance)
+    positive = cluster_distances[cluster_distances > 0.0]
     if not len(positive):
-        return find_archetypes(np.zeros((len(distances), 1)), k)
-    kernel = np.exp(-_GAMMA * (distances / np.median(positive)) ** 2)
+        return find_archetypes(np.zeros((len(cluster_distances), 1)), k)
+    kernel = np.exp(-_KERNEL_GAMMA * (cluster_distances / np.median(positive)) ** 2)
     centred = kernel - kernel.mean(axis=0)
     centred -= centred.mean(axis=1)[:, None]
     # The last digits would depend on the number of BLAS threads.
@@ -100,13 +100,13 @@ def find_kernel_archetypes(distances: FloatArray, k: int) -> Archetypes:
     return find_archetypes(vectors[:, :n_axes] * np.sqrt(values[:n_axes]), k)
 
 
-def spread(members: IntArray) -> IntArray:
+def pick_evenly_spaced(members: IntArray) -> IntArray:
     """Return at most 400 of the members, evenly spaced in their order, so that archetypal analysis is fast."""
-    count = min(_MOST_SPREAD, len(members))
+    count = min(_MAX_EVENLY_SPACED, len(members))
     return members[np.linspace(0, len(members) - 1, count).astype(np.int64)]
 
 
-def _fitted(points: FloatArray, k: int) -> tuple[FloatArray, float]:
+def _fit_archetypal_analysis(points: FloatArray, k: int) -> tuple[FloatArray, float]:
     """Archetypes, shape (k, d), and the residual sum of squares."""
     # The package prints its array library on import.
     with redirect_stdout(io.StringIO()):
@@ -117,9 +117,9 @@ def _fitted(points: FloatArray, k: int) -> tuple[FloatArray, float]:
     return np.asarray(model.archetypes_, dtype=np.float64), float(model.rss_)
 
 
-def _snapped(places: FloatArray, points: FloatArray) -> IntArray:
+def _snap_to_points(archetypes: FloatArray, points: FloatArray) -> IntArray:
     """Nearest point to each archetype, none twice, shape (k,)."""
-    distances = cdist(places, points)
+    distances = cdist(archetypes, points)
     nearest: list[int] = []
     for row in distances:
         row[nearest] = np.inf

@@ -8,20 +8,20 @@ from typing import Literal
 
 import numpy as np
 
-from cornercase._common.progress import step
+from cornercase._common.progress import progress_step
 from cornercase._common.typing import BoolArray, FloatArray, IntArray
 from cornercase.clustering import Distances
-from cornercase.reduction.cluster_selection import choose_by_cluster
-from cornercase.reduction.cluster_shapes import ArchetypeMethod, ShapedCluster, find_shapes
-from cornercase.reduction.draws import part_of
-from cornercase.reduction.exposing import choose_exposing
-from cornercase.reduction.held_out import Trial, divide
-from cornercase.reduction.kept import Kept, Selection
-from cornercase.reduction.selection import choose_scenarios
+from cornercase.reduction.cluster_selection import select_per_cluster
+from cornercase.reduction.cluster_shapes import ArchetypeMethod, ShapedCluster, classify_cluster_shapes
+from cornercase.reduction.draws import submatrix
+from cornercase.reduction.exposing import select_killing
+from cornercase.reduction.held_out import Fold, draw_folds
+from cornercase.reduction.kept import Selected, Selection
+from cornercase.reduction.selection import select_scenarios
 
 
 @dataclass(frozen=True)
-class Wish:
+class SelectionRequest:
     """How many scenarios to select, and of what role; one of `size`, `cover` and `archetypes` is given.
 
     `cover` is the largest distance left, as a share of the largest one; `archetypes` is the number per cluster, besides
@@ -35,7 +35,7 @@ class Wish:
 
 
 @dataclass(frozen=True, eq=False)
-class Material:
+class SelectionInput:
     """Scenarios to select from.
 
     `points`, shape (n, d), are in the unit cube; `distances` are those of all clusterings; `labels`, `embedding` and
@@ -47,60 +47,60 @@ class Material:
     distances: Sequence[Distances]
     labels: IntArray
     embedding: FloatArray
-    critical: Sequence[int]
-    exposed: BoolArray | None = None
+    critical_clusters: Sequence[int]
+    kills: BoolArray | None = None
 
-    def part(self, rows: IntArray) -> Material:
+    def subset(self, rows: IntArray) -> SelectionInput:
         """Return some of the scenarios; the clusters remain those of all."""
-        return Material(
+        return SelectionInput(
             self.points[rows],
-            [part_of(matrix, rows, rows) for matrix in self.distances],
+            [submatrix(matrix, rows, rows) for matrix in self.distances],
             self.labels[rows],
             self.embedding[rows],
-            self.critical,
-            None if self.exposed is None else self.exposed[rows],
+            self.critical_clusters,
+            None if self.kills is None else self.kills[rows],
         )
 
 
-def choose(material: Material, wish: Wish) -> tuple[tuple[Kept, ...], tuple[ShapedCluster, ...]]:
+def select(selection_input: SelectionInput, request: SelectionRequest) -> tuple[tuple[Selected, ...], tuple[ShapedCluster, ...]]:
     """Select scenarios; return them in order, and how archetypes were found for each cluster."""
-    points, labels = material.points, material.labels
-    shaped = find_shapes(points, labels, material.embedding, wish.archetypes_by)
-    if wish.archetypes is not None:
-        selected = choose_by_cluster(points, material.distances[0], labels, archetypes=wish.archetypes, shaped=shaped)
+    points, labels = selection_input.points, selection_input.labels
+    shaped = classify_cluster_shapes(points, labels, selection_input.embedding, request.archetypes_by)
+    if request.archetypes is not None:
+        selected = select_per_cluster(points, selection_input.distances[0], labels, archetypes=request.archetypes, shaped_clusters=shaped)
     else:
-        selected = choose_scenarios(
-            points, material.distances, labels, material.critical, size=wish.size, cover=wish.cover, shaped=shaped
+        selected = select_scenarios(
+            points, selection_input.distances, labels, selection_input.critical_clusters, size=request.size, cover=request.cover, shaped_clusters=shaped
         )
-    if material.exposed is not None:
-        selected = _exposing_first(material, selected)
+    if selection_input.kills is not None:
+        selected = _put_killing_first(selection_input, selected)
     return selected, shaped
 
 
-def _exposing_first(material: Material, others: Sequence[Kept]) -> tuple[Kept, ...]:
+def _put_killing_first(selection_input: SelectionInput, selected: Sequence[Selected]) -> tuple[Selected, ...]:
     """Replace the last scenarios by ones that kill mutants, which come first."""
-    assert material.exposed is not None
-    distances, labels = material.distances, material.labels
-    selection = Selection(distances, len(others))
-    for index in choose_exposing(material.exposed, selection.apart, len(others)):
-        selection.keep(Kept(index, int(labels[index]), "exposing"))
-    for candidate in others:
-        selection.keep(candidate)
-    return tuple(selection.kept)
+    assert selection_input.kills is not None
+    distances, labels = selection_input.distances, selection_input.labels
+    selection = Selection(distances, len(selected))
+    for index in select_killing(selection_input.kills, selection.distances_to, len(selected)):
+        selection.add(Selected(index, int(labels[index]), "exposing"))
+    for candidate in selected:
+        selection.add(candidate)
+    return tuple(selection.selected)
 
 
-def try_choice(material: Material, wish: Wish) -> list[Trial]:
+def cross_validate(selection_input: SelectionInput, request: SelectionRequest) -> list[Fold]:
     """Cross-validate the selection.
 
     Clusters are not recomputed per fold, so held-out scenarios have influenced them.
     """
-    indices = np.arange(len(material.labels))
+    indices = np.arange(len(selection_input.labels))
     folds = []
-    parts = list(divide(len(indices)))
-    with step(len(parts), "choosing", "sets, to judge the choice") as update_progress:
+    parts = list(draw_folds(len(indices)))
+    with progress_step(len(parts), "choosing", "sets, to judge the choice") as update_progress:
         for judging in parts:
             rows = np.setdiff1d(indices, judging)
-            selected, _ = choose(material.part(rows), wish)
-            folds.append(Trial(rows, rows[[scenario.index for scenario in selected]], judging))
+            selected, _ = select(selection_input.subset(rows), request)
+            folds.append(Fold(rows, rows[[scenario.index for scenario in selected]], judging))
             update_progress(len(folds))
     return folds

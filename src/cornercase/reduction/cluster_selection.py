@@ -10,24 +10,24 @@ import numpy as np
 import numpy.typing as npt
 
 from cornercase._common.errors import InputError
-from cornercase.clustering import PlacedDistances
-from cornercase.reduction.archetypal_analysis import MOST_ARCHETYPES
-from cornercase.reduction.cluster_shapes import ShapedCluster, find_shapes
-from cornercase.reduction.kept import Kept
+from cornercase.clustering import EmbeddedDistances
+from cornercase.reduction.archetypal_analysis import MAX_ARCHETYPES
+from cornercase.reduction.cluster_shapes import ShapedCluster, classify_cluster_shapes
+from cornercase.reduction.kept import Selected
 from cornercase.reduction.medoids import find_prototype
 
-PER_KEPT: Final = 10
+SCENARIOS_PER_SELECTED: Final = 10
 """One of this many scenarios is selected, in the paper and by default."""
 
 
-def choose_by_cluster(
+def select_per_cluster(
     points: npt.ArrayLike,
-    distances: npt.ArrayLike | PlacedDistances,
+    distances: npt.ArrayLike | EmbeddedDistances,
     labels: npt.ArrayLike,
     *,
     archetypes: int | Literal["auto"] = "auto",
-    shaped: Sequence[ShapedCluster] | None = None,
-) -> tuple[Kept, ...]:
+    shaped_clusters: Sequence[ShapedCluster] | None = None,
+) -> tuple[Selected, ...]:
     """Select the prototype and at most `archetypes` archetypes of each cluster, as in the paper; noise is left out.
 
     ``"auto"`` selects about a tenth of all scenarios, prototypes included: ``n // (10 * clusters) - 1`` archetypes, but
@@ -36,7 +36,7 @@ def choose_by_cluster(
     `points`, shape (n, d), are in the unit cube; `shaped_clusters` defaults to the paper's hulls.
     """
     points = np.asarray(points, dtype=np.float64)
-    distances = distances if isinstance(distances, PlacedDistances) else np.asarray(distances, dtype=np.float64)
+    distances = distances if isinstance(distances, EmbeddedDistances) else np.asarray(distances, dtype=np.float64)
     label_array = np.asarray(labels, dtype=np.int64)
     n = len(label_array)
     if points.ndim != 2 or len(points) != n or distances.shape != (n, n):
@@ -44,23 +44,23 @@ def choose_by_cluster(
             f"There are {n} labels, points of shape {points.shape} and distances of shape {distances.shape}; "
             "give all for the same scenarios."
         )
-    clusters = find_shapes(points, label_array, method="hull") if shaped is None else shaped
+    clusters = classify_cluster_shapes(points, label_array, method="hull") if shaped_clusters is None else shaped_clusters
     if archetypes == "auto":
-        fewest = min(points.shape[1] + 1, MOST_ARCHETYPES)
-        max_archetypes = int(np.clip(n // (PER_KEPT * max(1, len(clusters))) - 1, fewest, MOST_ARCHETYPES))
+        fewest = min(points.shape[1] + 1, MAX_ARCHETYPES)
+        max_archetypes = int(np.clip(n // (SCENARIOS_PER_SELECTED * max(1, len(clusters))) - 1, fewest, MAX_ARCHETYPES))
     elif isinstance(archetypes, (int, np.integer)) and not isinstance(archetypes, bool) and archetypes >= 1:
         max_archetypes = int(archetypes)
     else:
         raise InputError(f"`archetypes` {archetypes!r}: give a whole number of at least 1, or 'auto'.")
 
-    selected: list[Kept] = []
+    selected: list[Selected] = []
     for cluster in clusters:
         prototype = find_prototype(distances, np.flatnonzero(label_array == cluster.shape.cluster))
-        selected.append(Kept(prototype, cluster.shape.cluster, "prototype"))
+        selected.append(Selected(prototype, cluster.shape.cluster, "prototype"))
         # A scenario with the parameters of the prototype would add nothing.
         others = [part[(points[part] != points[prototype]).any(axis=1)] for part in cluster.parts]
         remaining = replace(cluster, parts=tuple(part for part in others if len(part)))
         if remaining.parts:
-            corners = remaining.archetypes(points, distances, max_archetypes)
-            selected.extend(Kept(index, cluster.shape.cluster, "archetype") for index in corners.tolist())
+            corners = remaining.find_archetypes(points, distances, max_archetypes)
+            selected.extend(Selected(index, cluster.shape.cluster, "archetype") for index in corners.tolist())
     return tuple(selected)

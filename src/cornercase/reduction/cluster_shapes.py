@@ -8,12 +8,12 @@ from typing import Literal, get_args
 
 import numpy as np
 
-from cornercase._common.errors import InputError, suggestion
+from cornercase._common.errors import InputError, suggest_name
 from cornercase._common.typing import FloatArray, IntArray
-from cornercase.clustering import Distances, PlacedDistances
-from cornercase.reduction.archetypal_analysis import find_archetypes, find_kernel_archetypes, spread
-from cornercase.reduction.convexity import CONVEX, find_convex_parts, measure_convexity
-from cornercase.reduction.hulls import MOST_HULL_DIMENSIONS, find_hull_archetypes
+from cornercase.clustering import Distances, EmbeddedDistances
+from cornercase.reduction.archetypal_analysis import find_archetypes, find_kernel_archetypes, pick_evenly_spaced
+from cornercase.reduction.convexity import MIN_CONVEXITY, split_into_convex_parts, measure_convexity
+from cornercase.reduction.hulls import MAX_HULL_DIMENSIONS, find_hull_archetypes
 
 ArchetypeMethod = Literal["auto", "hull", "pcha", "parts", "kernel"]
 """How archetypes are found; ``"auto"`` depends on the convexity of each cluster."""
@@ -51,18 +51,18 @@ class ShapedCluster:
     shape: ClusterShape
     parts: tuple[IntArray, ...]
 
-    def archetypes(self, points: FloatArray, distances: Distances, most: int) -> IntArray:
+    def find_archetypes(self, points: FloatArray, distances: Distances, max_count: int) -> IntArray:
         """Return at most `max_count` extreme scenarios of the cluster, by index; parts get shares by their size."""
         (whole, *more) = self.parts
-        if self.shape.method in ("kernel", "pcha") and isinstance(distances, PlacedDistances):
-            whole = spread(whole)
+        if self.shape.method in ("kernel", "pcha") and isinstance(distances, EmbeddedDistances):
+            whole = pick_evenly_spaced(whole)
         if self.shape.method == "kernel":
-            return whole[find_kernel_archetypes(distances[np.ix_(whole, whole)], most).indices]
+            return whole[find_kernel_archetypes(distances[np.ix_(whole, whole)], max_count).indices]
         if self.shape.method == "pcha":
-            return whole[find_archetypes(points[whole], most=most).indices]
+            return whole[find_archetypes(points[whole], max_k=max_count).indices]
         if not more:
-            return whole[find_hull_archetypes(points[whole], most)]
-        numbers = divide_fairly(most, [len(part) for part in self.parts])
+            return whole[find_hull_archetypes(points[whole], max_count)]
+        numbers = divide_in_proportion(max_count, [len(part) for part in self.parts])
         indices = [
             part[find_hull_archetypes(points[part], number)]
             for part, number in zip(self.parts, numbers, strict=True)
@@ -71,7 +71,7 @@ class ShapedCluster:
         return np.sort(np.concatenate(indices))
 
 
-def find_shapes(
+def classify_cluster_shapes(
     points: FloatArray, labels: IntArray, embedding: FloatArray | None = None, method: ArchetypeMethod = "auto"
 ) -> tuple[ShapedCluster, ...]:
     """Decide for each cluster how its archetypes are found, cluster 0 first.
@@ -89,9 +89,9 @@ def find_shapes(
         kernel_convexity = float("nan") if embedding is None else measure_convexity(embedding, members)
         chosen_method: str = method
         if method == "auto":
-            convex = "hull" if points.shape[1] <= MOST_HULL_DIMENSIONS else "pcha"
-            chosen_method = "kernel" if kernel_convexity < CONVEX else convex if convexity >= CONVEX else "parts"
-        parts = tuple(find_convex_parts(points, members)) if chosen_method == "parts" else whole
+            convex = "hull" if points.shape[1] <= MAX_HULL_DIMENSIONS else "pcha"
+            chosen_method = "kernel" if kernel_convexity < MIN_CONVEXITY else convex if convexity >= MIN_CONVEXITY else "parts"
+        parts = tuple(split_into_convex_parts(points, members)) if chosen_method == "parts" else whole
         if not parts:
             chosen_method, parts = "kernel", whole
         shaped.append(ShapedCluster(ClusterShape(label, convexity, kernel_convexity, chosen_method, len(parts)), parts))
@@ -101,14 +101,14 @@ def find_shapes(
 def require_archetype_method(method: str) -> None:
     """Raise `InputError` unless there is such a method."""
     if method not in get_args(ArchetypeMethod):
-        raise InputError(f"`archetypes_by` {method}: {suggestion(method, get_args(ArchetypeMethod))}")
+        raise InputError(f"`archetypes_by` {method}: {suggest_name(method, get_args(ArchetypeMethod))}")
 
 
-def divide_fairly(count: int, weights: Sequence[float]) -> list[int]:
+def divide_in_proportion(total: int, weights: Sequence[float]) -> list[int]:
     """Divide `total` into whole numbers in proportion to weights, by largest remainders."""
     if not len(weights):
         return []
-    share = count * np.asarray(weights, dtype=np.float64) / np.sum(weights)
+    share = total * np.asarray(weights, dtype=np.float64) / np.sum(weights)
     whole_numbers = np.floor(share).astype(np.int64)
-    whole_numbers[np.argsort(whole_numbers - share, kind="stable")[: count - int(whole_numbers.sum())]] += 1
+    whole_numbers[np.argsort(whole_numbers - share, kind="stable")[: total - int(whole_numbers.sum())]] += 1
     return [int(number) for number in whole_numbers]

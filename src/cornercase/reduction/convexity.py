@@ -10,17 +10,17 @@ from threadpoolctl import threadpool_limits
 
 from cornercase._common.typing import BoolArray, FloatArray, IntArray
 
-CONVEX: Final = 0.8
+MIN_CONVEXITY: Final = 0.8
 """Convexity from which a cluster counts as convex."""
 
 # Largest number of pairs: all pairs of 200 scenarios.
-_PAIRS: Final = 20_000
-_ALONG: Final = (0.25, 0.5, 0.75)
-_REACH: Final = 0.95
-_MOST_PARTS: Final = 6
+_MAX_PAIRS: Final = 20_000
+_SAMPLE_POSITIONS: Final = (0.25, 0.5, 0.75)
+_NEIGHBOUR_QUANTILE: Final = 0.95
+_MAX_PARTS: Final = 6
 
 
-def measure_convexity(points: FloatArray, members: BoolArray) -> float:
+def measure_convexity(points: FloatArray, is_member: BoolArray) -> float:
     """Measure how much of the space between the members of a cluster belongs to it, 0 to 1.
 
     Three points are sampled on the line between any two members, evenly spaced. A point belongs to the cluster if the
@@ -28,54 +28,54 @@ def measure_convexity(points: FloatArray, members: BoolArray) -> float:
     neighbour in the cluster. About 1 for a ball and a cube, 0.6 for a thin horseshoe; 1 for up to d + 1 members, which
     say too little.
     """
-    cluster_points = points[members]
+    cluster_points = points[is_member]
     count, dimensions = cluster_points.shape
     if count <= dimensions + 1:
         return 1.0
     to_others = np.asarray(cKDTree(cluster_points).query(cluster_points, k=min(2 * dimensions, count - 1) + 1)[0])
-    reach = float(np.quantile(to_others[:, -1], _REACH))
-    first, second = _spread_pairs(count)
+    reach = float(np.quantile(to_others[:, -1], _NEIGHBOUR_QUANTILE))
+    first, second = _evenly_spaced_pairs(count)
     tree = cKDTree(points)
     n_inside = 0
-    for share in _ALONG:
+    for share in _SAMPLE_POSITIONS:
         distance, nearest = tree.query((1.0 - share) * cluster_points[first] + share * cluster_points[second])
-        n_inside += int((members[nearest] & (distance <= reach)).sum())
-    return n_inside / (len(_ALONG) * len(first))
+        n_inside += int((is_member[nearest] & (distance <= reach)).sum())
+    return n_inside / (len(_SAMPLE_POSITIONS) * len(first))
 
 
-def _spread_pairs(count: int) -> tuple[IntArray, IntArray]:
+def _evenly_spaced_pairs(n_points: int) -> tuple[IntArray, IntArray]:
     """Evenly spaced pairs out of all pairs of `n_points` scenarios; all if there are few."""
-    pairs = count * (count - 1) // 2
-    sample = np.linspace(0, pairs - 1, min(pairs, _PAIRS)).astype(np.int64)
-    rows = np.arange(count)
+    pairs = n_points * (n_points - 1) // 2
+    sample = np.linspace(0, pairs - 1, min(pairs, _MAX_PAIRS)).astype(np.int64)
+    rows = np.arange(n_points)
     # Number of pairs before those of each scenario with later ones.
-    before = rows * (2 * count - rows - 1) // 2
+    before = rows * (2 * n_points - rows - 1) // 2
     first = np.searchsorted(before, sample, side="right") - 1
     return first, sample - before[first] + first + 1
 
 
-def find_convex_parts(points: FloatArray, members: BoolArray) -> list[IntArray]:
+def split_into_convex_parts(points: FloatArray, is_member: BoolArray) -> list[IntArray]:
     """Divide a cluster into the smallest number of convex parts that k-means finds, as indices, the largest part first.
 
     One part if the cluster is convex; none if six parts are not enough.
     """
-    indices = np.flatnonzero(members)
-    if measure_convexity(points, members) >= CONVEX:
+    indices = np.flatnonzero(is_member)
+    if measure_convexity(points, is_member) >= MIN_CONVEXITY:
         return [indices]
     from sklearn.cluster import KMeans
 
-    for count in range(2, min(_MOST_PARTS, len(indices)) + 1):
+    for count in range(2, min(_MAX_PARTS, len(indices)) + 1):
         with threadpool_limits(limits=1):
             labels = KMeans(count, n_init=10, random_state=0).fit_predict(points[indices])
         parts = [indices[labels == k] for k in range(count)]
-        if all(_alone(points, members, part) >= CONVEX for part in parts):
+        if all(_convexity_of_part(points, is_member, part) >= MIN_CONVEXITY for part in parts):
             return sorted(parts, key=lambda part: (-len(part), int(part[0])))
     return []
 
 
-def _alone(points: FloatArray, members: BoolArray, part: IntArray) -> float:
+def _convexity_of_part(points: FloatArray, is_member: BoolArray, part: IntArray) -> float:
     """Convexity of a part, ignoring the other parts of its cluster."""
-    is_visible = ~members
+    is_visible = ~is_member
     is_visible[part] = True
     is_part = np.zeros(len(points), dtype=np.bool_)
     is_part[part] = True

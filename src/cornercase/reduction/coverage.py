@@ -9,10 +9,10 @@ import numpy.typing as npt
 
 from cornercase._common.errors import InputError
 from cornercase._common.typing import FloatArray, IntArray
-from cornercase.clustering import Distances, PlacedDistances
-from cornercase.reduction.draws import DRAWS, draw_choices, nearest, nearest_of
-from cornercase.reduction.held_out import HeldOut, summarize
-from cornercase.reduction.medoids import choose_medoids
+from cornercase.clustering import Distances, EmbeddedDistances
+from cornercase.reduction.draws import DEFAULT_DRAWS, draw_random_selections, distances_to_nearest, distances_to_nearest_per_selection
+from cornercase.reduction.held_out import HeldOut, summarize_distances
+from cornercase.reduction.medoids import find_k_medoids
 
 
 @dataclass(frozen=True)
@@ -58,57 +58,57 @@ class Coverage:
 
 
 @dataclass(frozen=True, eq=False)
-class Gaps:
+class NearestDistances:
     """Distances from every scenario to the nearest selected one, by selection.
 
     `to_selected` and `to_medoids`, shape (n,), are for the reduced set and for as many k-medoids; `to_random`, shape
     (draws, n), for random selections of the same size.
     """
 
-    kept: FloatArray
-    medoids: FloatArray
-    random: FloatArray
+    to_selected: FloatArray
+    to_medoids: FloatArray
+    to_random: FloatArray
 
 
-def measure_gaps(distances: Distances, kept: npt.ArrayLike, *, draws: int = DRAWS, seed: int = 0) -> Gaps:
+def measure_nearest_distances(distances: Distances, selected: npt.ArrayLike, *, draws: int = DEFAULT_DRAWS, seed: int = 0) -> NearestDistances:
     """Measure the distance of every scenario to the nearest selected one, k-medoid, and randomly selected one.
 
     The random selections differ from those that `select_scenarios` sees. An index that is given twice counts once.
     """
-    indices = np.unique(np.asarray(kept, dtype=np.int64))
-    random = draw_choices(len(distances), len(indices), stream="grading", draws=draws, seed=seed)
-    return Gaps(
-        nearest(distances, indices),
-        nearest(distances, choose_medoids(distances, len(indices))),
-        nearest_of(distances, random),
+    indices = np.unique(np.asarray(selected, dtype=np.int64))
+    random = draw_random_selections(len(distances), len(indices), stream="grading", draws=draws, seed=seed)
+    return NearestDistances(
+        distances_to_nearest(distances, indices),
+        distances_to_nearest(distances, find_k_medoids(distances, len(indices))),
+        distances_to_nearest_per_selection(distances, random),
     )
 
 
-def redrawn(gaps: Gaps, distances: Distances, kept: IntArray, seed: int) -> Gaps:
+def redraw_random_selections(nearest_distances: NearestDistances, distances: Distances, selected: IntArray, seed: int) -> NearestDistances:
     """Replace the random selections by those of another seed than 0."""
     if not seed:
-        return gaps
-    random = draw_choices(len(distances), len(np.unique(kept)), stream="grading", seed=seed)
-    return replace(gaps, random=nearest_of(distances, random))
+        return nearest_distances
+    random = draw_random_selections(len(distances), len(np.unique(selected)), stream="grading", seed=seed)
+    return replace(nearest_distances, to_random=distances_to_nearest_per_selection(distances, random))
 
 
 def measure_coverage(
-    distances: npt.ArrayLike | PlacedDistances,
-    kept: npt.ArrayLike,
+    distances: npt.ArrayLike | EmbeddedDistances,
+    selected: npt.ArrayLike,
     *,
     ids: npt.ArrayLike | None = None,
-    draws: int = DRAWS,
+    draws: int = DEFAULT_DRAWS,
     seed: int = 0,
-    gaps: Gaps | None = None,
+    nearest_distances: NearestDistances | None = None,
 ) -> Coverage:
     """Measure how well the selected scenarios, by index, represent all; `ids` name the worst one.
 
     `nearest_distances` saves computing them again.
     """
-    matrix = distances if isinstance(distances, PlacedDistances) else np.asarray(distances, dtype=np.float64)
+    matrix = distances if isinstance(distances, EmbeddedDistances) else np.asarray(distances, dtype=np.float64)
     if len(matrix.shape) != 2 or matrix.shape[0] != matrix.shape[1]:
         raise InputError(f"A distance matrix of shape {matrix.shape} is not square; give shape (n, n).")
-    indices = np.unique(np.asarray(kept, dtype=np.int64))
+    indices = np.unique(np.asarray(selected, dtype=np.int64))
     n = len(matrix)
     if not len(indices):
         raise InputError("No scenario is selected, so nothing is covered; select at least one.")
@@ -116,11 +116,11 @@ def measure_coverage(
         raise InputError(f"A selected scenario is not among the {n} of the distance matrix; give indices from 0.")
     names = np.arange(n) if ids is None else np.asarray(ids, dtype=np.int64)
     extent = float(matrix.max())
-    all_gaps = measure_gaps(matrix, indices, draws=draws, seed=seed) if gaps is None else gaps
-    figures = summarize(all_gaps.kept, all_gaps.medoids, all_gaps.random)
+    all_gaps = measure_nearest_distances(matrix, indices, draws=draws, seed=seed) if nearest_distances is None else nearest_distances
+    figures = summarize_distances(all_gaps.to_selected, all_gaps.to_medoids, all_gaps.to_random)
     return Coverage(
         kept=len(indices),
-        worst=int(names[all_gaps.kept.argmax()]),
+        worst=int(names[all_gaps.to_selected.argmax()]),
         largest_relative=figures["largest"] / extent if extent else 0.0,
         mean_relative=figures["mean"] / extent if extent else 0.0,
         held_out=None,

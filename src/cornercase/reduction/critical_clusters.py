@@ -15,13 +15,13 @@ def find_critical_clusters(study: Study, analysis: Analysis) -> list[int]:
     If that holds for all clusters, or there is no threshold, the one cluster with the most critical median.
     """
     meta = study.meta
-    objective, labels = Objective.of_study(meta), analysis.labels
+    objective, labels = Objective.from_study_meta(meta), analysis.labels
     metric = objective.metrics[0]
-    scores = dict(zip((row.id for row in study.done()), study.scores(metric.name).tolist(), strict=True))
-    oriented = metric.oriented(np.array([scores[i] for i in analysis.ids.tolist()]))
+    scores = dict(zip((row.id for row in study.finished_rows()), study.scores(metric.name).tolist(), strict=True))
+    oriented = metric.to_minimize(np.array([scores[i] for i in analysis.ids.tolist()]))
     clusters = list(range(analysis.clustering.n_clusters))
     medians = {label: float(np.median(oriented[labels == label])) for label in clusters}
     critical = clusters
     if study.critical is not None and not objective.weights and not objective.pareto:
-        critical = [label for label in clusters if medians[label] <= objective.flip(study.critical)]
+        critical = [label for label in clusters if medians[label] <= objective.convert_orientation(study.critical)]
     return [min(clusters, key=medians.__getitem__)] if critical == clusters and clusters else critical

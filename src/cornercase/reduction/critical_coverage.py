@@ -11,16 +11,16 @@ from scipy.spatial import cKDTree
 
 from cornercase._common.errors import InputError
 from cornercase._common.typing import BoolArray, FloatArray, IntArray
-from cornercase.clustering import Distances, PlacedDistances
-from cornercase.evidence import CriticalSet, Estimate, encoded
-from cornercase.reduction.coverage import Gaps
-from cornercase.reduction.held_out import HeldOutCritical, HeldOutGaps, judge_critical
+from cornercase.clustering import Distances, EmbeddedDistances
+from cornercase.evidence import CriticalSet, Estimate, encode_points
+from cornercase.reduction.coverage import NearestDistances
+from cornercase.reduction.held_out import HeldOutCritical, HeldOutDistances, summarize_held_out_critical
 from cornercase.scenario import ParameterSpace
 
-WITHIN: Final = 0.5
+DEFAULT_SIMILARITY: Final = 0.5
 """Default share of the median distance within clusters up to which two scenarios are similar."""
 # Number of scenarios at which embedded distances are sampled.
-_LOOKED_AT: Final = 1000
+_SAMPLE_SIZE: Final = 1000
 
 
 @dataclass(frozen=True)
@@ -63,17 +63,17 @@ class CriticalCoverage:
     held_out: HeldOutCritical | None = None
 
 
-def judge_gaps(
+def measure_critical_coverage(
     space: ParameterSpace,
     points: FloatArray,
     scores: FloatArray,
     threshold: float,
-    gaps: Gaps,
-    within: float,
+    nearest_distances: NearestDistances,
+    similar_distance: float,
     *,
     seed: int = 0,
     critical_set: CriticalSet | None = None,
-    held_out: HeldOutGaps | None = None,
+    held_out: HeldOutDistances | None = None,
 ) -> CriticalCoverage:
     """Summarize how well selected scenarios represent the critical ones, from the distances to them.
 
@@ -83,38 +83,38 @@ def judge_gaps(
     critical scenarios to the nearest selected one, both calibrated by leave-one-out as in `CriticalSet`.
     """
     critical = scores <= threshold
-    distance, medoid_distance = gaps.kept, gaps.medoids
-    random = gaps.random[:, critical] <= within
+    distance, medoid_distance = nearest_distances.to_selected, nearest_distances.to_medoids
+    random = nearest_distances.to_random[:, critical] <= similar_distance
     any_critical = bool(critical.any())
-    is_boundary = critical & _beside(encoded(space, points), ~critical)
+    is_boundary = critical & _has_neighbour_among(encode_points(space, points), ~critical)
     unlike = None
     # Fewer than ten critical scenarios, or all with the same score or the same distance.
     with suppress(ValueError):
         all_critical = critical_set or CriticalSet(space, points, scores, threshold, seed)
-        unlike = all_critical.share_in(CriticalSet(space, points[critical], -distance[critical], -within, seed))
+        unlike = all_critical.fraction_inside(CriticalSet(space, points[critical], -distance[critical], -similar_distance, seed))
     return CriticalCoverage(
-        within=within,
-        critical=float((distance[critical] <= within).mean()) if any_critical else None,
-        boundary=float((distance[is_boundary] <= within).mean()) if is_boundary.any() else None,
+        within=similar_distance,
+        critical=float((distance[critical] <= similar_distance).mean()) if any_critical else None,
+        boundary=float((distance[is_boundary] <= similar_distance).mean()) if is_boundary.any() else None,
         random=float(np.median(random.mean(axis=1))) if any_critical else None,
-        medoids=float((medoid_distance[critical] <= within).mean()) if any_critical else None,
+        medoids=float((medoid_distance[critical] <= similar_distance).mean()) if any_critical else None,
         largest=float(distance[critical].max()) if any_critical else None,
         mean=float(distance[critical].mean()) if any_critical else None,
         medoids_largest=float(medoid_distance[critical].max()) if any_critical else None,
         medoids_mean=float(medoid_distance[critical].mean()) if any_critical else None,
         unlike=unlike,
-        held_out=judge_critical(held_out, critical, is_boundary, within),
+        held_out=summarize_held_out_critical(held_out, critical, is_boundary, similar_distance),
     )
 
 
-def distance_alike(distances: Distances, labels: IntArray, share: float = WITHIN) -> float:
+def find_similar_distance(distances: Distances, labels: IntArray, share: float = DEFAULT_SIMILARITY) -> float:
     """Return the distance up to which two scenarios are similar: `share` of the median distance within clusters.
 
     Without clusters, of the median distance of any two. Embedded distances are sampled at 1,000 scenarios.
     """
-    require_within(share)
-    if isinstance(distances, PlacedDistances):
-        sample = np.linspace(0, len(distances) - 1, min(_LOOKED_AT, len(distances))).astype(np.int64)
+    check_similarity(share)
+    if isinstance(distances, EmbeddedDistances):
+        sample = np.linspace(0, len(distances) - 1, min(_SAMPLE_SIZE, len(distances))).astype(np.int64)
         distances, labels = distances[np.ix_(sample, sample)], labels[sample]
     # Row by row, since indices of all pairs would take several times the memory of the distances.
     rows = [row[i + 1 :][labels[i + 1 :] == labels[i]] for i, row in enumerate(distances) if labels[i] >= 0]
@@ -124,16 +124,16 @@ def distance_alike(distances: Distances, labels: IntArray, share: float = WITHIN
     return share * float(np.median(between, overwrite_input=True)) if len(between) else 0.0
 
 
-def require_within(share: float) -> None:
+def check_similarity(share: float) -> None:
     """Raise `InputError` unless the share is positive and finite."""
     if not 0.0 < share < float("inf"):
         raise InputError(f"`within` {share:g}: give a number above 0.")
 
 
-def _beside(points: FloatArray, others: BoolArray) -> BoolArray:
+def _has_neighbour_among(points: FloatArray, is_other: BoolArray) -> BoolArray:
     """Mask of the points with one of the others among their 2 d nearest neighbours, shape (n,)."""
     count = min(2 * points.shape[1], len(points) - 1)
     if count < 1:
         return np.zeros(len(points), dtype=np.bool_)
     neighbours = np.asarray(cKDTree(points).query(points, k=count + 1)[1], dtype=np.int64)
-    return np.asarray(others[neighbours].any(axis=1))
+    return np.asarray(is_other[neighbours].any(axis=1))

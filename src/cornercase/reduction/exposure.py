@@ -8,15 +8,15 @@ from typing import Any, Final
 
 import numpy as np
 
-from cornercase._common.shares import clopper_pearson
+from cornercase._common.shares import clopper_pearson_interval
 from cornercase._common.typing import BoolArray
 from cornercase.drivers import Mutant
 
-_TAIL: Final = 0.025
+_TAIL_PROBABILITY: Final = 0.025
 
 
 @dataclass(frozen=True, eq=False)
-class Exposure:
+class KillMatrix:
     """Kill matrix: which scenarios kill which mutants of a driver.
 
     A scenario kills a mutant if the original driver violates no requirement in it, and the mutant violates one.
@@ -42,10 +42,10 @@ class Exposure:
     scenarios: tuple[int, ...]
     failed: BoolArray
     mutants: tuple[Mutant, ...]
-    exposed: BoolArray
-    held_out: Exposure | None = None
+    kills: BoolArray
+    held_out: KillMatrix | None = None
 
-    def rows_of(self, scenarios: Sequence[int]) -> BoolArray:
+    def kills_of(self, scenarios: Sequence[int]) -> BoolArray:
         """Return which mutants some scenarios kill.
 
         Parameters
@@ -62,10 +62,10 @@ class Exposure:
         rows = np.zeros((len(scenarios), len(self.mutants)), dtype=np.bool_)
         for k, scenario in enumerate(scenarios):
             if scenario in index_of:
-                rows[k] = self.exposed[index_of[scenario]]
+                rows[k] = self.kills[index_of[scenario]]
         return rows
 
-    def grade(self, scenarios: Sequence[int] | None = None) -> Grade:
+    def mutation_score(self, scenarios: Sequence[int] | None = None) -> MutationScore:
         """Return the mutation score of some scenarios.
 
         Parameters
@@ -78,12 +78,12 @@ class Exposure:
         MutationScore
         """
         ids = self.scenarios if scenarios is None else scenarios
-        return Grade(len(self.mutants), int(self.exposed.any(axis=0).sum()), int(self.rows_of(ids).any(axis=0).sum()))
+        return MutationScore(len(self.mutants), int(self.kills.any(axis=0).sum()), int(self.kills_of(ids).any(axis=0).sum()))
 
     @property
-    def by_mutation(self) -> dict[str, tuple[int, int]]:
+    def counts_by_mutation(self) -> dict[str, tuple[int, int]]:
         """Numbers of killed mutants and of all mutants, by kind of mutation."""
-        is_killed = self.exposed.any(axis=0)
+        is_killed = self.kills.any(axis=0)
         mutations = np.array([mutant.mutation for mutant in self.mutants])
         return {
             mutation: (int(is_killed[mutations == mutation].sum()), int((mutations == mutation).sum()))
@@ -91,16 +91,16 @@ class Exposure:
         }
 
     @property
-    def unexposed(self) -> tuple[str, ...]:
+    def survivors(self) -> tuple[str, ...]:
         """Names of the mutants that survive all scenarios."""
-        is_killed = self.exposed.any(axis=0)
+        is_killed = self.kills.any(axis=0)
         return tuple(mutant.driver for mutant, exposed in zip(self.mutants, is_killed, strict=True) if not exposed)
 
     @property
-    def text(self) -> str:
+    def summary_text(self) -> str:
         """Number of mutants that all scenarios kill, in a sentence without a full stop."""
-        count, total = len(self.mutants) - len(self.unexposed), len(self.mutants)
-        low, high = clopper_pearson(count, total, _TAIL)
+        count, total = len(self.mutants) - len(self.survivors), len(self.mutants)
+        low, high = clopper_pearson_interval(count, total, _TAIL_PROBABILITY)
         interval = f"{low:.0%} to {high:.0%} with 95 % confidence"
         return f"{count} of {total} mutants of {self.driver} are exposed, {count / total:.0%} ({interval})"
 
@@ -111,14 +111,14 @@ class Exposure:
         -------
         dict of str to object
         """
-        count, total = len(self.mutants) - len(self.unexposed), len(self.mutants)
+        count, total = len(self.mutants) - len(self.survivors), len(self.mutants)
         return {
             "driver": self.driver,
             "requirements": list(self.requirements),
             "mutants": total,
             "exposed": count,
             "share": count / total,
-            "interval_95": list(clopper_pearson(count, total, _TAIL)),
+            "interval_95": list(clopper_pearson_interval(count, total, _TAIL_PROBABILITY)),
             "failed_with_the_driver": [i for i, failed in zip(self.scenarios, self.failed, strict=True) if failed],
             "by_mutant": [
                 {
@@ -126,13 +126,13 @@ class Exposure:
                     "mutation": mutant.mutation,
                     "exposed_by": [self.scenarios[i] for i in np.flatnonzero(exposed)],
                 }
-                for mutant, exposed in zip(self.mutants, self.exposed.T, strict=True)
+                for mutant, exposed in zip(self.mutants, self.kills.T, strict=True)
             ],
         }
 
 
 @dataclass(frozen=True)
-class Grade:
+class MutationScore:
     """Mutation score: how many mutants some scenarios kill.
 
     Attributes
@@ -147,18 +147,18 @@ class Grade:
     """
 
     mutants: int
-    possible: int
-    exposed: int
+    killable: int
+    killed: int
 
     @property
     def share(self) -> float:
         """Share of the mutants that can be killed; NaN if there are none."""
-        return self.exposed / self.possible if self.possible else float("nan")
+        return self.killed / self.killable if self.killable else float("nan")
 
     @property
     def interval(self) -> tuple[float, float]:
         """95 % interval of the share (Clopper and Pearson), for mutants drawn in the same way."""
-        return clopper_pearson(self.exposed, self.possible, _TAIL)
+        return clopper_pearson_interval(self.killed, self.killable, _TAIL_PROBABILITY)
 
     def to_json(self) -> dict[str, Any]:
         """Return plain values.
@@ -169,15 +169,15 @@ class Grade:
         """
         return {
             "mutants": self.mutants,
-            "possible": self.possible,
-            "exposed": self.exposed,
-            "share": self.share if self.possible else None,
+            "possible": self.killable,
+            "exposed": self.killed,
+            "share": self.share if self.killable else None,
             "interval_95": list(self.interval),
         }
 
 
 @dataclass(frozen=True)
-class ExposingChoice:
+class MutantSelection:
     """Result of a selection by mutants.
 
     Attributes
@@ -199,23 +199,23 @@ class ExposingChoice:
     driver: str
     requirements: tuple[str, ...]
     candidates: int
-    chosen_by: Grade
-    held_out: Grade | None = None
-    without: Grade | None = None
+    chosen_by: MutationScore
+    held_out: MutationScore | None = None
+    without: MutationScore | None = None
 
     @property
-    def text(self) -> str:
+    def summary_text(self) -> str:
         """The result in a sentence without a full stop."""
         score = self.held_out
         if score is None:
-            return f"it exposes {self.chosen_by.exposed} of the {self.chosen_by.mutants} mutants that chose"
-        if not score.possible:
+            return f"it exposes {self.chosen_by.killed} of the {self.chosen_by.mutants} mutants that chose"
+        if not score.killable:
             return f"no scenario exposes any of the {score.mutants} other mutants of {self.driver} that judge"
         low, high = score.interval
-        comparison = "" if self.without is None else f"; a set chosen without mutants exposes {self.without.exposed}"
+        comparison = "" if self.without is None else f"; a set chosen without mutants exposes {self.without.killed}"
         return (
             f"of {score.mutants} other mutants of {self.driver}, all {self.candidates} scenarios expose"
-            f" {score.possible}, and the set exposes {score.exposed} of these, {score.share:.0%} ({low:.0%} to"
+            f" {score.killable}, and the set exposes {score.killed} of these, {score.share:.0%} ({low:.0%} to"
             f" {high:.0%} with 95 % confidence){comparison}"
         )
 

@@ -14,24 +14,24 @@ import numpy as np
 
 from cornercase._common.typing import BoolArray, FloatArray, IntArray
 from cornercase.clustering import Distances
-from cornercase.reduction.draws import draw_choices, draw_order, nearest_of, part_of
-from cornercase.reduction.medoids import choose_medoids
+from cornercase.reduction.draws import draw_random_selections, draw_fold_order, distances_to_nearest_per_selection, submatrix
+from cornercase.reduction.medoids import find_k_medoids
 
-FOLDS: Final = 5
+N_FOLDS: Final = 5
 """Number of folds of the cross-validation."""
 
 # With fewer scenarios a fold is too small; with more than 600 one fold is enough, since selecting takes long.
-_FEWEST: Final = 10
-_MOST_FOLDED: Final = 600
+_MIN_SCENARIOS: Final = 10
+_MAX_ALL_FOLDS: Final = 600
 
 
 @dataclass(frozen=True, eq=False)
-class Trial:
+class Fold:
     """One fold: a set selected from some scenarios, and the scenarios that evaluate it; by index or by id."""
 
-    chosen_from: IntArray
-    kept: IntArray
-    judging: IntArray
+    training: IntArray
+    selected: IntArray
+    held_out: IntArray
 
 
 @dataclass(frozen=True)
@@ -87,91 +87,91 @@ class HeldOutCritical:
 
 
 @dataclass(frozen=True, eq=False)
-class HeldOutGaps:
+class HeldOutDistances:
     """Distances from held-out scenarios to the nearest selected one, to k-medoids, and to random selections.
 
     `held_out`, shape (m,), are the held-out scenarios by index; `to_selected` and `to_medoids` have shape (m,),
     `to_random` (draws, m).
     """
 
-    judging: IntArray
-    kept: FloatArray
-    medoids: FloatArray
-    random: FloatArray
+    held_out: IntArray
+    to_selected: FloatArray
+    to_medoids: FloatArray
+    to_random: FloatArray
 
 
-def divide(count: int) -> list[IntArray]:
+def draw_folds(n_scenarios: int) -> list[IntArray]:
     """Return the held-out scenarios of each of five random folds, by index.
 
     With more than 600 scenarios only one fold is returned, with fewer than 10 none.
     """
-    if count < _FEWEST:
+    if n_scenarios < _MIN_SCENARIOS:
         return []
-    order = draw_order(count)
-    parts = [np.sort(order[k::FOLDS]) for k in range(FOLDS)]
-    return parts if count <= _MOST_FOLDED else parts[:1]
+    order = draw_fold_order(n_scenarios)
+    parts = [np.sort(order[k::N_FOLDS]) for k in range(N_FOLDS)]
+    return parts if n_scenarios <= _MAX_ALL_FOLDS else parts[:1]
 
 
-def measure_held_out_gaps(distances: Distances, trials: Sequence[Trial]) -> HeldOutGaps | None:
+def measure_held_out_distances(all_distances: Distances, all_folds: Sequence[Fold]) -> HeldOutDistances | None:
     """Measure the distances of held-out scenarios to their fold's set and baselines; None if there are no folds."""
     to_selected, medoids, random = [], [], []
-    folds = [fold for fold in trials if len(fold.kept) and len(fold.judging)]
+    folds = [fold for fold in all_folds if len(fold.selected) and len(fold.held_out)]
     if not folds:
         return None
     for k, fold in enumerate(folds):
-        to_judging = part_of(distances, fold.chosen_from, fold.judging)
-        within_training = part_of(distances, fold.chosen_from, fold.chosen_from)
-        choices = draw_choices(len(fold.chosen_from), len(fold.kept), stream="grading", seed=k)
-        selected = np.flatnonzero(np.isin(fold.chosen_from, fold.kept))
-        medoid_indices = choose_medoids(within_training, len(fold.kept))
-        to_selected.append(nearest_of(to_judging, selected[None])[0])
-        medoids.append(nearest_of(to_judging, medoid_indices[None])[0])
-        random.append(nearest_of(to_judging, choices))
-    return HeldOutGaps(
-        np.concatenate([fold.judging for fold in folds]),
+        to_judging = submatrix(all_distances, fold.training, fold.held_out)
+        within_training = submatrix(all_distances, fold.training, fold.training)
+        choices = draw_random_selections(len(fold.training), len(fold.selected), stream="grading", seed=k)
+        selected = np.flatnonzero(np.isin(fold.training, fold.selected))
+        medoid_indices = find_k_medoids(within_training, len(fold.selected))
+        to_selected.append(distances_to_nearest_per_selection(to_judging, selected[None])[0])
+        medoids.append(distances_to_nearest_per_selection(to_judging, medoid_indices[None])[0])
+        random.append(distances_to_nearest_per_selection(to_judging, choices))
+    return HeldOutDistances(
+        np.concatenate([fold.held_out for fold in folds]),
         np.concatenate(to_selected),
         np.concatenate(medoids),
         np.concatenate(random, axis=1),
     )
 
 
-def summarize(kept: FloatArray, medoids: FloatArray, random: FloatArray) -> dict[str, float]:
+def summarize_distances(to_selected: FloatArray, to_medoids: FloatArray, to_random: FloatArray) -> dict[str, float]:
     """Return the figures that `HeldOut` and `Coverage` share, from distances of shape (m,), (m,) and (draws, m)."""
-    random_largest, random_mean = random.max(axis=1), random.mean(axis=1)
+    random_largest, random_mean = to_random.max(axis=1), to_random.mean(axis=1)
     return {
-        "largest": float(kept.max()),
-        "mean": float(kept.mean()),
+        "largest": float(to_selected.max()),
+        "mean": float(to_selected.mean()),
         "random_largest": float(np.median(random_largest)),
         "random_mean": float(np.median(random_mean)),
-        "better_largest": float(np.mean(random_largest > kept.max())),
-        "better_mean": float(np.mean(random_mean > kept.mean())),
-        "medoids_largest": float(medoids.max()),
-        "medoids_mean": float(medoids.mean()),
+        "better_largest": float(np.mean(random_largest > to_selected.max())),
+        "better_mean": float(np.mean(random_mean > to_selected.mean())),
+        "medoids_largest": float(to_medoids.max()),
+        "medoids_mean": float(to_medoids.mean()),
     }
 
 
-def judge(gaps: HeldOutGaps | None) -> HeldOut | None:
+def summarize_held_out(held_out_distances: HeldOutDistances | None) -> HeldOut | None:
     """Summarize the distances of held-out scenarios; None if there are none."""
-    if gaps is None:
+    if held_out_distances is None:
         return None
-    return HeldOut(scenarios=len(gaps.judging), **summarize(gaps.kept, gaps.medoids, gaps.random))
+    return HeldOut(scenarios=len(held_out_distances.held_out), **summarize_distances(held_out_distances.to_selected, held_out_distances.to_medoids, held_out_distances.to_random))
 
 
-def judge_critical(
-    gaps: HeldOutGaps | None, critical: BoolArray, edge: BoolArray, within: float
+def summarize_held_out_critical(
+    held_out_distances: HeldOutDistances | None, critical_mask: BoolArray, boundary_mask: BoolArray, similar_distance: float
 ) -> HeldOutCritical | None:
     """Return the shares of critical held-out scenarios within a distance of a selected one; None if there are none.
 
     `critical_mask` and `boundary_mask`, shape (n,), mark the critical scenarios and those on the boundary of the
     critical set.
     """
-    if gaps is None or not critical[gaps.judging].any():
+    if held_out_distances is None or not critical_mask[held_out_distances.held_out].any():
         return None
-    is_critical, is_boundary = critical[gaps.judging], edge[gaps.judging]
+    is_critical, is_boundary = critical_mask[held_out_distances.held_out], boundary_mask[held_out_distances.held_out]
     return HeldOutCritical(
         scenarios=int(is_critical.sum()),
-        critical=float((gaps.kept[is_critical] <= within).mean()),
-        boundary=float((gaps.kept[is_boundary] <= within).mean()) if is_boundary.any() else None,
-        random=float(np.median((gaps.random[:, is_critical] <= within).mean(axis=1))),
-        medoids=float((gaps.medoids[is_critical] <= within).mean()),
+        critical=float((held_out_distances.to_selected[is_critical] <= similar_distance).mean()),
+        boundary=float((held_out_distances.to_selected[is_boundary] <= similar_distance).mean()) if is_boundary.any() else None,
+        random=float(np.median((held_out_distances.to_random[:, is_critical] <= similar_distance).mean(axis=1))),
+        medoids=float((held_out_distances.to_medoids[is_critical] <= similar_distance).mean()),
     )

@@ -16,8 +16,8 @@ from cornercase._common.errors import InputError
 from cornercase._common.typing import IntArray
 
 # The number of facets grows so fast with the dimensions that hulls beyond these are useless.
-MOST_HULL_DIMENSIONS = 6
-_FLAT = 1e-9
+MAX_HULL_DIMENSIONS = 6
+_RANK_TOLERANCE = 1e-9
 
 
 @dataclass(frozen=True)
@@ -32,7 +32,7 @@ class Hull:
     simplices: IntArray
 
 
-def find_hull(points: npt.ArrayLike) -> Hull:
+def find_convex_hull(points: npt.ArrayLike) -> Hull:
     """Find the convex hull of at least one point, also of points in a plane, on a line or at the same position.
 
     Points that do not span all dimensions have the hull in the subspace that they span. Beyond 6 dimensions it is the
@@ -47,9 +47,9 @@ def find_hull(points: npt.ArrayLike) -> Hull:
     first = np.sort(first).astype(np.int64)
     centred = array[first] - array[first].mean(axis=0)
     _, extents, directions = np.linalg.svd(centred, full_matrices=False)
-    rank = int((extents > _FLAT * max(1.0, float(np.abs(array).max()))).sum())
+    rank = int((extents > _RANK_TOLERANCE * max(1.0, float(np.abs(array).max()))).sum())
     projected = centred @ directions.T
-    for dimensions in range(min(rank, MOST_HULL_DIMENSIONS), 1, -1):
+    for dimensions in range(min(rank, MAX_HULL_DIMENSIONS), 1, -1):
         # Qhull fails on nearly flat points; then the direction of smallest variance is left out.
         try:
             hull = ConvexHull(projected[:, :dimensions])
@@ -71,7 +71,7 @@ def find_hull_archetypes(points: npt.ArrayLike, k: int | None = None) -> IntArra
     if k is not None and k < 1:
         raise InputError(f"`k` {k}: give at least 1.")
     array = np.asarray(points, dtype=np.float64)
-    vertices = find_hull(array).vertices
+    vertices = find_convex_hull(array).vertices
     if k is None or len(vertices) <= k:
         return vertices
     corners = array[vertices]

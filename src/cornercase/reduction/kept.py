@@ -13,13 +13,13 @@ from cornercase._common.typing import FloatArray, IntArray
 from cornercase.clustering import Distances
 
 # Scenarios are similar within this share of the largest distance.
-ALIKE: Final = 1e-3
+SIMILAR_SHARE: Final = 1e-3
 
 Role = Literal["archetype", "prototype", "gap", "exposing"]
 
 
 @dataclass(frozen=True)
-class Kept:
+class Selected:
     """A selected scenario by index, the cluster that it represents (-1 for noise), and the reason.
 
     `gap`: chosen because it was far from all scenarios selected before; `exposing`: kills mutants of the driver.
@@ -40,16 +40,16 @@ class Selection:
     def __init__(self, distances: Sequence[Distances], size: int | None) -> None:
         self._distances = distances
         self._extents = [max(float(matrix.max()), 1e-300) for matrix in distances]
-        self.gap = np.full(len(distances[0]), np.inf)
-        self.kept: list[Kept] = []
+        self.nearest_distance = np.full(len(distances[0]), np.inf)
+        self.selected: list[Selected] = []
         self._size = size
 
     @property
     def indices(self) -> list[int]:
         """Indices of the selected scenarios."""
-        return [selected.index for selected in self.kept]
+        return [selected.index for selected in self.selected]
 
-    def apart(self, indices: Sequence[int] | IntArray) -> FloatArray:
+    def distances_to(self, indices: Sequence[int] | IntArray) -> FloatArray:
         """Return the distances of some scenarios to all, shape (m, n): the largest in any clustering.
 
         Each clustering counts as a share of its largest distance. Rows are computed on demand, since a full matrix
@@ -62,11 +62,11 @@ class Selection:
     def copy(self) -> Selection:
         """Copy the selection, to continue both in different ways."""
         other = copy(self)
-        other.gap, other.kept = self.gap.copy(), self.kept[:]
+        other.nearest_distance, other.selected = self.nearest_distance.copy(), self.selected[:]
         return other
 
-    def keep(self, one: Kept) -> None:
+    def add(self, scenario: Selected) -> None:
         """Add a scenario, unless it is similar to a selected one or there are enough."""
-        if self.gap[one.index] > ALIKE and (self._size is None or len(self.kept) < self._size):
-            self.kept.append(one)
-            np.minimum(self.gap, self.apart([one.index])[0], out=self.gap)
+        if self.nearest_distance[scenario.index] > SIMILAR_SHARE and (self._size is None or len(self.selected) < self._size):
+            self.selected.append(scenario)
+            np.minimum(self.nearest_distance, self.distances_to([scenario.index])[0], out=self.nearest_distance)

@@ -9,7 +9,7 @@ import numpy.typing as npt
 
 from cornercase._common.errors import InputError
 from cornercase._common.typing import IntArray
-from cornercase.clustering import Distances, PlacedDistances
+from cornercase.clustering import Distances, EmbeddedDistances
 
 
 def find_prototype(distances: Distances, members: npt.ArrayLike) -> int:
@@ -18,12 +18,12 @@ def find_prototype(distances: Distances, members: npt.ArrayLike) -> int:
     if not len(indices):
         raise InputError("A cluster without scenarios has no prototype; leave it out.")
     indices = np.sort(indices)
-    if isinstance(distances, PlacedDistances):
-        return distances.middle(indices)
+    if isinstance(distances, EmbeddedDistances):
+        return distances.medoid(indices)
     return int(indices[distances[np.ix_(indices, indices)].sum(axis=1).argmin()])
 
 
-def choose_medoids(distances: Distances, k: int, rounds: int = 50) -> IntArray:
+def find_k_medoids(distances: Distances, k: int, max_iterations: int = 50) -> IntArray:
     """Choose k scenarios with a small mean distance from all to the nearest one, in rising order.
 
     Starts with the scenarios that lower it most, one after the other (BUILD: L. Kaufman, P. J. Rousseeuw, "Finding
@@ -31,7 +31,7 @@ def choose_medoids(distances: Distances, k: int, rounds: int = 50) -> IntArray:
     (H.-S. Park, C.-H. Jun, "A simple and fast algorithm for K-medoids clustering", 2009). Embedded distances use
     k-means instead.
     """
-    if isinstance(distances, PlacedDistances):
+    if isinstance(distances, EmbeddedDistances):
         return distances.medoids(k)
     selected = [int(distances.sum(axis=1).argmin())]
     gap = distances[selected[0]].copy()
@@ -48,7 +48,7 @@ def choose_medoids(distances: Distances, k: int, rounds: int = 50) -> IntArray:
         selected.append(best)
         gap = np.minimum(gap, distances[best])
     medoids = np.array(selected, dtype=np.int64)
-    for _ in range(rounds):
+    for _ in range(max_iterations):
         nearest = distances[medoids].argmin(axis=0)
         nearest[medoids] = np.arange(k)
         moved = [find_prototype(distances, np.flatnonzero(nearest == j)) for j in range(k)]

@@ -10,13 +10,13 @@ from html import escape
 from cornercase.reduction.cluster_shapes import ClusterShape
 from cornercase.reduction.coverage import Coverage
 from cornercase.reduction.critical_coverage import CriticalCoverage
-from cornercase.reduction.exposure import ExposingChoice
+from cornercase.reduction.exposure import MutantSelection
 from cornercase.reduction.kept import Role
 from cornercase.scenario import Value
 
 
 @dataclass(frozen=True)
-class KeptScenario:
+class SelectedScenario:
     """A scenario of the reduced set.
 
     Attributes
@@ -75,33 +75,33 @@ class ReducedSet:
     """
 
     by: str
-    run: int
-    kept: tuple[KeptScenario, ...]
+    n_run: int
+    scenarios: tuple[SelectedScenario, ...]
     shapes: tuple[ClusterShape, ...]
     coverage: Mapping[str, Coverage]
     critical: Mapping[str, CriticalCoverage]
     hulls: Mapping[int, tuple[tuple[int, ...], ...]]
-    exposing: ExposingChoice | None = None
+    exposing: MutantSelection | None = None
     threshold: float | None = None
 
     def __len__(self) -> int:
-        return len(self.kept)
+        return len(self.scenarios)
 
     @property
     def ids(self) -> list[int]:
         """Ids of the selected scenarios, in the order of selection."""
-        return [scenario.id for scenario in self.kept]
+        return [scenario.id for scenario in self.scenarios]
 
     def __repr__(self) -> str:
-        roles = Counter(scenario.role for scenario in self.kept)
+        roles = Counter(scenario.role for scenario in self.scenarios)
         counts = ", ".join(f"{count} {role}{'' if count == 1 else 's'}" for role, count in roles.items())
-        return f"ReducedSet({len(self.kept)} of {self.run} scenarios kept by {self.by}: {counts or 'none'})"
+        return f"ReducedSet({len(self.scenarios)} of {self.n_run} scenarios kept by {self.by}: {counts or 'none'})"
 
     def _repr_html_(self) -> str:
         """Table of the selected scenarios, for notebooks."""
-        if not self.kept:
+        if not self.scenarios:
             return f"<p>{escape(repr(self))}</p>"
-        first = self.kept[0]
+        first = self.scenarios[0]
         head = ["id", "cluster", "role", *first.values, *first.scores, "why"]
         rows = [
             [
@@ -112,12 +112,12 @@ class ReducedSet:
                 *scenario.scores.values(),
                 scenario.why,
             ]
-            for scenario in self.kept
+            for scenario in self.scenarios
         ]
-        cells = "".join(f"<tr>{''.join(f'<td>{escape(_text(cell))}</td>' for cell in row)}</tr>" for row in rows)
+        cells = "".join(f"<tr>{''.join(f'<td>{escape(_format_cell(cell))}</td>' for cell in row)}</tr>" for row in rows)
         names = "".join(f"<th>{escape(name)}</th>" for name in head)
         return f"<p>{escape(repr(self))}</p><table><tr>{names}</tr>{cells}</table>"
 
 
-def _text(cell: object) -> str:
-    return f"{cell:.4g}" if isinstance(cell, float) else str(cell)
+def _format_cell(value: object) -> str:
+    return f"{value:.4g}" if isinstance(value, float) else str(value)

@@ -9,44 +9,44 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Final, Literal
 
-from cornercase._common.arguments import number, text, whole_number
+from cornercase._common.arguments import check_float, check_str, check_int
 from cornercase._common.errors import InputError, NoticeWarning
-from cornercase._common.files import portable_name, require_folder
+from cornercase._common.files import portable_name, check_folder
 from cornercase._common.memory import DEFAULT_MEMORY, MemoryLimit
-from cornercase._common.progress import bars_wanted
+from cornercase._common.progress import show_bars
 from cornercase._common.typing import FloatArray, IntArray
 from cornercase.clustering import Analysis, Distances, read_analyses, read_analysis
-from cornercase.reduction.choosing import Material, Wish, choose, try_choice
-from cornercase.reduction.cluster_selection import PER_KEPT
+from cornercase.reduction.choosing import SelectionInput, SelectionRequest, select, cross_validate
+from cornercase.reduction.cluster_selection import SCENARIOS_PER_SELECTED
 from cornercase.reduction.cluster_shapes import ArchetypeMethod, require_archetype_method
 from cornercase.reduction.critical_clusters import find_critical_clusters
-from cornercase.reduction.critical_coverage import WITHIN, require_within
-from cornercase.reduction.exposing import with_exposure
-from cornercase.reduction.exposure import Exposure
-from cornercase.reduction.grading import Ran, find_gaps, grade, grade_critical, hold_out, read_ran
-from cornercase.reduction.held_out import Trial
-from cornercase.reduction.hulls import find_hull
-from cornercase.reduction.kept import Kept
+from cornercase.reduction.critical_coverage import DEFAULT_SIMILARITY, check_similarity
+from cornercase.reduction.exposing import add_mutant_selection
+from cornercase.reduction.exposure import KillMatrix
+from cornercase.reduction.grading import StudyData, measure_nearest_distances_by_aspect, evaluate_coverage, evaluate_critical_coverage, measure_folds, load_study_data
+from cornercase.reduction.held_out import Fold
+from cornercase.reduction.hulls import find_convex_hull
+from cornercase.reduction.kept import Selected
 from cornercase.reduction.manifest import make_manifest, save_reduction
-from cornercase.reduction.reduced_set import KeptScenario, ReducedSet
-from cornercase.reduction.set_folder import replaced_set
-from cornercase.scenario import Scenario, fill_concrete, read_beside
-from cornercase.study import IMPORTED, Study, damage_told, explored_scenario, open_study
+from cornercase.reduction.reduced_set import SelectedScenario, ReducedSet
+from cornercase.reduction.set_folder import replace_set
+from cornercase.scenario import ScenarioFile, build_concrete_file, read_companion_file
+from cornercase.study import IMPORTED_SIMULATOR, Study, reraise_as_damage, find_explored_scenario, open_study
 
 # Bytes per pair in a matrix and in what the selection derives from it, per scenario and aspect in embeddings and gaps
 # of random selections, and for blocks of distances.
-_OF_A_PAIR: Final = 20
-_OF_A_SCENARIO: Final = 5_000
-_OF_BLOCKS: Final = 600_000_000
+_BYTES_PER_PAIR: Final = 20
+_BYTES_PER_SCENARIO: Final = 5_000
+_BYTES_OF_BLOCKS: Final = 600_000_000
 
-_WHY: Final = {
+_REASONS: Final = {
     "hull": "on the hull of cluster {cluster} in the parameter space",
     "pcha": "at an extreme of cluster {cluster} in the parameter space, by archetypal analysis",
     "parts": "on the hull of a near-convex part of cluster {cluster} in the parameter space",
     "kernel": "at an extreme of cluster {cluster} in kernel space, by archetypal analysis",
     "prototype": "the scenario most like all others of cluster {cluster}",
     "gap": "for what is unlike all others that are kept",
-    # Completed by `with_exposure` once all are selected.
+    # Completed by `add_mutant_selection` once all are selected.
     "exposing": "exposes mutants of the driver",
 }
 
@@ -61,10 +61,10 @@ def reduce(
     cover: float | None = None,
     archetypes: int | Literal["auto"] | None = None,
     archetypes_by: ArchetypeMethod = "auto",
-    within: float = WITHIN,
+    within: float = DEFAULT_SIMILARITY,
     critical: float | None = None,
-    exposure: Exposure | None = None,
-    scenario: Path | str | Scenario | None = None,
+    kill_matrix: KillMatrix | None = None,
+    scenario: Path | str | ScenarioFile | None = None,
     memory: str | float = DEFAULT_MEMORY,
     progress: bool = False,
 ) -> ReducedSet:
@@ -102,7 +102,7 @@ def reduce(
         Score from which a scenario is critical, to select and to evaluate by; by default that of the study, which is
         not changed.
     kill_matrix : KillMatrix, optional
-        Which scenarios kill which mutants of the driver, from `cornercase.suite.find_exposure`: scenarios that kill as
+        Which scenarios kill which mutants of the driver, from `cornercase.suite.analyze_mutants`: scenarios that kill as
         many as possible come first, then those that are selected without.
     scenario : path or Scenario, optional
         File that was explored, from which the files are made. By default it is searched at the path in the study, next
@@ -134,153 +134,153 @@ def reduce(
     """
     if sum(option is not None for option in (size, share, cover, archetypes)) > 1:
         raise InputError("`size`, `share`, `cover`, `archetypes`: give one of them.")
-    if exposure is not None and (cover is not None or archetypes is not None):
+    if kill_matrix is not None and (cover is not None or archetypes is not None):
         raise InputError(f"`exposure`, `{'cover' if archetypes is None else 'archetypes'}`: give one of them.")
     size_requested = size is not None or share is not None
-    size = None if size is None else whole_number("size", size, least=1)
-    share = None if share is None else number("share", share, above=0.0)
-    cover = None if cover is None else number("cover", cover, above=0.0)
+    size = None if size is None else check_int("size", size, minimum=1)
+    share = None if share is None else check_float("share", share, above=0.0)
+    cover = None if cover is None else check_float("cover", cover, above=0.0)
     if share is not None and share > 1.0:
         raise InputError(f"`share` {share:g}: give a number above 0 and up to 1.")
-    require_archetype_method(text("archetypes_by", archetypes_by))
-    require_within(number("within", within))
-    by = None if by is None else text("by", by)
-    folder = require_folder("folder", folder)
-    limit = MemoryLimit.of(memory)
-    with bars_wanted(progress), open_study(study, critical=critical) as opened:
+    require_archetype_method(check_str("archetypes_by", archetypes_by))
+    check_similarity(check_float("within", within))
+    by = None if by is None else check_str("by", by)
+    folder = check_folder("folder", folder)
+    limit = MemoryLimit.from_value(memory)
+    with show_bars(progress), open_study(study, critical=critical) as opened:
         analysis = read_analysis(opened, by or opened.meta.metrics[0])
         start = time.monotonic()
         # Checked before anything is written or takes time.
-        explored = explored_scenario(opened, scenario, where_named=True)
-        opened.elapsed()
+        explored = find_explored_scenario(opened, scenario, search_stored_path=True)
+        opened.elapsed_by_stage()
         _require_memory(opened, limit)
-        data = read_ran(opened)
+        data = load_study_data(opened)
         if share is not None:
             size = max(1, round(share * len(data.rows)))
         elif size is None and cover is None and archetypes is None:
-            size = max(1, round(len(analysis.ids) / PER_KEPT))
-        selection_input = Material(
-            data.points(analysis),
-            _compared(data, analysis),
+            size = max(1, round(len(analysis.ids) / SCENARIOS_PER_SELECTED))
+        selection_input = SelectionInput(
+            data.parameter_points(analysis),
+            _distances_by_aspect(data, analysis),
             analysis.labels,
             analysis.clustering.embedding,
             find_critical_clusters(opened, analysis),
-            None if exposure is None else exposure.rows_of(analysis.ids.tolist()),
+            None if kill_matrix is None else kill_matrix.kills_of(analysis.ids.tolist()),
         )
-        request = Wish(size, cover, archetypes, archetypes_by)
-        reduced = _described(data, analysis, selection_input, request, within)
-        if exposure is not None:
-            without_mutants, _ = choose(replace(selection_input, exposed=None), request)
-            reduced = with_exposure(reduced, exposure, [int(analysis.ids[entry.index]) for entry in without_mutants])
+        request = SelectionRequest(size, cover, archetypes, archetypes_by)
+        reduced = _select_and_evaluate(data, analysis, selection_input, request, within)
+        if kill_matrix is not None:
+            without_mutants, _ = select(replace(selection_input, kills=None), request)
+            reduced = add_mutant_selection(reduced, kill_matrix, [int(analysis.ids[entry.index]) for entry in without_mutants])
         cluster_names = {profile.cluster: profile.label for profile in analysis.profiles}
-        _write(opened, explored, reduced, cluster_names, folder)
-        opened.writer.add_elapsed("reduce", time.monotonic() - start)
+        _write_files_and_store(opened, explored, reduced, cluster_names, folder)
+        opened.writer.add_elapsed_time("reduce", time.monotonic() - start)
     if size is not None and size_requested and len(reduced) < size:
-        _tell_fewer(size, len(reduced), len(analysis.ids))
+        _warn_fewer_selected(size, len(reduced), len(analysis.ids))
     return reduced
 
 
-def _tell_fewer(asked: int, kept: int, among: int) -> None:
-    reason = f"each of the other {among - kept} is within a thousandth of the largest distance of one of these"
-    if kept == among:
+def _warn_fewer_selected(n_requested: int, n_selected: int, n_scenarios: int) -> None:
+    reason = f"each of the other {n_scenarios - n_selected} is within a thousandth of the largest distance of one of these"
+    if n_selected == n_scenarios:
         reason = "the study has no more"
-    warnings.warn(f"{asked} scenarios were asked for, but {kept} are selected: {reason}", NoticeWarning, stacklevel=3)
+    warnings.warn(f"{n_requested} scenarios were asked for, but {n_selected} are selected: {reason}", NoticeWarning, stacklevel=3)
 
 
-def _require_memory(study: Study, limit: MemoryLimit) -> None:
+def _require_memory(study: Study, memory_limit: MemoryLimit) -> None:
     """Raise an error if the distances will not fit, before they are read."""
     analyses = read_analyses(study).values()
     count = max(len(analysis.ids) for analysis in analyses)
-    pairs = [len(analysis.ids) ** 2 for analysis in analyses if analysis.inexact is None]
-    need = _OF_A_PAIR * sum(pairs) + _OF_A_SCENARIO * count * len(analyses) + _OF_BLOCKS
+    pairs = [len(analysis.ids) ** 2 for analysis in analyses if analysis.embedding_error is None]
+    need = _BYTES_PER_PAIR * sum(pairs) + _BYTES_PER_SCENARIO * count * len(analyses) + _BYTES_OF_BLOCKS
     advice = ", or `analyze` it again by fewer aspects" if len(analyses) > 1 else ""
-    limit.require(need, f"{study.path}: the distances of {count} scenarios", f"give more{advice}")
+    memory_limit.check_fits(need, f"{study.path}: the distances of {count} scenarios", f"give more{advice}")
 
 
-def _compared(ran: Ran, analysis: Analysis) -> list[Distances]:
+def _distances_by_aspect(data: StudyData, analysis: Analysis) -> list[Distances]:
     """Distances by the main aspect, then by the others with the same scenarios."""
     others = [
-        ran.distances[name]
-        for name, other in ran.analyses.items()
+        data.distances[name]
+        for name, other in data.analyses.items()
         if name != analysis.by and len(other.ids) == len(analysis.ids)
     ]
-    return [ran.distances[analysis.by], *others]
+    return [data.distances[analysis.by], *others]
 
 
-def _described(ran: Ran, analysis: Analysis, material: Material, wish: Wish, within: float) -> ReducedSet:
+def _select_and_evaluate(data: StudyData, analysis: Analysis, selection_input: SelectionInput, request: SelectionRequest, similarity: float) -> ReducedSet:
     """Select scenarios, describe why, and evaluate what they leave uncovered."""
-    selected, shaped = choose(material, wish)
+    selected, shaped = select(selection_input, request)
     ids = analysis.ids.tolist()
     selected_ids = [ids[entry.index] for entry in selected]
     methods = {entry.shape.cluster: entry.shape.method for entry in shaped}
     folds = [
-        Trial(*(analysis.ids[rows] for rows in (entry.chosen_from, entry.kept, entry.judging)))
-        for entry in try_choice(material, wish)
+        Fold(*(analysis.ids[rows] for rows in (entry.training, entry.selected, entry.held_out)))
+        for entry in cross_validate(selection_input, request)
     ]
-    held_out = hold_out(ran, folds)
-    gaps = find_gaps(ran, selected_ids)
+    held_out = measure_folds(data, folds)
+    gaps = measure_nearest_distances_by_aspect(data, selected_ids)
     return ReducedSet(
         by=analysis.by,
-        run=len(ran.rows),
-        kept=tuple(
-            _kept_scenario(
-                ran, entry, ids[entry.index], methods[entry.cluster] if entry.role == "archetype" else entry.role
+        n_run=len(data.rows),
+        scenarios=tuple(
+            _make_selected_scenario(
+                data, entry, ids[entry.index], methods[entry.cluster] if entry.role == "archetype" else entry.role
             )
             for entry in selected
         ),
         shapes=tuple(entry.shape for entry in shaped),
-        coverage=grade(ran, selected_ids, held_out, gaps),
-        critical=grade_critical(ran, selected_ids, held_out, within, gaps),
-        hulls={entry.shape.cluster: _facets(material.points, entry.parts, ids) for entry in shaped},
-        threshold=ran.study.critical,
+        coverage=evaluate_coverage(data, selected_ids, held_out, gaps),
+        critical=evaluate_critical_coverage(data, selected_ids, held_out, similarity, gaps),
+        hulls={entry.shape.cluster: _hull_facets(selection_input.points, entry.parts, ids) for entry in shaped},
+        threshold=data.study.critical,
     )
 
 
-def _kept_scenario(ran: Ran, one: Kept, scenario: int, reason: str) -> KeptScenario:
-    meta = ran.study.meta
+def _make_selected_scenario(data: StudyData, selected: Selected, scenario_id: int, reason: str) -> SelectedScenario:
+    meta = data.study.meta
     # An imported recording is run again by its own simulator; the manifest names it.
-    imported = meta.simulator == IMPORTED
-    with damage_told(ran.study.path):
-        file = meta.files[scenario - 1] if imported else f"{portable_name(meta.title)}-{scenario:05}.xosc"
-    return KeptScenario(
-        id=scenario,
+    imported = meta.simulator == IMPORTED_SIMULATOR
+    with reraise_as_damage(data.study.path):
+        file = meta.files[scenario_id - 1] if imported else f"{portable_name(meta.title)}-{scenario_id:05}.xosc"
+    return SelectedScenario(
+        id=scenario_id,
         file=file,
-        cluster=one.cluster,
-        role=one.role,
-        why=_WHY[reason].format(cluster=one.cluster),
-        values=dict(ran.rows[scenario].values),
-        scores={name: scores[scenario] for name, scores in ran.scores.items()},
+        cluster=selected.cluster,
+        role=selected.role,
+        why=_REASONS[reason].format(cluster=selected.cluster),
+        values=dict(data.rows[scenario_id].values),
+        scores={name: scores[scenario_id] for name, scores in data.scores.items()},
     )
 
 
-def _facets(points: FloatArray, parts: Sequence[IntArray], ids: Sequence[int]) -> tuple[tuple[int, ...], ...]:
+def _hull_facets(points: FloatArray, parts: Sequence[IntArray], ids: Sequence[int]) -> tuple[tuple[int, ...], ...]:
     """Facets of the hulls of a cluster's parts, by the ids of the scenarios at their corners."""
     return tuple(
-        tuple(ids[part[i]] for i in facet) for part in parts for facet in find_hull(points[part]).simplices.tolist()
+        tuple(ids[part[i]] for i in facet) for part in parts for facet in find_convex_hull(points[part]).simplices.tolist()
     )
 
 
-def _write(
-    study: Study, scenario: Scenario | None, reduced: ReducedSet, kinds: Mapping[int, str], folder: Path
+def _write_files_and_store(
+    study: Study, scenario: ScenarioFile | None, reduced_set: ReducedSet, cluster_names: Mapping[int, str], folder: Path
 ) -> None:
     """Write the selected scenarios and the manifest, and store them in the study: all of it or nothing."""
     drivers = {
         entity: driver for entity, driver in study.meta.settings.get("drivers", {}).items() if isinstance(driver, str)
     }
     dependencies: dict[Path, bytes] = {}
-    with replaced_set(folder) as set_folder:
-        for selected in reduced.kept if scenario is not None else ():
+    with replace_set(folder) as set_folder:
+        for selected in reduced_set.scenarios if scenario is not None else ():
             assert scenario is not None
             comment = f"Scenario {selected.id} of the logical scenario {study.meta.title}: {selected.why}"
-            concrete = fill_concrete(scenario, selected.values, folder / selected.file, drivers, comment)
-            for source, path, root in concrete.beside:
+            concrete = build_concrete_file(scenario, selected.values, folder / selected.file, drivers, comment)
+            for source, path, root in concrete.companions:
                 if source not in dependencies:
-                    dependencies[source] = read_beside(source, root)
+                    dependencies[source] = read_companion_file(source, root)
                 set_folder.add(path, dependencies[source])
             set_folder.add(selected.file, concrete.content)
-        set_folder.seal(make_manifest(study, reduced, kinds, set_folder.digests))
-        previous = study.reduction()
-        save_reduction(study, reduced)
+        set_folder.write_manifest(make_manifest(study, reduced_set, cluster_names, set_folder.digests))
+        previous = study.read_reduction()
+        save_reduction(study, reduced_set)
         try:
             set_folder.replace()
         except InputError:

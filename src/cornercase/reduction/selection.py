@@ -11,33 +11,33 @@ import numpy as np
 from cornercase._common.errors import InputError
 from cornercase._common.typing import FloatArray, IntArray
 from cornercase.clustering import Distances
-from cornercase.reduction.cluster_shapes import ShapedCluster, divide_fairly, find_shapes
-from cornercase.reduction.gap_sums import Composition, GapSums
-from cornercase.reduction.kept import Kept, Selection
+from cornercase.reduction.cluster_shapes import ShapedCluster, divide_in_proportion, classify_cluster_shapes
+from cornercase.reduction.gap_sums import SetComposition, CoverageSums
+from cornercase.reduction.kept import Selected, Selection
 from cornercase.reduction.medoids import find_prototype
-from cornercase.reduction.rivals import Rivals
+from cornercase.reduction.rivals import Baselines
 
-_MOST_EXCHANGED: Final = 2000
+_MAX_EXCHANGED: Final = 2000
 
 # Each is best for some studies; the first one that beats the baselines is taken.
 _COMPOSITIONS: Final = (
-    Composition(0.2, 4.0, 2.0, 3),
-    Composition(0.1, 6.0, 1.0, 3),
-    Composition(0.1, 6.0, 4.0, 3),
-    Composition(0.1, 6.0, 4.0, 2),
+    SetComposition(0.2, 4.0, 2.0, 3),
+    SetComposition(0.1, 6.0, 1.0, 3),
+    SetComposition(0.1, 6.0, 4.0, 3),
+    SetComposition(0.1, 6.0, 4.0, 2),
 )
 
 
-def choose_scenarios(
+def select_scenarios(
     points: FloatArray,
     distances: Sequence[Distances],
     labels: IntArray,
-    critical: Sequence[int] = (),
+    critical_clusters: Sequence[int] = (),
     *,
     size: int | None = None,
     cover: float | None = None,
-    shaped: Sequence[ShapedCluster] | None = None,
-) -> tuple[Kept, ...]:
+    shaped_clusters: Sequence[ShapedCluster] | None = None,
+) -> tuple[Selected, ...]:
     """Select scenarios that represent the clusters, then scenarios that these leave uncovered.
 
     A set of a given size begins with the prototype of each cluster, critical clusters first. Then come archetypes, up
@@ -69,68 +69,68 @@ def choose_scenarios(
     if cover is not None and not 0.0 < cover <= 1.0:
         raise InputError(f"`cover` {cover:g}: give a number above 0 and up to 1.")
     clusters = [int(label) for label in np.unique(labels) if label >= 0]
-    clusters.sort(key=lambda label: (label not in critical, label))
+    clusters.sort(key=lambda label: (label not in critical_clusters, label))
     base = Selection(distances, size)
     for label in clusters:
-        base.keep(Kept(find_prototype(distances[0], np.flatnonzero(labels == label)), label, "prototype"))
+        base.add(Selected(find_prototype(distances[0], np.flatnonzero(labels == label)), label, "prototype"))
     if not clusters:
         medoid = find_prototype(distances[0], np.arange(len(labels)))
-        base.keep(Kept(medoid, int(labels[medoid]), "gap"))
+        base.add(Selected(medoid, int(labels[medoid]), "gap"))
     if size is None:
         assert cover is not None
         # Archetypes are left out, since a coverage is to be reached with as few scenarios as possible.
-        while base.gap.max() > cover:
-            farthest = int(base.gap.argmax())
-            base.keep(Kept(farthest, int(labels[farthest]), "gap"))
-        return tuple(base.kept)
-    shapes = {cluster.shape.cluster: cluster for cluster in (find_shapes(points, labels) if shaped is None else shaped)}
-    task = _Task(points, distances, labels, critical, clusters, shapes, size)
-    baselines = Rivals(distances, labels, critical, size) if len(labels) <= _MOST_EXCHANGED else None
-    best, smallest_shortfall = base.kept, np.inf
+        while base.nearest_distance.max() > cover:
+            farthest = int(base.nearest_distance.argmax())
+            base.add(Selected(farthest, int(labels[farthest]), "gap"))
+        return tuple(base.selected)
+    shapes = {cluster.shape.cluster: cluster for cluster in (classify_cluster_shapes(points, labels) if shaped_clusters is None else shaped_clusters)}
+    task = _SelectionTask(points, distances, labels, critical_clusters, clusters, shapes, size)
+    baselines = Baselines(distances, labels, critical_clusters, size) if len(labels) <= _MAX_EXCHANGED else None
+    best, smallest_shortfall = base.selected, np.inf
     for composition in _COMPOSITIONS:
-        completed = task.completed(base, composition)
-        shortfall = baselines.shortfall(completed.indices) if baselines else 0.0
+        completed = task.complete(base, composition)
+        shortfall = baselines.gap(completed.indices) if baselines else 0.0
         if shortfall < smallest_shortfall:
-            best, smallest_shortfall = completed.kept, shortfall
+            best, smallest_shortfall = completed.selected, shortfall
         if shortfall == 0.0:
             break
     return tuple(best)
 
 
 @dataclass(frozen=True, eq=False)
-class _Task:
+class _SelectionTask:
     """The scenarios to select from, and the number to select."""
 
     points: FloatArray
     distances: Sequence[Distances]
     labels: IntArray
-    critical: Sequence[int]
+    critical_clusters: Sequence[int]
     clusters: Sequence[int]
-    known: Mapping[int, ShapedCluster]
+    shaped_by_cluster: Mapping[int, ShapedCluster]
     size: int
 
-    def completed(self, start: Selection, composition: Composition) -> Selection:
+    def complete(self, base: Selection, composition: SetComposition) -> Selection:
         """Return a copy of a selection, completed by archetypes and by what these leave uncovered."""
-        selection = start.copy()
+        selection = base.copy()
         labels = self.labels
-        factors = [composition.critical if label in self.critical else 1.0 for label in self.clusters]
+        factors = [composition.critical_weight if label in self.critical_clusters else 1.0 for label in self.clusters]
         weights = [
             factor * np.sqrt((labels == label).sum()) for factor, label in zip(factors, self.clusters, strict=True)
         ]
-        numbers = divide_fairly(int(composition.archetypes * self.size), weights)
+        numbers = divide_in_proportion(int(composition.archetype_share * self.size), weights)
         for label, number in zip(self.clusters, numbers, strict=True):
-            extremes = self.known[label].archetypes(self.points, self.distances[0], number).tolist() if number else ()
+            extremes = self.shaped_by_cluster[label].find_archetypes(self.points, self.distances[0], number).tolist() if number else ()
             for index in extremes:
-                selection.keep(Kept(index, label, "archetype"))
-        self._fill(selection, composition)
+                selection.add(Selected(index, label, "archetype"))
+        self._add_uncovered(selection, composition)
         return selection
 
-    def _fill(self, chosen: Selection, composition: Composition) -> None:
+    def _add_uncovered(self, selection: Selection, composition: SetComposition) -> None:
         """Add scenarios that minimise the sum until there are enough."""
-        n_fixed = len(chosen.kept)
-        sums = GapSums(self.distances, np.isin(self.labels, self.critical), composition, self.size)
-        for index in sums.added(chosen.indices, self.size, chosen):
-            chosen.keep(Kept(index, int(self.labels[index]), "gap"))
-        if len(self.labels) <= _MOST_EXCHANGED:
-            indices = sums.exchanged(chosen.indices, n_fixed, chosen)
-            chosen.kept[n_fixed:] = [Kept(index, int(self.labels[index]), "gap") for index in indices[n_fixed:]]
+        n_fixed = len(selection.selected)
+        sums = CoverageSums(self.distances, np.isin(self.labels, self.critical_clusters), composition, self.size)
+        for index in sums.add_greedily(selection.indices, self.size, selection):
+            selection.add(Selected(index, int(self.labels[index]), "gap"))
+        if len(self.labels) <= _MAX_EXCHANGED:
+            indices = sums.exchange(selection.indices, n_fixed, selection)
+            selection.selected[n_fixed:] = [Selected(index, int(self.labels[index]), "gap") for index in indices[n_fixed:]]

@@ -1,9 +1,9 @@
 from .live.watching import watch as watch
 from .page import write_report as write_report
-from .plain import NAMED as NAMED
-from .plain import put_in_words as put_in_words
+from .plain import NAME_LEVELS_BELOW_KEY as NAME_LEVELS_BELOW_KEY
+from .plain import summary_to_dict as summary_to_dict
 from .replays.writing import replay as replay
-from .study_files import tell_study_file as tell_study_file
+from .study_files import format_study_file as format_study_file
 from .summary import FailureSummary as FailureSummary
 from .summary import MetricSummary as MetricSummary
 from .summary import Summary as Summary

@@ -12,42 +12,42 @@ from matplotlib import rc_context
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.text import Text
 
-from cornercase._common.files import portable_name, written_whole
-from cornercase._common.texts import plain_text, wrapped
+from cornercase._common.files import portable_name, atomic_write
+from cornercase._common.texts import escape_control_characters, wrap_text
 from cornercase.report.data import ReportData
-from cornercase.report.drawings import draw_all
-from cornercase.report.figures.style import default_style
+from cornercase.report.drawings import draw_all_figures
+from cornercase.report.figures.style import matplotlib_defaults
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 
 # Longest line of a text in a figure (characters) and most lines, so that long texts do not blow up the figure.
-_LINE, _LINES = 60, 10
+_MAX_LINE_LENGTH, _MAX_LINES = 60, 10
 # Without metadata that would differ between runs.
 _FORMATS: Final[dict[str, dict[str, Any]]] = {
     "png": {"dpi": 110, "metadata": {"Software": None}},
     "svg": {"metadata": {"Date": None, "Creator": None}},
 }
-_CAPTIONS: Final = "captions.txt"
+_CAPTIONS_FILE: Final = "captions.txt"
 
 
 def write_figures(data: ReportData, folder: Path) -> None:
     """Write all figures of a study into `folder`, and ``captions.txt``, which describes each."""
     captions: list[str] = []
     taken: set[str] = set()
-    with default_style():
-        for drawing in draw_all(data):
-            name = _another(portable_name(drawing.name), taken)
-            for ending, content in draw_files(drawing.figure).items():
-                with written_whole(folder / f"{name}.{ending}") as temporary:
+    with matplotlib_defaults():
+        for drawing in draw_all_figures(data):
+            name = _make_unique_name(portable_name(drawing.name), taken)
+            for ending, content in render_figure(drawing.figure).items():
+                with atomic_write(folder / f"{name}.{ending}") as temporary:
                     temporary.write_bytes(content)
-            captions.append(f"{name}: {plain_text(drawing.caption)}\n")
-    with written_whole(folder / _CAPTIONS) as temporary:
+            captions.append(f"{name}: {escape_control_characters(drawing.caption)}\n")
+    with atomic_write(folder / _CAPTIONS_FILE) as temporary:
         temporary.write_text("".join(captions), encoding="utf-8", newline="\n")
 
 
-def _another(name: str, taken: set[str]) -> str:
+def _make_unique_name(name: str, taken: set[str]) -> str:
     """Make a file name unique in `taken`: portable names of different formulas may be equal."""
     candidates = (name if n == 1 else f"{name}-{n}" for n in count(1))
     free = next(candidate for candidate in candidates if candidate.lower() not in taken)
@@ -55,13 +55,13 @@ def _another(name: str, taken: set[str]) -> str:
     return free
 
 
-def draw_files(figure: Figure) -> dict[str, bytes]:
+def render_figure(figure: Figure) -> dict[str, bytes]:
     """Render a figure as PNG and SVG, as bytes by file ending; the same figure gives the same bytes."""
     FigureCanvasAgg(figure)
     for text in figure.findobj(Text):
         # A dollar sign in a name from a file must not start a formula.
         text.set_parse_math(False)
-        text.set_text(wrapped(plain_text(text.get_text()), _LINE, _LINES))
+        text.set_text(wrap_text(escape_control_characters(text.get_text()), _MAX_LINE_LENGTH, _MAX_LINES))
     files = {}
     with rc_context({"text.parse_math": False, "svg.hashsalt": "cornercase"}), warnings.catch_warnings():
         # Characters missing in the font are drawn as boxes.

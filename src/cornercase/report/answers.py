@@ -7,35 +7,35 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any, Final
 
-from cornercase._common.texts import plain_text
+from cornercase._common.texts import escape_control_characters
 from cornercase.evidence import Estimate
 from cornercase.reduction import ReducedSet
 from cornercase.report.data import ReportData
-from cornercase.report.knowledge import CriticalKnowledge
-from cornercase.report.references import tell_references
+from cornercase.report.knowledge import CriticalEstimates
+from cornercase.report.references import describe_references
 from cornercase.report.words import (
-    find_reasons,
-    percent,
-    tell_asked,
-    tell_beginning,
-    tell_beside,
-    tell_chosen,
-    tell_compared,
-    tell_criterion,
-    tell_front,
-    tell_roles,
-    tell_unforetold,
-    tell_unknown,
-    with_signs,
-    with_unit,
+    group_failures_by_reason,
+    format_percent,
+    describe_threshold_override,
+    describe_warm_start,
+    describe_unmeasured_collisions,
+    describe_selection_threshold,
+    describe_aspect,
+    format_criterion_with_signs,
+    describe_front,
+    describe_roles,
+    describe_missing_sensitivity,
+    describe_too_few_scores,
+    use_math_signs,
+    append_unit,
 )
-from cornercase.study import IMPORTED
+from cornercase.study import IMPORTED_SIMULATOR
 from cornercase.suite import worst_state
 
 # Points listed below an answer; the details have all.
-_MOST_POINTS = 6
-_NEGLIGIBLE = 0.01
-_ROLES: Final[dict[str, tuple[str, str]]] = {
+_MAX_POINTS = 6
+_NEGLIGIBLE_SHARE = 0.01
+_ROLE_NAMES: Final[dict[str, tuple[str, str]]] = {
     "prototype": ("prototype", "prototypes"),
     "archetype": ("archetype", "archetypes"),
     "gap": ("that fills a gap between these", "that fill gaps between these"),
@@ -57,131 +57,131 @@ class Answer:
         return {
             "name": self.name,
             "question": self.question,
-            "text": plain_text(self.text),
-            "points": [plain_text(point) for point in self.points],
+            "text": escape_control_characters(self.text),
+            "points": [escape_control_characters(point) for point in self.points],
         }
 
 
 def page_answers(data: ReportData) -> Iterator[Answer]:
     """Answer all questions in the order of the page; every number also appears in `summary_to_dict`."""
     summary = data.summary
-    estimates = summary.knowledge
+    estimates = summary.estimates
     if data.verdicts:
-        yield _of_verdicts(data)
+        yield _answer_verdicts(data)
     if summary.probability is not None:
-        yield _of_probability(summary.probability)
-    if estimates.front is not None:
-        yield _of_front(data)
+        yield _answer_probability(summary.probability)
+    if estimates.pareto_front is not None:
+        yield _answer_front(data)
     else:
-        yield _of_share(data)
-    yield _of_kinds(data)
-    yield _of_parameters(data)
-    yield _of_kept(data)
-    if estimates.front is None and estimates.critical is not None:
-        yield _of_missed(estimates.critical)
-    yield _of_failures(data)
+        yield _answer_critical_share(data)
+    yield _answer_clusters(data)
+    yield _answer_parameters(data)
+    yield _answer_reduced_set(data)
+    if estimates.pareto_front is None and estimates.critical is not None:
+        yield _answer_missed(estimates.critical)
+    yield _answer_failures(data)
 
 
-def tell_about(data: ReportData, *, counts: bool = True) -> str:
+def describe_study(data: ReportData, *, include_counts: bool = True) -> str:
     """Describe the study: roles, search and, unless the page counts itself (`include_counts`), numbers of scenarios."""
     summary, meta = data.summary, data.summary.meta
-    sentences = [tell_roles(meta)]
-    begin = f"{_scenarios(summary.run)} " if counts else "Scenarios "
-    if meta.simulator == IMPORTED:
+    sentences = [describe_roles(meta)]
+    begin = f"{_scenarios_were(summary.n_run)} " if include_counts else "Scenarios "
+    if meta.simulator == IMPORTED_SIMULATOR:
         sentences.append(f"{begin}imported, measured by {', '.join(meta.metrics)}.")
     elif meta.suite:
         sentences.append(f"{begin}run, of a suite, measured by {', '.join(meta.metrics)}.")
     else:
-        if counts:
+        if include_counts:
             sentences.append(f"{begin}run.")
-        sentences.append(f"Search: {meta.optimizer}, on {'the ' if meta.pareto else ''}{summary.searched}.")
+        sentences.append(f"Search: {meta.optimizer}, on {'the ' if meta.pareto else ''}{summary.objective}.")
         if meta.asynchronous:
             sentences.append("Each scenario was proposed as soon as one had ended.")
         if meta.elsewhere:
-            sentences.append(f"The search began from {tell_beginning(meta)}.")
-    if unmeasured := tell_beside(summary, counts=counts):
+            sentences.append(f"The search began from {describe_warm_start(meta)}.")
+    if unmeasured := describe_unmeasured_collisions(summary, counts=include_counts):
         sentences.append(unmeasured)
-    if meta.runs_differ:
-        sentences.append(f"Runs differ: {meta.runs_differ}.")
-    if counts and summary.pending:
-        sentences.append(f"{_scenarios(summary.pending)} not run yet.")
-    return plain_text(" ".join(sentences))
+    if meta.nondeterminism_text:
+        sentences.append(f"Runs differ: {meta.nondeterminism_text}.")
+    if include_counts and summary.n_pending:
+        sentences.append(f"{_scenarios_were(summary.n_pending)} not run yet.")
+    return escape_control_characters(" ".join(sentences))
 
 
-def _scenarios(count: int) -> str:
+def _scenarios_were(count: int) -> str:
     return "One scenario was" if count == 1 else f"{count} scenarios were"
 
 
-def _about(share: float) -> str:
-    text = percent(share)
+def _describe_share(share: float) -> str:
+    text = format_percent(share)
     return f"About {text}" if text[0].isdigit() else text.capitalize()
 
 
-def _interval(estimate: Estimate) -> str:
-    low, high = percent(estimate.low), percent(estimate.high)
+def _format_interval(estimate: Estimate) -> str:
+    low, high = format_percent(estimate.low), format_percent(estimate.high)
     if low == high and estimate.low < estimate.high:
         low, high = (f"{100.0 * bound:.4g} %" for bound in (estimate.low, estimate.high))
     return f"90 % interval {low} to {high}"
 
 
-def _of_share(data: ReportData) -> Answer:
+def _answer_critical_share(data: ReportData) -> Answer:
     name, question = "critical", "How much of the space is critical?"
-    summary, critical = data.summary, data.summary.knowledge.critical
+    summary, critical = data.summary, data.summary.estimates.critical
     if critical is None:
         none = "There is no threshold from which a scenario is critical; set one with --critical of cornercase explore."
         return Answer(name, question, none)
-    criterion = tell_criterion(critical, summary.searched)
-    estimates = critical.known
-    which_ran = "" if summary.meta.simulator == IMPORTED else " that were run"
-    if summary.run == 1:
-        counts = f"The one scenario that was run is {'' if critical.scenarios else 'not '}critical ({criterion})."
-    elif critical.scenarios:
-        verb = "is" if critical.scenarios == 1 else "are"
-        counts = f"{critical.scenarios} of the {summary.run} scenarios{which_ran} {verb} critical ({criterion})."
+    criterion = format_criterion_with_signs(critical, summary.objective)
+    estimates = critical.critical_set
+    which_ran = "" if summary.meta.simulator == IMPORTED_SIMULATOR else " that were run"
+    if summary.n_run == 1:
+        counts = f"The one scenario that was run is {'' if critical.n_critical else 'not '}critical ({criterion})."
+    elif critical.n_critical:
+        verb = "is" if critical.n_critical == 1 else "are"
+        counts = f"{critical.n_critical} of the {summary.n_run} scenarios{which_ran} {verb} critical ({criterion})."
     else:
-        counts = f"None of the {summary.run} scenarios{which_ran} is critical ({criterion})."
-    counts += tell_references(summary.references)
-    if override := tell_asked(summary):
+        counts = f"None of the {summary.n_run} scenarios{which_ran} is critical ({criterion})."
+    counts += describe_references(summary.references)
+    if override := describe_threshold_override(summary):
         counts += f" {override}"
     if estimates is None:
-        return Answer(name, question, f"{counts} {tell_unknown()}")
+        return Answer(name, question, f"{counts} {describe_too_few_scores()}")
     space = "the space, as far as it can be run," if data.failed else "the space"
-    if estimates.share_doubt is not None:
-        estimate = f"{_about(estimates.share.value)} of {space} is critical. " if critical.scenarios else ""
-        return Answer(name, question, f"{estimate}{counts} There is no interval: {estimates.share_doubt}.")
-    if not critical.scenarios:
-        bound = f"At most {percent(estimates.share.high)} of {space} is critical (upper end of a 90 % interval)."
-        if estimates.missed_doubt is None:
+    if estimates.interval_unavailable is not None:
+        estimate = f"{_describe_share(estimates.critical_fraction.value)} of {space} is critical. " if critical.n_critical else ""
+        return Answer(name, question, f"{estimate}{counts} There is no interval: {estimates.interval_unavailable}.")
+    if not critical.n_critical:
+        bound = f"At most {format_percent(estimates.critical_fraction.high)} of {space} is critical (upper end of a 90 % interval)."
+        if estimates.missed_interval_unavailable is None:
             bound = "These are all scenarios of the space."
         return Answer(name, question, f"{counts} {bound}")
-    share = f"{_about(estimates.share.value)} of {space} is critical ({_interval(estimates.share)})."
+    share = f"{_describe_share(estimates.critical_fraction.value)} of {space} is critical ({_format_interval(estimates.critical_fraction)})."
     return Answer(name, question, f"{share} {counts}")
 
 
-def _of_missed(known: CriticalKnowledge) -> Answer:
-    sentences, estimates = [], known.known
+def _answer_missed(critical: CriticalEstimates) -> Answer:
+    sentences, estimates = [], critical.critical_set
     if estimates is None:
         sentences.append("That is unknown: there are too few different scores.")
-    elif not known.scenarios and estimates.missed_doubt is None:
+    elif not critical.n_critical and estimates.missed_interval_unavailable is None:
         sentences.append("Nothing: all scenarios of the space were run, and none is critical.")
-    elif not known.scenarios:
+    elif not critical.n_critical:
         sentences.append("Nothing critical was found, so whatever is critical was missed.")
-    elif estimates.missed_doubt is not None:
-        sentences.append(f"{_about(estimates.missed.value)} of the critical set.")
-        sentences.append(f"There is no interval: {estimates.missed_doubt}.")
+    elif estimates.missed_interval_unavailable is not None:
+        sentences.append(f"{_describe_share(estimates.missed_fraction.value)} of the critical set.")
+        sentences.append(f"There is no interval: {estimates.missed_interval_unavailable}.")
     else:
-        sentences.append(f"{_about(estimates.missed.value)} of the critical set ({_interval(estimates.missed)}).")
-    if estimates is not None and known.scenarios:
+        sentences.append(f"{_describe_share(estimates.missed_fraction.value)} of the critical set ({_format_interval(estimates.missed_fraction)}).")
+    if estimates is not None and critical.n_critical:
         sentences.append(
             "That relies on a model of the scores. Without a model: a region in which nothing was run could hide"
-            f" {percent(estimates.hidden)} of the critical set."
+            f" {format_percent(estimates.max_hidden_fraction)} of the critical set."
         )
-    if known.audit is not None:
-        audits = f"{known.audit.critical} of {known.audit.scenarios} audits, drawn at random, are critical"
-        if known.audit.missed is not None and known.audit.critical:
+    if critical.audits is not None:
+        audits = f"{critical.audits.n_critical} of {critical.audits.n_scenarios} audits, drawn at random, are critical"
+        if critical.audits.missed_fraction is not None and critical.audits.n_critical:
             audits += (
-                f"; from these alone, without a model, {percent(known.audit.missed.value)} is missed"
-                f" ({_interval(known.audit.missed)})"
+                f"; from these alone, without a model, {format_percent(critical.audits.missed_fraction.value)} is missed"
+                f" ({_format_interval(critical.audits.missed_fraction)})"
             )
         sentences.append(f"{audits}.")
     return Answer("missed", "What may be missed?", " ".join(sentences))
@@ -192,13 +192,13 @@ def find_default_aspect(data: ReportData) -> str | None:
     highest, aspect = -1.0, None
     for by, analysis in data.summary.analyses.items():
         # If tied, the later aspect wins: aspects are ordered by how much they say about what happens.
-        information = round(analysis.tells.get("outcome", 0.0), 3) if analysis.clustering.n_clusters > 1 else -1.0
+        information = round(analysis.fact_agreement.get("outcome", 0.0), 3) if analysis.clustering.n_clusters > 1 else -1.0
         if information >= highest:
             highest, aspect = information, by
     return aspect
 
 
-def _of_kinds(data: ReportData) -> Answer:
+def _answer_clusters(data: ReportData) -> Answer:
     name, question, analyses = "kinds", "Which kinds are there?", data.summary.analyses
     chosen = find_default_aspect(data)
     if chosen is None:
@@ -206,129 +206,129 @@ def _of_kinds(data: ReportData) -> Answer:
     divided = [by for by, analysis in analyses.items() if analysis.clustering.n_clusters > 1 and by != chosen]
     undivided = [by for by, analysis in analyses.items() if analysis.clustering.n_clusters <= 1]
     if analyses[chosen].clustering.n_clusters <= 1:
-        return Answer(name, question, f"There are no separate kinds by {_listed(undivided)}.")
+        return Answer(name, question, f"There are no separate kinds by {_join_with_and(undivided)}.")
     analysis = analyses[chosen]
     noise = int((analysis.labels < 0).sum())
     outside = f", and {noise} scenarios of noise" if noise else ""
-    compared = f" ({description})" if (description := tell_compared(chosen)) else ""
+    compared = f" ({description})" if (description := describe_aspect(chosen)) else ""
     sentences = [f"By {chosen}{compared} there are {analysis.clustering.n_clusters} kinds{outside}."]
     points = [
         f"{profile.label or f'cluster {profile.cluster}'} ({profile.size} scenarios)."
         for profile in analysis.profiles
         if profile.cluster >= 0
     ]
-    if len(points) > _MOST_POINTS:
-        points = [*points[:_MOST_POINTS], f"{len(points) - _MOST_POINTS} smaller ones are listed below."]
+    if len(points) > _MAX_POINTS:
+        points = [*points[:_MAX_POINTS], f"{len(points) - _MAX_POINTS} smaller ones are listed below."]
     if divided:
-        sentences.append(f"There are also kinds by {_listed(divided)}.")
+        sentences.append(f"There are also kinds by {_join_with_and(divided)}.")
     if undivided:
-        sentences.append(f"There are no separate kinds by {_listed(undivided)}.")
+        sentences.append(f"There are no separate kinds by {_join_with_and(undivided)}.")
     return Answer(name, question, " ".join(sentences), tuple(points))
 
 
-def _of_parameters(data: ReportData) -> Answer:
-    name, question, sensitivity = "parameters", "Which parameters matter?", data.summary.knowledge.sensitivity
-    if data.summary.knowledge.front is not None:
+def _answer_parameters(data: ReportData) -> Answer:
+    name, question, sensitivity = "parameters", "Which parameters matter?", data.summary.estimates.sensitivity
+    if data.summary.estimates.pareto_front is not None:
         return Answer(
             name, question, "This is known for a single score only; this study searches the Pareto front of several."
         )
     if sensitivity is None:
         return Answer(name, question, "There are too few different scores to say.")
-    if not sensitivity.foretold:
-        return Answer(name, question, tell_unforetold())
+    if not sensitivity.is_meaningful:
+        return Answer(name, question, describe_missing_sensitivity())
     order = sorted(range(len(sensitivity.names)), key=lambda k: (-sensitivity.total[k], k))
     points = [
-        f"{sensitivity.names[k]}: {_share_of(sensitivity.total[k], sensitivity.total_interval[k])} together with the"
-        f" others, {_share_of(sensitivity.first[k], sensitivity.first_interval[k])} alone."
-        for k in order[:_MOST_POINTS]
+        f"{sensitivity.names[k]}: {_format_share_with_interval(sensitivity.total[k], sensitivity.total_interval[k])} together with the"
+        f" others, {_format_share_with_interval(sensitivity.first[k], sensitivity.first_interval[k])} alone."
+        for k in order[:_MAX_POINTS]
     ]
-    has = "has" if len(sensitivity.little) == 1 else "have"
-    little = f" {_listed(list(sensitivity.little))} {has} little influence." if sensitivity.little else ""
+    has = "has" if len(sensitivity.uninfluential_parameters) == 1 else "have"
+    little = f" {_join_with_and(list(sensitivity.uninfluential_parameters))} {has} little influence." if sensitivity.uninfluential_parameters else ""
     text = (
-        f"{sensitivity.names[order[0]]} matters most: {percent(sensitivity.total[order[0]])} of the variance of"
-        f" {data.summary.searched} comes from it, alone or together with the others.{little} The shares come from a"
-        f" Gaussian process that explains {percent(sensitivity.predicted)} of the variance (cross-validated); intervals"
+        f"{sensitivity.names[order[0]]} matters most: {format_percent(sensitivity.total[order[0]])} of the variance of"
+        f" {data.summary.objective} comes from it, alone or together with the others.{little} The shares come from a"
+        f" Gaussian process that explains {format_percent(sensitivity.predicted)} of the variance (cross-validated); intervals"
         " are of 90 %."
     )
     return Answer(name, question, text, tuple(points))
 
 
-def _share_of(value: float, interval: tuple[float, float]) -> str:
-    if interval[1] < _NEGLIGIBLE:
-        return f"below {percent(_NEGLIGIBLE)}"
-    return f"{percent(value)} ({percent(interval[0])} to {percent(interval[1])})"
+def _format_share_with_interval(value: float, interval: tuple[float, float]) -> str:
+    if interval[1] < _NEGLIGIBLE_SHARE:
+        return f"below {format_percent(_NEGLIGIBLE_SHARE)}"
+    return f"{format_percent(value)} ({format_percent(interval[0])} to {format_percent(interval[1])})"
 
 
-def _of_kept(data: ReportData) -> Answer:
-    name, question, reduced = "kept", "Which scenarios should be kept?", data.summary.reduced
+def _answer_reduced_set(data: ReportData) -> Answer:
+    name, question, reduced = "kept", "Which scenarios should be kept?", data.summary.reduced_set
     if reduced is None:
         return Answer(name, question, "The study has not been reduced yet; cornercase reduce finds the few to keep.")
-    roles = Counter(str(scenario.role) for scenario in reduced.kept)
-    counts = _listed([f"{n} {forms[n != 1]}" for role, forms in _ROLES.items() if (n := roles[role])])
-    sentences = [f"Keep {len(reduced.kept)} of the {reduced.run} scenarios: {counts or 'none'}."]
-    if later := data.summary.run - reduced.run:
-        sentences.append(f"{_scenarios(later)} run since.")
-    if chosen := tell_chosen(data.summary):
+    roles = Counter(str(scenario.role) for scenario in reduced.scenarios)
+    counts = _join_with_and([f"{n} {forms[n != 1]}" for role, forms in _ROLE_NAMES.items() if (n := roles[role])])
+    sentences = [f"Keep {len(reduced.scenarios)} of the {reduced.n_run} scenarios: {counts or 'none'}."]
+    if later := data.summary.n_run - reduced.n_run:
+        sentences.append(f"{_scenarios_were(later)} run since.")
+    if chosen := describe_selection_threshold(data.summary):
         sentences.append(chosen)
-    return Answer(name, question, " ".join([*sentences, *_left_out(data, reduced)]))
+    return Answer(name, question, " ".join([*sentences, *_describe_coverage(data, reduced)]))
 
 
-def _left_out(data: ReportData, reduced: ReducedSet) -> Iterator[str]:
+def _describe_coverage(data: ReportData, reduced: ReducedSet) -> Iterator[str]:
     critical = {name: entry.held_out for name, entry in reduced.critical.items() if entry.held_out is not None}
     by = reduced.by if reduced.by in critical else next(iter(critical), None)
     if by is not None:
         count = critical[by].scenarios
         covered = round(count * critical[by].critical)
-        which = "every one is" if covered == count else f"{percent(critical[by].critical)} are"
+        which = "every one is" if covered == count else f"{format_percent(critical[by].critical)} are"
         yield f"Of the held-out critical scenarios, {which} like a kept one by {by} ({covered} of {count})."
     elif reduced.by in reduced.critical and (share := reduced.critical[reduced.by].critical) is not None:
         # Evaluated with another threshold than that of the selection.
-        yield f"{_about(share)} of the critical scenarios that were run are like a kept one by {reduced.by}."
+        yield f"{_describe_share(share)} of the critical scenarios that were run are like a kept one by {reduced.by}."
     graded = {name: entry.held_out for name, entry in reduced.coverage.items() if entry.held_out is not None}
     by = reduced.by if reduced.by in graded else next(iter(graded), None)
     if by is not None and by in data.summary.analyses:
         held_out, unit = graded[by], data.summary.analyses[by].unit
         yield (
             "The distance from a held-out scenario to the nearest kept one is"
-            f" {with_unit(f'{held_out.mean:.3g}', unit)} on average by {by} (DTW distance);"
+            f" {append_unit(f'{held_out.mean:.3g}', unit)} on average by {by} (DTW distance);"
             f" {100.0 * held_out.better_mean:.0f} of 100 random choices of the same size leave more; k-medoids"
-            f" leaves {with_unit(f'{held_out.medoids_mean:.3g}', unit)}."
+            f" leaves {append_unit(f'{held_out.medoids_mean:.3g}', unit)}."
         )
 
 
-def _of_front(data: ReportData) -> Answer:
-    front = data.summary.knowledge.front or {}
+def _answer_front(data: ReportData) -> Answer:
+    front = data.summary.estimates.pareto_front or {}
     return Answer(
-        "front", "Which scenarios are on the Pareto front?", tell_front(len(front)), tuple(ends_of_front(data))
+        "front", "Which scenarios are on the Pareto front?", describe_front(len(front)), tuple(describe_front_ends(data))
     )
 
 
-def ends_of_front(data: ReportData) -> Iterator[str]:
+def describe_front_ends(data: ReportData) -> Iterator[str]:
     """Describe for each metric which scenario of the Pareto front is the most critical."""
-    front = data.summary.knowledge.front or {}
+    front = data.summary.estimates.pareto_front or {}
     for metric in data.metrics:
-        ids = sorted(front, key=lambda scenario: (metric.oriented(front[scenario][metric.name]), scenario))
+        ids = sorted(front, key=lambda scenario: (metric.to_minimize(front[scenario][metric.name]), scenario))
         if ids:
-            value = with_unit(f"{front[ids[0]][metric.name]:.3g}", metric.unit)
+            value = append_unit(f"{front[ids[0]][metric.name]:.3g}", metric.unit)
             yield f"The most critical {metric.name} on it is {value}, in scenario {ids[0]}."
 
 
-def _of_failures(data: ReportData) -> Answer:
+def _answer_failures(data: ReportData) -> Answer:
     name, question, failed = "failed", "What failed, and why?", data.failed
-    total = data.summary.run + data.summary.failed
+    total = data.summary.n_run + data.summary.n_failed
     if not failed:
         return Answer(
             name,
             question,
             "Nothing: " + ("the one scenario" if total == 1 else f"all {total} scenarios") + " could be run.",
         )
-    reasons = find_reasons(failed)
-    points = [f"{len(ids)}: {why}" for why, ids in list(reasons.items())[:_MOST_POINTS]]
-    note = f" The {_MOST_POINTS} most frequent reasons:" if len(reasons) > _MOST_POINTS else ""
+    reasons = group_failures_by_reason(failed)
+    points = [f"{len(ids)}: {why}" for why, ids in list(reasons.items())[:_MAX_POINTS]]
+    note = f" The {_MAX_POINTS} most frequent reasons:" if len(reasons) > _MAX_POINTS else ""
     return Answer(name, question, f"{len(failed)} of {total} scenarios could not be run.{note}", tuple(points))
 
 
-def _of_verdicts(data: ReportData) -> Answer:
+def _answer_verdicts(data: ReportData) -> Answer:
     failed = {row.id for row in data.failed}
     states = {scenario: worst_state(verdicts) for scenario, verdicts in data.verdicts.items()}
     counts = Counter("not run" if scenario in failed else state for scenario, state in states.items())
@@ -339,20 +339,20 @@ def _of_verdicts(data: ReportData) -> Answer:
         for verdict in verdicts
         if verdict.state == "failed"
     ]
-    note = f" The first {_MOST_POINTS} requirements that failed:" if len(violations) > _MOST_POINTS else ""
+    note = f" The first {_MAX_POINTS} requirements that failed:" if len(violations) > _MAX_POINTS else ""
     text = f"{', '.join(parts)} of {len(states)} scenarios.{note}"
-    return Answer("verdicts", "Did it pass?", text, tuple(violations[:_MOST_POINTS]))
+    return Answer("verdicts", "Did it pass?", text, tuple(violations[:_MAX_POINTS]))
 
 
-def _of_probability(found: Any) -> Answer:
-    criterion = with_signs(found["critical is"])
+def _answer_probability(estimate: Any) -> Answer:
+    criterion = use_math_signs(estimate["critical is"])
     points = []
     for event, description in (("critical", f"a critical scenario ({criterion})"), ("collision", "a collision")):
-        low, high = found[event]["95 % interval"]
-        points.append(f"Of {description}: {found[event]['probability']:.3g} (95 % interval {low:.3g} to {high:.3g}).")
-    text = f"Under the distributions of the space, from {found['scenarios']} scenarios:"
-    return Answer("probability", "How probable is it?", text, (*points, *found["warnings"]))
+        low, high = estimate[event]["95 % interval"]
+        points.append(f"Of {description}: {estimate[event]['probability']:.3g} (95 % interval {low:.3g} to {high:.3g}).")
+    text = f"Under the distributions of the space, from {estimate['scenarios']} scenarios:"
+    return Answer("probability", "How probable is it?", text, (*points, *estimate["warnings"]))
 
 
-def _listed(words: list[str]) -> str:
+def _join_with_and(words: list[str]) -> str:
     return " and ".join(filter(None, (", ".join(words[:-1]), words[-1]))) if words else ""

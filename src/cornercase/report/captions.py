@@ -6,157 +6,157 @@ from typing import Any
 
 import numpy as np
 
-from cornercase._common.texts import plain_text
+from cornercase._common.texts import escape_control_characters
 from cornercase.clustering import Analysis
 from cornercase.evidence import Sensitivity
 from cornercase.metrics import Metric
 from cornercase.reduction import ReducedSet
-from cornercase.report.answers import ends_of_front
+from cornercase.report.answers import describe_front_ends
 from cornercase.report.data import ReportData
 from cornercase.report.words import (
     format_value,
-    judge_clusters,
-    tell_criterion,
-    tell_front,
-    tell_how_found,
-    tell_unforetold,
-    with_unit,
+    describe_informativeness,
+    format_criterion_with_signs,
+    describe_front,
+    describe_clustering_method,
+    describe_missing_sensitivity,
+    append_unit,
 )
 
 
-def page_captions(data: ReportData) -> dict[str, Any]:
+def describe_views(data: ReportData) -> dict[str, Any]:
     """Return the captions of the page's views by name: a text, or texts by metric or aspect.
 
     Views that are missing have the same caption in every study.
     """
     summary = data.summary
-    estimates, analyses = summary.knowledge, summary.analyses
+    estimates, analyses = summary.estimates, summary.analyses
     captions: dict[str, Any] = {
-        "space": {metric.name: of_scores(data, metric) for metric in data.metrics},
-        "histogram": {metric.name: of_distribution(data, metric) for metric in data.metrics},
-        "search": of_search(data),
-        "kernel": {name: of_clusters(analysis) for name, analysis in analyses.items()},
+        "space": {metric.name: describe_most_critical(data, metric) for metric in data.metrics},
+        "histogram": {metric.name: describe_score_distribution(data, metric) for metric in data.metrics},
+        "search": describe_search_progress(data),
+        "kernel": {name: describe_cluster_count(analysis) for name, analysis in analyses.items()},
     }
-    if estimates.front is not None:
-        captions["front"] = " ".join(ends_of_front(data))
+    if estimates.pareto_front is not None:
+        captions["front"] = " ".join(describe_front_ends(data))
     if estimates.sensitivity is not None:
-        captions["matters"] = of_influence(estimates.sensitivity)
-    return {view: _plain(caption) for view, caption in captions.items()}
+        captions["matters"] = describe_most_influential(estimates.sensitivity)
+    return {view: _to_plain_text(caption) for view, caption in captions.items()}
 
 
-def _plain(caption: Any) -> Any:
+def _to_plain_text(caption: Any) -> Any:
     if isinstance(caption, dict):
-        return {name: plain_text(text) for name, text in caption.items()}
-    return plain_text(caption)
+        return {name: escape_control_characters(text) for name, text in caption.items()}
+    return escape_control_characters(caption)
 
 
-def of_clusters(analysis: Analysis) -> str:
+def describe_cluster_count(analysis: Analysis) -> str:
     """Describe how many clusters an aspect has."""
     count, noise = analysis.clustering.n_clusters, int((analysis.labels < 0).sum())
     if count < 2:
-        return judge_clusters(analysis)
+        return describe_informativeness(analysis)
     outside = f", and {noise} scenarios of noise" if noise else ""
     return f"{count} kinds by {analysis.by}{outside}."
 
 
-def of_influence(found: Sensitivity) -> str:
+def describe_most_influential(sensitivity: Sensitivity) -> str:
     """Describe which parameter matters most."""
-    if not found.foretold:
-        return tell_unforetold()
-    little = f" {' and '.join(found.little)} {'has' if len(found.little) == 1 else 'have'} little influence."
-    return f"{found.names[int(np.argmax(found.total))]} matters most.{little if found.little else ''}"
+    if not sensitivity.is_meaningful:
+        return describe_missing_sensitivity()
+    little = f" {' and '.join(sensitivity.uninfluential_parameters)} {'has' if len(sensitivity.uninfluential_parameters) == 1 else 'have'} little influence."
+    return f"{sensitivity.names[int(np.argmax(sensitivity.total))]} matters most.{little if sensitivity.uninfluential_parameters else ''}"
 
 
-def of_distribution(data: ReportData, metric: Metric) -> str:
+def describe_score_distribution(data: ReportData, metric: Metric) -> str:
     """Describe the distribution of a metric's scores."""
     scores = data.scores[metric.name]
-    low, middle, high = (with_unit(f"{value:.3g}", metric.unit) for value in np.quantile(scores, (0.0, 0.5, 1.0)))
+    low, middle, high = (append_unit(f"{value:.3g}", metric.unit) for value in np.quantile(scores, (0.0, 0.5, 1.0)))
     if low == high:
         subject = "All scenarios have" if len(scores) > 1 else "The one scenario has"
         return f"{subject} the {metric.name} score {low}."
     text = f"{metric.name} scores lie between {low} and {high}; the median is {middle}."
-    critical = data.summary.knowledge.critical
-    if critical is not None and metric.name == data.summary.searched:
+    critical = data.summary.estimates.critical
+    if critical is not None and metric.name == data.summary.objective:
         text += (
-            f" {critical.scenarios} of {len(scores)} are critical ({tell_criterion(critical, data.summary.searched)})."
+            f" {critical.n_critical} of {len(scores)} are critical ({format_criterion_with_signs(critical, data.summary.objective)})."
         )
     return text
 
 
-def of_search(data: ReportData) -> str:
+def describe_search_progress(data: ReportData) -> str:
     """Describe when the search found the most critical scenario of each metric."""
     sentences = []
     for name, summary in data.summary.metrics.items():
-        round_number = next(row.round for row in data.rows if row.id == summary.scenario)
-        score = with_unit(f"{summary.most_critical:.3g}", summary.unit)
+        round_number = next(row.round for row in data.rows if row.id == summary.most_critical_id)
+        score = append_unit(f"{summary.most_critical:.3g}", summary.unit)
         sentences.append(
             f"The most critical {name} of all, {score}, was first found in round {round_number}"
-            f" (scenario {summary.scenario})."
+            f" (scenario {summary.most_critical_id})."
         )
     return " ".join(sentences)
 
 
-def of_scores(data: ReportData, metric: Metric) -> str:
+def describe_most_critical(data: ReportData, metric: Metric) -> str:
     """Describe the most critical scenario by a metric."""
     summary = data.summary.metrics[metric.name]
     at = ", ".join(
-        f"{parameter.name} = {with_unit(format_value(parameter.read(summary.at), 4), parameter.unit)}"
+        f"{parameter.name} = {append_unit(format_value(parameter.extract_value(summary.parameters), 4), parameter.unit)}"
         for parameter in data.parameters
     )
     n_most_critical = int((data.scores[metric.name] == summary.most_critical).sum())
     subject = f"One of the {n_most_critical} most critical scenarios" if n_most_critical > 1 else "The most critical"
-    score = with_unit(f"{summary.most_critical:.3g}", metric.unit)
-    text = f"{subject} is scenario {summary.scenario}, {metric.name} {score} at {at}."
-    if summary.alike:
-        text += f" {summary.alike}"
-    if summary.spread is not None:
-        median, largest = (with_unit(f"{value:.3g}", metric.unit) for value in summary.spread)
+    score = append_unit(f"{summary.most_critical:.3g}", metric.unit)
+    text = f"{subject} is scenario {summary.most_critical_id}, {metric.name} {score} at {at}."
+    if summary.constant_note:
+        text += f" {summary.constant_note}"
+    if summary.repeat_spread is not None:
+        median, largest = (append_unit(f"{value:.3g}", metric.unit) for value in summary.repeat_spread)
         text += (
-            f" Each was run {data.summary.meta.runs_of_each} times; its scores differ by {median} in the median"
+            f" Each was run {data.summary.meta.repeats_text} times; its scores differ by {median} in the median"
             f" scenario, and by {largest} at most."
         )
     return text
 
 
-def of_front(count: int) -> str:
+def caption_front(n_scenarios: int) -> str:
     """Caption of the figure of a Pareto front with `n_scenarios`."""
-    return f"The scores of each scenario that was run. {tell_front(count)}"
+    return f"The scores of each scenario that was run. {describe_front(n_scenarios)}"
 
 
-def of_sensitivity(found: Sensitivity, searched: str) -> str:
+def caption_sensitivity(sensitivity: Sensitivity, objective: str) -> str:
     """Caption of the figure of sensitivities."""
     text = (
-        f"How much of the variance of {searched} comes from each parameter, by a Gaussian process with a"
-        f" cross-validated R² of {max(found.predicted, 0.0):.2f}; the lines are 90 % intervals."
+        f"How much of the variance of {objective} comes from each parameter, by a Gaussian process with a"
+        f" cross-validated R² of {max(sensitivity.predicted, 0.0):.2f}; the lines are 90 % intervals."
     )
-    if not found.foretold:
-        return f"{text} {tell_unforetold()}"
-    return text + (f" Of little influence: {', '.join(found.little)}." if found.little else "")
+    if not sensitivity.is_meaningful:
+        return f"{text} {describe_missing_sensitivity()}"
+    return text + (f" Of little influence: {', '.join(sensitivity.uninfluential_parameters)}." if sensitivity.uninfluential_parameters else "")
 
 
-def of_examples(left_out: int) -> str:
+def caption_examples(n_not_drawn: int) -> str:
     """Caption of the figure of one scenario per cluster; `n_not_drawn` are left out."""
     return (
         "One scenario of each kind: the one with the smallest sum of distances to the others of its kind. Seen from"
         " above, with times in s along the trajectories and the boxes where they are closest; and speeds over time."
-        + (f" {left_out} smaller kinds are not drawn." if left_out else "")
+        + (f" {n_not_drawn} smaller kinds are not drawn." if n_not_drawn else "")
     )
 
 
-def of_kernel_space(analysis: Analysis) -> str:
+def caption_kernel_space(analysis: Analysis) -> str:
     """Caption of the figure of kernel space."""
     return (
         "Similar scenarios are near each other; those of a cluster have one colour and one symbol."
-        f" {tell_how_found(analysis)}"
+        f" {describe_clustering_method(analysis)}"
     )
 
 
-def of_courses(metric: Metric) -> str:
+def caption_courses(metric: Metric) -> str:
     """Caption of the figure of a metric's courses per cluster."""
     return f"Course of {metric.name} in each cluster: median, and the band that holds 80 % of its scenarios."
 
 
-def of_hulls(reduced: ReducedSet) -> str:
+def caption_reduced_set(reduced: ReducedSet) -> str:
     """Caption of the figure of the reduced set in the parameter space."""
     exposing = " or expose mutants of the driver (diamonds)" if reduced.exposing is not None else ""
     return (
@@ -165,7 +165,7 @@ def of_hulls(reduced: ReducedSet) -> str:
     )
 
 
-def of_coverage() -> str:
+def caption_coverage() -> str:
     """Caption of the figure of coverage."""
     return (
         "Share of all scenarios, and of the critical ones, that have a kept scenario within this DTW distance. For"

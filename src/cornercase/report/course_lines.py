@@ -13,10 +13,10 @@ from cornercase._common.typing import Float32Array, FloatArray
 
 COURSE_POINTS: Final = 48
 """Points of a course as a line of the page; the replay has all points."""
-_GREATEST: Final = 65534
+_MAX_CODE: Final = 65534
 
 
-def draw_course(time: FloatArray, course: Float32Array, lower_is_critical: bool) -> FloatArray:
+def resample_course(time: FloatArray, course: Float32Array, lower_is_critical: bool) -> FloatArray:
     """Resample a capped course at `COURSE_POINTS` evenly spaced times; return shape (COURSE_POINTS,).
 
     The most critical value is kept at the nearest of these times, so that a short critical peak stays visible.
@@ -29,7 +29,7 @@ def draw_course(time: FloatArray, course: Float32Array, lower_is_critical: bool)
     return line
 
 
-def pack_courses(courses: Sequence[FloatArray | None], spans: Sequence[tuple[float, float]]) -> dict[str, Any]:
+def encode_courses(courses: Sequence[FloatArray | None], time_spans: Sequence[tuple[float, float]]) -> dict[str, Any]:
     """Encode resampled courses (None: no course) of all scenarios as 16-bit integers for the page's ``courses``.
 
     `time_spans` are begin and end of each recording in s; 65535 stands for no value.
@@ -37,20 +37,20 @@ def pack_courses(courses: Sequence[FloatArray | None], spans: Sequence[tuple[flo
     present = [course for course in courses if course is not None]
     low = min((float(np.nanmin(course)) for course in present), default=0.0)
     high = max((float(np.nanmax(course)) for course in present), default=1.0)
-    codes = np.full((len(courses), COURSE_POINTS), _GREATEST + 1, dtype="<u2")
+    codes = np.full((len(courses), COURSE_POINTS), _MAX_CODE + 1, dtype="<u2")
     for k, course in enumerate(courses):
         if course is not None:
-            codes[k] = np.rint((course - low) / max(high - low, 1e-12) * _GREATEST)
+            codes[k] = np.rint((course - low) / max(high - low, 1e-12) * _MAX_CODE)
     return {
         "points": COURSE_POINTS,
         "low": low,
         "high": high,
-        "begin": [begin for begin, _ in spans],
-        "end": [end for _, end in spans],
-        "values": pack(codes.tobytes()),
+        "begin": [begin for begin, _ in time_spans],
+        "end": [end for _, end in time_spans],
+        "values": compress_to_base64(codes.tobytes()),
     }
 
 
-def pack(data: bytes) -> str:
+def compress_to_base64(content: bytes) -> str:
     """Compress bytes with zlib and encode them in base64."""
-    return base64.b64encode(zlib.compress(data, 9)).decode()
+    return base64.b64encode(zlib.compress(content, 9)).decode()

@@ -6,56 +6,56 @@ from typing import Final
 
 from markupsafe import Markup
 
-from cornercase._common.texts import plain_text
-from cornercase.report.sections.overview import tell_provenance, tell_reasons
-from cornercase.report.study_files import tell_again
-from cornercase.report.summary import Summary, summarize_with
-from cornercase.report.tables import make_table
-from cornercase.report.templates import fill_template
-from cornercase.report.words import format_value, tell_roles
-from cornercase.study import Row, Study, StudyMeta
+from cornercase._common.texts import escape_control_characters
+from cornercase.report.sections.overview import render_provenance, render_failure_reasons
+from cornercase.report.study_files import describe_retry
+from cornercase.report.summary import Summary, summarize_with_collisions
+from cornercase.report.tables import render_table
+from cornercase.report.templates import render_template
+from cornercase.report.words import format_value, describe_roles
+from cornercase.study import ScenarioRecord, Study, StudyMeta
 
 # Rows that somebody may still read.
-_MOST: Final = 1000
-_MISSING: Final = (
+_MAX_ROWS: Final = 1000
+_MISSING_TEXT: Final = (
     "No scenario was run, so there are no scores, critical scenarios, kinds, reduced set or replays. The report shows"
     " them once a scenario was run."
 )
 _POLICY: Final = "default-src 'none'; style-src 'unsafe-inline'; img-src data:"
 
 
-def fill_failures(study: Study) -> str:
+def render_failure_page(study: Study) -> str:
     """Render the page of an open study in which all scenarios that ended have failed; HTML without scripts."""
-    summary, failed = summarize_with(study, []), study.failed()
+    summary, failed = summarize_with_collisions(study, []), study.failed_rows()
     meta = summary.meta
-    return fill_template(
+    return render_template(
         "failures.html.j2",
         ("style.css",),
         (),
         policy=_POLICY,
-        title=plain_text(meta.title),
-        about=plain_text(f"{tell_roles(meta)} {_count(summary)}"),
-        reasons=Markup(tell_reasons(failed)),
-        missing=_MISSING,
-        again=tell_again(meta),
-        left_out=f"The first {_MOST} of {len(failed)}." if len(failed) > _MOST else "",
-        scenarios=Markup(_list_scenarios(meta, failed[:_MOST])),
-        provenance=tell_provenance(study.path.name, summary),
+        title=escape_control_characters(meta.title),
+        about=escape_control_characters(f"{describe_roles(meta)} {_describe_counts(summary)}"),
+        reasons=Markup(render_failure_reasons(failed)),
+        missing=_MISSING_TEXT,
+        again=describe_retry(meta),
+        left_out=f"The first {_MAX_ROWS} of {len(failed)}." if len(failed) > _MAX_ROWS else "",
+        scenarios=Markup(_render_scenarios(meta, failed[:_MAX_ROWS])),
+        provenance=render_provenance(study.path.name, summary),
     )
 
 
-def _count(summary: Summary) -> str:
-    failed = "The one scenario that ended" if summary.failed == 1 else f"All {summary.failed} scenarios that ended"
-    pending = f" {summary.pending} not run yet." if summary.pending else ""
+def _describe_counts(summary: Summary) -> str:
+    failed = "The one scenario that ended" if summary.n_failed == 1 else f"All {summary.n_failed} scenarios that ended"
+    pending = f" {summary.n_pending} not run yet." if summary.n_pending else ""
     return f"{failed} could not be run.{pending}"
 
 
-def _list_scenarios(meta: StudyMeta, failed: list[Row]) -> str:
+def _render_scenarios(meta: StudyMeta, failed: list[ScenarioRecord]) -> str:
     parameters = meta.space.parameters
     rows = [
-        [str(row.id), *(format_value(parameter.read(row.values)) for parameter in parameters), row.error or ""]
+        [str(row.id), *(format_value(parameter.extract_value(row.values)) for parameter in parameters), row.error or ""]
         for row in failed
     ]
     text_columns = [k for k, parameter in enumerate(parameters, 1) if parameter.choices]
     head = ["scenario", *(parameter.name for parameter in parameters), "why"]
-    return make_table(head, rows, text=(*text_columns, -1))
+    return render_table(head, rows, left_aligned=(*text_columns, -1))

@@ -10,21 +10,21 @@ from typing import Final
 from cornercase.report.page import write_report
 from cornercase.study import Study
 
-_HEIGHT: Final = 700
+_FRAME_HEIGHT: Final = 700
 
 
-def show_study(path: Path, *, max_scenarios: int = 1000) -> str | None:
+def render_notebook_report(path: Path, *, max_scenarios: int = 1000) -> str | None:
     """Return the report of the study at `path` as an HTML iframe, isolated from the notebook.
 
     None without scenarios, and for larger studies, whose reports would make the notebook tens of megabytes large.
     """
     with Study.open(path, readonly=True) as study:
-        if not 0 < len(study.done()) <= max_scenarios:
+        if not 0 < len(study.finished_rows()) <= max_scenarios:
             return None
         with tempfile.TemporaryDirectory() as folder:
             page = write_report(study, Path(folder) / "study.html").read_text(encoding="utf-8")
         name = f"Report of {study.meta.title}"
     return (
         f'<iframe srcdoc="{escape(page)}" title="{escape(name)}" sandbox="allow-scripts allow-downloads"'
-        f' style="width: 100%; height: {_HEIGHT}px; border: 0"></iframe>'
+        f' style="width: 100%; height: {_FRAME_HEIGHT}px; border: 0"></iframe>'
     )

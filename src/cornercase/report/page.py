@@ -16,26 +16,26 @@ from markupsafe import Markup
 
 from cornercase._common import arguments
 from cornercase._common.errors import InputError
-from cornercase._common.files import require_other_file, written_whole
-from cornercase._common.ledger import warn
+from cornercase._common.files import check_output_differs_from_source, atomic_write
+from cornercase._common.ledger import issue_notice_warning
 from cornercase._common.memory import DEFAULT_MEMORY, MemoryLimit
-from cornercase._common.pending_files import written_together
-from cornercase._common.progress import bars_wanted, step
-from cornercase._common.texts import plain_text
-from cornercase.report.contents import page_contents
+from cornercase._common.pending_files import atomic_write_group
+from cornercase._common.progress import show_bars, progress_step
+from cornercase._common.texts import escape_control_characters
+from cornercase.report.contents import page_payload
 from cornercase.report.data import ReportData, read_report_data
-from cornercase.report.failures import fill_failures
-from cornercase.report.packing import PackedRecordings, pack_most, tell_left_out
-from cornercase.report.rerun import tell_rerun
-from cornercase.report.roads import find_roads, is_of_map, pack_roads
-from cornercase.report.sections.kept import show_kept
-from cornercase.report.sections.kinds import compare_kinds, show_kinds
-from cornercase.report.sections.knowledge import show_knowledge
-from cornercase.report.sections.overview import tell_failures, tell_provenance, tell_scores
-from cornercase.report.sections.verdicts import show_verdicts
-from cornercase.report.tables import Part
-from cornercase.report.templates import fill_template
-from cornercase.scenario import Scenario
+from cornercase.report.failures import render_failure_page
+from cornercase.report.packing import PackedRecordings, encode_important_recordings, describe_left_out_recordings
+from cornercase.report.rerun import rerun_payload
+from cornercase.report.roads import find_road_outline, is_missing_map, encode_road_outline
+from cornercase.report.sections.kept import render_reduced_set
+from cornercase.report.sections.kinds import render_agreement, render_clusterings
+from cornercase.report.sections.knowledge import render_estimates
+from cornercase.report.sections.overview import render_failures, render_provenance, render_scores
+from cornercase.report.sections.verdicts import render_verdicts
+from cornercase.report.tables import Section
+from cornercase.report.templates import render_template
+from cornercase.scenario import ScenarioFile
 from cornercase.study import Study, open_study
 
 _REPLAY_NAMES: Final = "motion sight clock camera road scene course neighbour pane controls panel"
@@ -49,8 +49,8 @@ _SCRIPTS: Final = (
     "answers.js", "views.js", "views/space.js", "views/courses.js", "views/kernel.js", "views/histogram.js",
     "views/parallel.js", "views/front.js", "views/charts.js", "views/table.js", *REPLAY_SCRIPTS, "main.js",
 )  # fmt: skip
-_ENDINGS: Final = (".html", ".htm")
-POLICY: Final = (
+_FILE_ENDINGS: Final = (".html", ".htm")
+CONTENT_SECURITY_POLICY: Final = (
     "default-src 'none'; script-src 'unsafe-inline'; style-src 'unsafe-inline'; img-src data: blob:;"
     " font-src data:; worker-src blob:; connect-src 'self'"
 )
@@ -62,7 +62,7 @@ def write_report(
     path: Path | str,
     *,
     figures: Path | str | bool = False,
-    scenario: Path | str | Scenario | None = None,
+    scenario: Path | str | ScenarioFile | None = None,
     critical: float | None = None,
     memory: str | float = DEFAULT_MEMORY,
     progress: bool = False,
@@ -111,81 +111,81 @@ def write_report(
     >>> cc.write_report("study.db", "report.html")  # doctest: +SKIP
     PosixPath('report.html')
     """
-    path = arguments.path("path", path)
+    path = arguments.check_path("path", path)
     folder = path.with_name(f"{path.stem}-figures") if figures is True else figures
-    limit = MemoryLimit.of(memory)
+    limit = MemoryLimit.from_value(memory)
     with open_study(study, readonly=True, critical=critical) as opened:
-        require_other_file(path, opened.path)
-        if path.suffix.lower() not in _ENDINGS:
+        check_output_differs_from_source(path, opened.path)
+        if path.suffix.lower() not in _FILE_ENDINGS:
             raise InputError(f"`path` {path}: the report is a page; name a file that ends with .html.")
-        if not opened.done():
-            if not opened.failed():
+        if not opened.finished_rows():
+            if not opened.failed_rows():
                 raise InputError(f"{opened.path}: no scenario was run yet, so there is nothing to report.")
-            _write(path, fill_failures(opened))
+            _write_page(path, render_failure_page(opened))
             return path
         start = time.monotonic()
-        with bars_wanted(progress), step(len(opened.done()), "reading", "recordings") as tell:
-            data = read_report_data(opened, figures=folder is not False, memory=limit, tell=tell)
-        packed = pack_most(opened, data)
-        sketch, missing = find_roads(opened, data.region, scenario, data.rows[0].values)
-        if is_of_map(missing):
-            warn(missing.removesuffix("."))
-        rerun = tell_rerun(opened, scenario)
+        with show_bars(progress), progress_step(len(opened.finished_rows()), "reading", "recordings") as tell:
+            data = read_report_data(opened, figures=folder is not False, memory=limit, on_read=tell)
+        packed = encode_important_recordings(opened, data)
+        sketch, missing = find_road_outline(opened, data.region, scenario, data.rows[0].values)
+        if is_missing_map(missing):
+            issue_notice_warning(missing.removesuffix("."))
+        rerun = rerun_payload(opened, scenario)
         if not opened.readonly:
             # Stored, so that later reports of the study, opened read-only, are identical.
-            opened.writer.add_elapsed("draw", time.monotonic() - start)
-            data = replace(data, summary=replace(data.summary, seconds=opened.elapsed()))
-    roads = {"roads": None if sketch is None else pack_roads(sketch), "roads_missing": missing, "rerun": rerun}
+            opened.writer.add_elapsed_time("draw", time.monotonic() - start)
+            data = replace(data, summary=replace(data.summary, seconds_by_stage=opened.elapsed_by_stage()))
+    roads = {"roads": None if sketch is None else encode_road_outline(sketch), "roads_missing": missing, "rerun": rerun}
     # Written together, so that page and figures always match.
-    with written_together():
+    with atomic_write_group():
         if folder is not False:
             from cornercase.report.album import write_figures
 
-            write_figures(data, arguments.path("figures", folder))
-        _write(path, fill_page(data, packed, roads))
+            write_figures(data, arguments.check_path("figures", folder))
+        _write_page(path, render_report(data, packed, roads))
     return path
 
 
-def fill_page(data: ReportData, packed: PackedRecordings, roads: Mapping[str, Any]) -> str:
+def render_report(data: ReportData, recordings: PackedRecordings, road_payload: Mapping[str, Any]) -> str:
     """Render the report; `road_payload` holds ``roads``, ``roads_missing`` (why there are none) and ``rerun``."""
-    recording_payload = {"recordings": packed.index, "recordings_left_out": tell_left_out(data, packed)}
-    contents = page_contents(data) | recording_payload | dict(roads)
-    return _fill(
+    recording_payload = {"recordings": recordings.index, "recordings_left_out": describe_left_out_recordings(data, recordings)}
+    contents = page_payload(data) | recording_payload | dict(road_payload)
+    return _render(
         live=False,
         left_out=contents["recordings_left_out"],
-        title=plain_text(contents["title"]),
+        title=escape_control_characters(contents["title"]),
         about=contents["about"],
         contents=contents,
         answers=contents["answers"],
-        details=list(page_details(data)),
-        provenance=tell_provenance(data.study, data.summary),
-        blocks=packed.blocks,
+        details=list(render_details(data)),
+        provenance=render_provenance(data.file_name, data.summary),
+        blocks=recordings.blocks,
     )
 
 
-def page_details(data: ReportData) -> Iterator[Part]:
+def render_details(data: ReportData) -> Iterator[Section]:
     """Render all detail sections in the order of the page."""
-    sections = (show_verdicts, tell_scores, show_knowledge, show_kinds, compare_kinds, show_kept, tell_failures)
+    sections = (render_verdicts, render_scores, render_estimates, render_clusterings, render_agreement, render_reduced_set, render_failures)
     for section in sections:
         yield from section(data)
 
 
-def fill_frame(title: str) -> str:
+def render_live_page(title: str) -> str:
     """Render a page without a study: it loads its contents from the live server and grows with the study."""
     empty: dict[str, Any] = {"left_out": "", "about": "", "contents": None, "answers": [], "details": [], "blocks": ()}
-    return _fill(live=True, title=title, provenance=Markup(), **empty)
+    return _render(live=True, title=title, provenance=Markup(), **empty)
 
 
-def _fill(**parts: Any) -> str:
-    return fill_template("page.html.j2", _STYLES, _SCRIPTS, policy=POLICY, plotly=_plotly(), **parts)
+def _render(**parts: Any) -> str:
+    return render_template("page.html.j2", _STYLES, _SCRIPTS, policy=CONTENT_SECURITY_POLICY, plotly=_compressed_plotly(), **parts)
 
 
 @cache
-def _plotly() -> str:
+def _compressed_plotly() -> str:
     code = importlib.resources.files("plotly.package_data").joinpath("plotly.min.js").read_bytes()
     return base64.b64encode(zlib.compress(code, 9)).decode()
 
 
-def _write(path: Path, page: str) -> None:
-    with written_whole(path) as temporary:
+def _write_page(path: Path, page: str) -> None:
+    with atomic_write(path) as temporary:
         temporary.write_text(page, encoding="utf-8", errors="backslashreplace", newline="\n")

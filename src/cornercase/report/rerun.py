@@ -12,17 +12,17 @@ from lxml import etree
 
 from cornercase._common.errors import InputError
 from cornercase._common.files import portable_name
-from cornercase._common.texts import plain_text
-from cornercase.drivers import driver_command
+from cornercase._common.texts import escape_control_characters
+from cornercase.drivers import driver_command_option
 from cornercase.reduction import read_reduction
-from cornercase.report.study_files import SIMULATOR_OPTIONS, tell_unnamed_drivers
-from cornercase.scenario import INTEGERS, Scenario, Value, fill_concrete, typed_value, value_text
-from cornercase.study import IMPORTED, Row, Study, StudyMeta, explored_scenario
+from cornercase.report.study_files import OPTION_BY_SETTING, describe_unnamed_drivers
+from cornercase.scenario import INTEGER_TYPES, ScenarioFile, Value, build_concrete_file, convert_to_type, format_value
+from cornercase.study import IMPORTED_SIMULATOR, ScenarioRecord, Study, StudyMeta, find_explored_scenario
 
 _BUILTIN: Final = "builtin"
 
 
-def tell_rerun(study: Study, given: Path | str | Scenario | None = None, *, whole: bool = True) -> dict[str, Any]:
+def rerun_payload(study: Study, scenario: Path | str | ScenarioFile | None = None, *, include_file: bool = True) -> dict[str, Any]:
     """Return what the page needs to run a scenario again: name, key per search, command, and scenario file.
 
     ``command`` holds the words before and after the parameters, or None (``why``). ``file`` holds the pieces of
@@ -30,10 +30,10 @@ def tell_rerun(study: Study, given: Path | str | Scenario | None = None, *, whol
     `include_file`, if a server has it.
     """
     meta = study.meta
-    why = _why_no_command(meta)
+    why = _reason_without_command(meta)
     name = meta.file_name
-    explored, file_why = _find(study, given)
-    pieces = _pieces(meta, explored, why_kept(study)) if whole and explored is not None else None
+    explored, file_why = _find_scenario(study, scenario)
+    pieces = _split_at_values(meta, explored, read_selection_reasons(study)) if include_file and explored is not None else None
     facts = {key: value for key, value in meta.to_json().items() if key not in ("budget", "repeatability")}
     return {
         "name": portable_name(meta.title),
@@ -43,61 +43,61 @@ def tell_rerun(study: Study, given: Path | str | Scenario | None = None, *, whol
         else {
             # A file name must not be read as an option.
             "before": ["cornercase", "simulate", f"./{name}" if name.startswith("-") else name],
-            "after": _settings(meta),
+            "after": _simulate_options(meta),
         },
         "why": why,
         "file": pieces,
-        "file_why": file_why or ("" if pieces or not whole else "The scenario needs a file that was not found."),
+        "file_why": file_why or ("" if pieces or not include_file else "The scenario needs a file that was not found."),
     }
 
 
-def _find(study: Study, given: Path | str | Scenario | None) -> tuple[Scenario | None, str]:
+def _find_scenario(study: Study, given: Path | str | ScenarioFile | None) -> tuple[ScenarioFile | None, str]:
     """Find the scenario that was explored, or explain why there is none."""
     try:
-        scenario = explored_scenario(study, given)
+        scenario = find_explored_scenario(study, given)
     except InputError:
         name = study.meta.file_name
         return None, f"The scenario file {name} was not found as it was explored, so that no concrete one can be made."
     return scenario, "" if scenario is not None else "There is no scenario file: the recordings were imported."
 
 
-def why_kept(study: Study) -> dict[int, str]:
+def read_selection_reasons(study: Study) -> dict[int, str]:
     """Return why each scenario of the reduced set was selected, by id; empty before the study was reduced."""
     reduced = read_reduction(study)
-    return {} if reduced is None else {scenario.id: scenario.why for scenario in reduced.kept}
+    return {} if reduced is None else {scenario.id: scenario.why for scenario in reduced.scenarios}
 
 
-def write_one(meta: StudyMeta, scenario: Scenario, row: Row, why: str | None) -> bytes:
+def render_concrete_scenario(meta: StudyMeta, scenario: ScenarioFile, row: ScenarioRecord, selection_reason: str | None) -> bytes:
     """Return the file of a concrete scenario (UTF-8 XML) as `reduce` writes it, with its `selection_reason`."""
-    return _fill(meta, scenario, row.values, _describe(meta, str(row.id), why))
+    return _fill_scenario(meta, scenario, row.values, _describe_scenario(meta, str(row.id), selection_reason))
 
 
-def _why_no_command(meta: StudyMeta) -> str:
-    if meta.simulator == IMPORTED:
+def _reason_without_command(meta: StudyMeta) -> str:
+    if meta.simulator == IMPORTED_SIMULATOR:
         return "Its recording was imported: what made it is not known."
-    if any(tell_unnamed_drivers(meta)):
+    if any(describe_unnamed_drivers(meta)):
         return "A driver that Python code made drove, and the study does not hold how."
     return ""
 
 
-def _settings(meta: StudyMeta) -> list[str]:
-    options = [f"{option}={meta.settings[name]}" for name, option in SIMULATOR_OPTIONS.items() if name in meta.settings]
+def _simulate_options(meta: StudyMeta) -> list[str]:
+    options = [f"{option}={meta.settings[name]}" for name, option in OPTION_BY_SETTING.items() if name in meta.settings]
     if meta.simulator != _BUILTIN:
         options += [f"--simulator={meta.simulator}", f"--ego={meta.ego}"]
-    return [*options, *(f"--driver={entity}={driver_command(driver)}" for entity, driver in meta.drivers.items())]
+    return [*options, *(f"--driver={entity}={driver_command_option(driver)}" for entity, driver in meta.drivers.items())]
 
 
-def _describe(meta: StudyMeta, scenario: str, why: str | None) -> str:
+def _describe_scenario(meta: StudyMeta, scenario: str, why: str | None) -> str:
     text = f"Scenario {scenario} of the logical scenario {meta.title}"
     return f"{text}: {why}" if why is not None else text
 
 
-def _fill(meta: StudyMeta, scenario: Scenario, values: Mapping[str, Value], description: str) -> bytes:
+def _fill_scenario(meta: StudyMeta, scenario: ScenarioFile, values: Mapping[str, Value], description: str) -> bytes:
     presets = {entity: driver for entity, driver in meta.drivers.items() if isinstance(driver, str)}
-    return fill_concrete(scenario, values, Path(meta.file_name), presets, description).content
+    return build_concrete_file(scenario, values, Path(meta.file_name), presets, description).content
 
 
-def _pieces(meta: StudyMeta, scenario: Scenario, kept: Mapping[int, str]) -> dict[str, Any] | None:
+def _split_at_values(meta: StudyMeta, scenario: ScenarioFile, selection_reasons: Mapping[int, str]) -> dict[str, Any] | None:
     """Split the scenario file at its parameter values and its description."""
     parameters = meta.space.parameters
     mark = "$cornercase"
@@ -106,7 +106,7 @@ def _pieces(meta: StudyMeta, scenario: Scenario, kept: Mapping[int, str]) -> dic
         mark += "-"
     marks = {parameter.name: f"{mark}:{k}:" for k, parameter in enumerate(parameters)}
     try:
-        text = _fill(meta, scenario, marks, f"{mark}:n:").decode()
+        text = _fill_scenario(meta, scenario, marks, f"{mark}:n:").decode()
     except (InputError, UnicodeDecodeError):
         # A file that it needs is missing.
         return None
@@ -118,7 +118,7 @@ def _pieces(meta: StudyMeta, scenario: Scenario, kept: Mapping[int, str]) -> dic
         for element in scenario.root.iterfind("ParameterDeclarations/*")
     }
     choices = {
-        parameter.name: [_in_attribute(_typed(choice, types.get(parameter.name))) for choice in parameter.choices]
+        parameter.name: [_escape_attribute(_format_choice(choice, types.get(parameter.name))) for choice in parameter.choices]
         for parameter in parameters
     }
     return {
@@ -126,22 +126,22 @@ def _pieces(meta: StudyMeta, scenario: Scenario, kept: Mapping[int, str]) -> dic
         # Index of a parameter; None for the description.
         "slots": [None if slot == "n" else int(slot) for slot in slots],
         "kinds": [types.get(parameter.name, "string") for parameter in parameters],
-        "whole": sorted(INTEGERS),
+        "whole": sorted(INTEGER_TYPES),
         "choices": [choices[parameter.name] for parameter in parameters],
         # Text before and after the id of a scenario without a selection reason.
-        "description": [_in_attribute(plain_text(text)) for text in _describe(meta, "\0", None).split("\0")],
+        "description": [_escape_attribute(escape_control_characters(text)) for text in _describe_scenario(meta, "\0", None).split("\0")],
         "kept": {
-            str(scenario): _in_attribute(plain_text(_describe(meta, str(scenario), why)))
-            for scenario, why in sorted(kept.items())
+            str(scenario): _escape_attribute(escape_control_characters(_describe_scenario(meta, str(scenario), why)))
+            for scenario, why in sorted(selection_reasons.items())
         },
     }
 
 
-def _typed(choice: str, kind: str | None) -> str:
-    return choice if choice.lstrip().startswith("$") else value_text(typed_value(choice, kind or "string"))
+def _format_choice(choice: str, parameter_type: str | None) -> str:
+    return choice if choice.lstrip().startswith("$") else format_value(convert_to_type(choice, parameter_type or "string"))
 
 
-def _in_attribute(text: str) -> str:
+def _escape_attribute(text: str) -> str:
     """Escape text as an XML attribute value."""
     element = etree.Element("a", b=text)
     return etree.tostring(element, encoding="unicode").removeprefix('<a b="').removesuffix('"/>')

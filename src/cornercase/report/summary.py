@@ -10,19 +10,19 @@ from typing import Any, Final
 
 import numpy as np
 
-from cornercase._common.parts import group_reasons
+from cornercase._common.parts import group_failure_messages
 from cornercase.clustering import Agreement, Analysis, compare_clusterings, read_analyses
-from cornercase.exploration import Objective, tell_alike
+from cornercase.exploration import Objective, describe_constant_metrics
 from cornercase.metrics import METRICS
 from cornercase.recordings import Collision
-from cornercase.reduction import ReducedSet, grade_anew, read_reduction
-from cornercase.report.knowledge import Knowledge, find_knowledge
-from cornercase.report.references import ReferenceCount, count_references
+from cornercase.reduction import ReducedSet, reevaluate, read_reduction
+from cornercase.report.knowledge import SpaceEstimates, estimate_space
+from cornercase.report.references import ReferenceCount, count_reference_results
 from cornercase.scenario import Value
-from cornercase.study import Row, Study, StudyMeta, damage_told, open_study, require
+from cornercase.study import ScenarioRecord, Study, StudyMeta, reraise_as_damage, open_study, require_value
 
 # Reasons that somebody may still read.
-_MOST_REASONS: Final = 20
+_MAX_REASONS: Final = 20
 
 
 @dataclass(frozen=True)
@@ -56,12 +56,12 @@ class MetricSummary:
     lower_is_critical: bool
     most_critical: float
     median: float
-    scenario: int
-    at: Mapping[str, Value]
-    spread: tuple[float, float] | None
-    alike: str = ""
-    against: str | None = None
-    counts: Mapping[str, int] = field(default_factory=dict)
+    most_critical_id: int
+    parameters: Mapping[str, Value]
+    repeat_spread: tuple[float, float] | None
+    constant_note: str = ""
+    most_critical_other: str | None = None
+    scores_per_other: Mapping[str, int] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -78,9 +78,9 @@ class FailureSummary:
         Parameters of the first.
     """
 
-    scenarios: int
-    first: int
-    at: Mapping[str, Value]
+    n_scenarios: int
+    first_id: int
+    parameters: Mapping[str, Value]
 
 
 @dataclass(frozen=True, repr=False)
@@ -120,32 +120,32 @@ class Summary:
     """
 
     meta: StudyMeta
-    searched: str
-    run: int
-    failed: int
-    pending: int
-    collisions: int
-    beside: Mapping[str, int]
+    objective: str
+    n_run: int
+    n_failed: int
+    n_pending: int
+    n_collisions: int
+    unmeasured_collisions: Mapping[str, int]
     metrics: Mapping[str, MetricSummary]
     analyses: Mapping[str, Analysis]
     agreements: Mapping[tuple[str, str], Agreement]
-    seconds: Mapping[str, float]
-    knowledge: Knowledge
-    reduced: ReducedSet | None
+    seconds_by_stage: Mapping[str, float]
+    estimates: SpaceEstimates
+    reduced_set: ReducedSet | None
     probability: Mapping[str, Any] | None = None
     references: Mapping[str, ReferenceCount] = field(default_factory=dict)
     failures: Mapping[str, FailureSummary] = field(default_factory=dict)
 
     def __repr__(self) -> str:
-        parts = [f"{self.meta.title}: {self.run} scenarios run, {self.collisions} collisions"]
-        if self.failed:
-            parts.append(f"{self.failed} failed")
-        if self.pending:
-            parts.append(f"{self.pending} pending")
+        parts = [f"{self.meta.title}: {self.n_run} scenarios run, {self.n_collisions} collisions"]
+        if self.n_failed:
+            parts.append(f"{self.n_failed} failed")
+        if self.n_pending:
+            parts.append(f"{self.n_pending} pending")
         parts += [f"{name} from {metric.most_critical:.4g} {metric.unit}" for name, metric in self.metrics.items()]
         parts += [f"{len(analysis.sizes)} clusters by {by}" for by, analysis in self.analyses.items()]
-        if self.reduced is not None:
-            parts.append(f"{len(self.reduced)} kept")
+        if self.reduced_set is not None:
+            parts.append(f"{len(self.reduced_set)} kept")
         return f"Summary({', '.join(parts)})"
 
 
@@ -180,71 +180,71 @@ def summarize(study: Study | Path | str, *, critical: float | None = None) -> Su
     12
     """
     with open_study(study, readonly=True, critical=critical) as opened:
-        entities_hit = [touched_by_ego(opened.meta, hits) for hits in opened.collisions().values()]
-        return summarize_with(opened, entities_hit)
+        entities_hit = [entities_hit_by_ego(opened.meta, hits) for hits in opened.collisions().values()]
+        return summarize_with_collisions(opened, entities_hit)
 
 
-def touched_by_ego(meta: StudyMeta, collisions: Iterable[Collision]) -> frozenset[str]:
+def entities_hit_by_ego(meta: StudyMeta, collisions: Iterable[Collision]) -> frozenset[str]:
     """Return the names of all entities that the ego collides with."""
     hits = (collision.entities for collision in collisions if meta.ego in collision.entities)
     return frozenset(name for pair in hits for name in pair if name != meta.ego)
 
 
-def summarize_with(study: Study, touched: Sequence[frozenset[str]]) -> Summary:
+def summarize_with_collisions(study: Study, entities_hit: Sequence[frozenset[str]]) -> Summary:
     """Like `summarize`, given for each run scenario the entities that the ego collides with."""
     states = [row.state for row in study.rows()]
     others = frozenset(study.meta.others)
-    names, constant_notes = study.meta.metrics, tell_alike(study)
+    names, constant_notes = study.meta.metrics, describe_constant_metrics(study)
     reduced = read_reduction(study)
     return Summary(
         meta=study.meta,
-        searched=Objective.of_study(study.meta).text,
-        run=states.count("done"),
-        failed=states.count("failed"),
-        pending=states.count("pending"),
-        collisions=sum(not names.isdisjoint(others) for names in touched),
-        beside={name: sum(name in names for names in touched) for name in sorted(frozenset().union(*touched) - others)},
-        metrics={name: _of_metric(study, name, constant_notes.get(name, "")) for name in names}
+        objective=Objective.from_study_meta(study.meta).label,
+        n_run=states.count("done"),
+        n_failed=states.count("failed"),
+        n_pending=states.count("pending"),
+        n_collisions=sum(not names.isdisjoint(others) for names in entities_hit),
+        unmeasured_collisions={name: sum(name in names for names in entities_hit) for name in sorted(frozenset().union(*entities_hit) - others)},
+        metrics={name: _summarize_metric(study, name, constant_notes.get(name, "")) for name in names}
         if "done" in states
         else {},
         analyses=read_analyses(study),
         agreements=compare_clusterings(study),
-        seconds=study.elapsed(),
-        knowledge=find_knowledge(study),
-        reduced=None if reduced is None else grade_anew(study, reduced),
-        probability=_probability(study),
-        references=count_references(study),
-        failures=_failures(study.failed()),
+        seconds_by_stage=study.elapsed_by_stage(),
+        estimates=estimate_space(study),
+        reduced_set=None if reduced is None else reevaluate(study, reduced),
+        probability=_read_probability(study),
+        references=count_reference_results(study),
+        failures=_summarize_failures(study.failed_rows()),
     )
 
 
-def _failures(failed: Sequence[Row]) -> dict[str, FailureSummary]:
-    groups = group_reasons(row.error or "" for row in failed)
-    counts = {why: (len(members), failed[members[0]]) for why, members in list(groups.items())[:_MOST_REASONS]}
+def _summarize_failures(failed: Sequence[ScenarioRecord]) -> dict[str, FailureSummary]:
+    groups = group_failure_messages(row.error or "" for row in failed)
+    counts = {why: (len(members), failed[members[0]]) for why, members in list(groups.items())[:_MAX_REASONS]}
     return {why: FailureSummary(count, first.id, first.values) for why, (count, first) in counts.items()}
 
 
-def _probability(study: Study) -> dict[str, Any] | None:
-    estimate = study.estimate()
+def _read_probability(study: Study) -> dict[str, Any] | None:
+    estimate = study.read_estimate()
     if estimate is not None:
-        with damage_told(study.path):
+        with reraise_as_damage(study.path):
             for event in ("critical", "collision"):
                 low, high = estimate[event]["95 % interval"]
-                require(
+                require_value(
                     all(isinstance(number, float | int) for number in (estimate[event]["probability"], low, high)),
                     event,
                 )
-            require(isinstance(estimate["critical is"], str) and isinstance(estimate["scenarios"], int), "its estimate")
-            require(all(isinstance(warning, str) for warning in estimate["warnings"]), "the warnings of its estimate")
+            require_value(isinstance(estimate["critical is"], str) and isinstance(estimate["scenarios"], int), "its estimate")
+            require_value(all(isinstance(warning, str) for warning in estimate["warnings"]), "the warnings of its estimate")
     return estimate
 
 
-def _of_metric(study: Study, name: str, alike: str) -> MetricSummary:
+def _summarize_metric(study: Study, name: str, constant_note: str) -> MetricSummary:
     metric, scores = METRICS.create(name), study.scores(name)
-    worst = int(metric.oriented(scores).argmin())
-    row = study.done()[worst]
-    ranges = study.spread(name)
-    against = study.against(name)
+    worst = int(metric.to_minimize(scores).argmin())
+    row = study.finished_rows()[worst]
+    ranges = study.score_range(name)
+    against = study.score_sources(name)
     counts = Counter(other for other in against.values() if other is not None)
     width = None if ranges is None else ranges[:, 1] - ranges[:, 0]
     return MetricSummary(
@@ -253,10 +253,10 @@ def _of_metric(study: Study, name: str, alike: str) -> MetricSummary:
         lower_is_critical=metric.lower_is_critical,
         most_critical=float(scores[worst]),
         median=float(np.median(scores)),
-        scenario=row.id,
-        at=row.values,
-        spread=None if width is None else (float(np.median(width)), float(width.max())),
-        alike=alike,
-        against=against.get(row.id),
-        counts={name: counts[name] for name in study.meta.others} if against else {},
+        most_critical_id=row.id,
+        parameters=row.values,
+        repeat_spread=None if width is None else (float(np.median(width)), float(width.max())),
+        constant_note=constant_note,
+        most_critical_other=against.get(row.id),
+        scores_per_other={name: counts[name] for name in study.meta.others} if against else {},
     )

@@ -13,33 +13,33 @@ if TYPE_CHECKING:
     from jinja2 import Environment
 
 
-def fill_template(name: str, styles: Iterable[str], scripts: Iterable[str], **parts: Any) -> str:
+def render_template(name: str, styles: Iterable[str], scripts: Iterable[str], **parts: Any) -> str:
     """Render template `name` with the given style and script files; escape `parts` unless they are `Markup`."""
     page: str = (
-        _environment()
+        _template_environment()
         .get_template(name)
         .render(
-            styles=[Markup(_asset(style)) for style in styles],
-            scripts=[Markup(_asset(script)) for script in scripts],
+            styles=[Markup(_read_web_file(style)) for style in styles],
+            scripts=[Markup(_read_web_file(script)) for script in scripts],
             **parts,
         )
     )
     return page
 
 
-def _asset(name: str) -> str:
+def _read_web_file(name: str) -> str:
     return importlib.resources.files("cornercase.report.web").joinpath(name).read_text(encoding="utf-8")
 
 
-def _environment() -> Environment:
+def _template_environment() -> Environment:
     from jinja2 import Environment, PackageLoader
 
     environment = Environment(loader=PackageLoader("cornercase.report", "web"), autoescape=True, trim_blocks=True)
-    environment.filters["json"] = _json
+    environment.filters["json"] = _json_for_script
     return environment
 
 
-def _json(value: Any) -> Markup:
+def _json_for_script(value: Any) -> Markup:
     # Nothing is escaped inside a script, so the text must not contain anything that ends it.
     text = json.dumps(value, separators=(",", ":"), ensure_ascii=False, allow_nan=False)
     return Markup(text.replace("<", "\\u003c").replace("\u2028", "\\u2028").replace("\u2029", "\\u2029"))

@@ -12,15 +12,15 @@ import numpy as np
 
 from cornercase._common.compiling import kernel
 from cornercase._common.typing import BoolArray, FloatArray, IntArray
-from cornercase.roads.lane import Polynomial
+from cornercase.roads.lane import CubicPolynomial
 from cornercase.roads.road import Road
 
 _RIGHT, _LEFT = 0, 1
 # Tolerance in m for rounded edges.
-_ROUNDING: Final = 1e-9
+_EDGE_TOLERANCE: Final = 1e-9
 
 
-class RoadEdges(NamedTuple):
+class RoadEdgeTables(NamedTuple):
     """Widths of R roads with S lane sections, L lanes and Q cubics in all, as arrays for kernels.
 
     `sections`, shape (R + 1,), has the first section of each road; `lanes`, (2 S + 1,), the first lane right and left
@@ -34,14 +34,14 @@ class RoadEdges(NamedTuple):
     start: FloatArray
     lanes: IntArray
     cubics: IntArray
-    bordered: BoolArray
+    is_border: BoolArray
     coefficients: FloatArray
-    inner: FloatArray
+    always_inside: FloatArray
 
 
-def road_edges(roads: Sequence[Road]) -> RoadEdges:
+def build_edge_tables(roads: Sequence[Road]) -> RoadEdgeTables:
     """Tabulate the widths of roads for kernels."""
-    lines: list[tuple[Polynomial, ...]] = [road.offsets for road in roads]
+    lines: list[tuple[CubicPolynomial, ...]] = [road.lane_offsets for road in roads]
     starts, counts, bordered = [], [], []
     for road in roads:
         for start, lanes in road.sections:
@@ -51,20 +51,20 @@ def road_edges(roads: Sequence[Road]) -> RoadEdges:
                 counts.append(len(side))
                 bordered += [bool(lane.borders) for lane in side]
                 lines += [lane.borders or lane.widths for lane in side]
-    return RoadEdges(
+    return RoadEdgeTables(
         np.cumsum([0, *(len(road.sections) for road in roads)], dtype=np.int64),
         np.array(starts, dtype=np.float64),
         np.cumsum([0, *counts], dtype=np.int64),
         np.cumsum([0, *map(len, lines)], dtype=np.int64),
         np.array(bordered, dtype=np.bool_),
         np.array([cubic for line in lines for cubic in line], dtype=np.float64).reshape(-1, 5),
-        np.array([_inner(road) for road in roads]).reshape(-1, 2),
+        np.array([_interval_always_inside(road) for road in roads]).reshape(-1, 2),
     )
 
 
-def _inner(road: Road) -> tuple[float, float]:
-    knots = [*road.seams[:-1].tolist(), *(offset for offset, *_ in road.offsets)]
-    lines = [road.offsets]
+def _interval_always_inside(road: Road) -> tuple[float, float]:
+    knots = [*road.section_bounds[:-1].tolist(), *(offset for offset, *_ in road.lane_offsets)]
+    lines = [road.lane_offsets]
     for start, lanes in road.sections:
         for lane in lanes.values():
             lines.append(lane.borders or lane.widths)
@@ -72,37 +72,37 @@ def _inner(road: Road) -> tuple[float, float]:
     if any(change != 0.0 for line in lines for cubic in line for change in cubic[2:]):
         return np.inf, -np.inf
     # The edges are constant between knots.
-    right, left = road.margins(np.clip(knots, 0.0, road.length))
-    return float(right.max()) + _ROUNDING, float(left.min()) - _ROUNDING
+    right, left = road.road_edge_offsets(np.clip(knots, 0.0, road.length))
+    return float(right.max()) + _EDGE_TOLERANCE, float(left.min()) - _EDGE_TOLERANCE
 
 
 @kernel(error_model="numpy", forceinline=True, _nrt=False)
-def road_margins(edges, road, s):
+def road_edge_offsets(tables, road, s):
     """Return the lateral coordinates of a road's right and left edge at `s`, in m."""
-    section = edges.sections[road]
-    while section + 1 < edges.sections[road + 1] and edges.start[section + 1] <= s:
+    section = tables.sections[road]
+    while section + 1 < tables.sections[road + 1] and tables.start[section + 1] <= s:
         section += 1
-    middle = _value(edges, road, s)
-    return _edge(edges, section, _RIGHT, middle, s), _edge(edges, section, _LEFT, middle, s)
+    middle = _evaluate_cubics(tables, road, s)
+    return _edge_offset(tables, section, _RIGHT, middle, s), _edge_offset(tables, section, _LEFT, middle, s)
 
 
 @kernel(error_model="numpy", forceinline=True, _nrt=False)
-def _edge(edges, section, side, middle, s):
-    first, last = edges.lanes[2 * section + side], edges.lanes[2 * section + side + 1]
-    roads, edge, sign = edges.sections.size - 1, middle, 1.0 if side == _LEFT else -1.0
+def _edge_offset(tables, section, side, lane_offset, s):
+    first, last = tables.lanes[2 * section + side], tables.lanes[2 * section + side + 1]
+    roads, edge, sign = tables.sections.size - 1, lane_offset, 1.0 if side == _LEFT else -1.0
     for lane in range(first, last):
-        value = _value(edges, roads + lane, s - edges.start[section])
-        if edges.bordered[lane]:
-            edge = middle + value
+        value = _evaluate_cubics(tables, roads + lane, s - tables.start[section])
+        if tables.bordered[lane]:
+            edge = lane_offset + value
         elif value > 0.0:
             edge = edge + sign * value
     return edge
 
 
 @kernel(error_model="numpy", forceinline=True, _nrt=False)
-def _value(edges, line, s):
+def _evaluate_cubics(tables, curve, s):
     """Evaluate piecewise cubics; 0 if there are none."""
-    k, last, table = edges.cubics[line], edges.cubics[line + 1], edges.coefficients
+    k, last, table = tables.cubics[curve], tables.cubics[curve + 1], tables.coefficients
     if k == last:
         return 0.0
     while k + 1 < last and table[k + 1, 0] <= s:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Final
 
-from cornercase._common.ledger import Ledger
+from cornercase._common.ledger import SupportTable
 
-LEDGER: Final = Ledger.read("cornercase.roads", "opendrive.csv")
+SUPPORT_TABLE: Final = SupportTable.from_csv("cornercase.roads", "opendrive.csv")
 """Elements and attributes of OpenDRIVE 1.4 to 1.9."""

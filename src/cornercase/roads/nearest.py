@@ -13,24 +13,24 @@ if TYPE_CHECKING:
     from scipy.spatial import cKDTree
 
 # Up to this number of pairs, brute force is faster than importing SciPy and building a tree.
-_FEW: Final = 200_000
+_MAX_BRUTE_FORCE_PAIRS: Final = 200_000
 
 
-class NearestPoints:
+class NearestPointIndex:
     """Finds the nearest of fixed points, shape (M, 2)."""
 
     def __init__(self, points: FloatArray) -> None:
         self._points = points
 
-    def find(self, asked: FloatArray, count: int) -> IntArray:
+    def find_nearest(self, queries: FloatArray, count: int) -> IntArray:
         """Return the indices of the `count` nearest points, ascending, shape (N, min(count, M))."""
         count = min(count, len(self._points))
-        if len(asked) * len(self._points) > _FEW:
-            rows = np.reshape(self._tree.query(asked, k=count)[1], (len(asked), count))
+        if len(queries) * len(self._points) > _MAX_BRUTE_FORCE_PAIRS:
+            rows = np.reshape(self._tree.query(queries, k=count)[1], (len(queries), count))
         else:
             points = self._points
             # One expression, so that NumPy reuses memory.
-            squared = (asked[:, None, 0] - points[:, 0]) ** 2 + (asked[:, None, 1] - points[:, 1]) ** 2
+            squared = (queries[:, None, 0] - points[:, 0]) ** 2 + (queries[:, None, 1] - points[:, 1]) ** 2
             rows = (
                 np.argpartition(squared, count - 1, axis=1)[:, :count] if count > 1 else squared.argmin(axis=1)[:, None]
             )

@@ -8,22 +8,22 @@ from typing import Final
 
 from lxml import etree
 
-from cornercase._common.numbers import number_of
-from cornercase._common.recorded_xml import adapt, below
+from cornercase._common.numbers import parse_number
+from cornercase._common.recorded_xml import note_adaptation, iter_descendants_untracked
 
-_TYPES: Final = ("boolean", "dateTime", "double", "integer", "string", "unsignedInt", "unsignedShort", "int")
-_VEHICLES: Final = (
+_PARAMETER_TYPES: Final = ("boolean", "dateTime", "double", "integer", "string", "unsignedInt", "unsignedShort", "int")
+_VEHICLE_CATEGORIES: Final = (
     "bicycle", "bus", "car", "motorbike", "semitrailer", "trailer", "train", "tram", "truck", "van",
 )  # fmt: skip
-_STATES: Final = (
+_ELEMENT_STATES: Final = (
     "completeState", "endTransition", "runningState", "skipTransition", "standbyState", "startTransition",
     "stopTransition",
 )  # fmt: skip
 
 # Allowed values by attribute, or by element/attribute.
 _ENUMERATIONS: Final[dict[str, tuple[str, ...]]] = {
-    "parameterType": _TYPES,
-    "variableType": _TYPES,
+    "parameterType": _PARAMETER_TYPES,
+    "variableType": _PARAMETER_TYPES,
     "angleType": ("heading", "pitch", "roll"),
     "conditionEdge": ("falling", "none", "rising", "risingOrFalling"),
     "coordinateSystem": ("entity", "lane", "road", "trajectory", "world"),
@@ -44,13 +44,13 @@ _ENUMERATIONS: Final[dict[str, tuple[str, ...]]] = {
     "routingAlgorithm": ("assignedRoute", "fastest", "leastIntersections", "shortest", "undefined"),
     "rule": ("equalTo", "greaterThan", "lessThan", "greaterOrEqual", "lessOrEqual", "notEqualTo"),
     "speedTargetValueType": ("delta", "factor"),
-    "StoryboardElementStateCondition/state": _STATES,
+    "StoryboardElementStateCondition/state": _ELEMENT_STATES,
     "storyboardElementType": ("act", "action", "event", "maneuver", "maneuverGroup", "story"),
     "triggeringEntitiesRule": ("all", "any"),
     "Orientation/type": ("absolute", "relative"),
     "ByObjectType/type": ("miscellaneous", "pedestrian", "vehicle", "external"),
     "objectType": ("miscellaneous", "pedestrian", "vehicle", "external"),
-    "vehicleCategory": _VEHICLES,
+    "vehicleCategory": _VEHICLE_CATEGORIES,
     "pedestrianCategory": ("animal", "pedestrian", "wheelchair"),
 }  # fmt: skip
 
@@ -65,14 +65,14 @@ _SYNONYMS: Final = {
     "notequal": "notEqualTo", "motorcycle": "motorbike", "bike": "bicycle",
 }  # fmt: skip
 
-_FLAGS: Final = frozenset({
+_BOOLEAN_ATTRIBUTES: Final = frozenset({
     "activateAnimation", "activateLateral", "activateLighting", "activateLongitudinal", "active", "alongRoute",
     "animation", "closed", "continuous", "freeSpace", "freespace", "graphics", "lateral", "lighting", "longitudinal",
     "loop", "oppositeLanes", "selectTriggeringEntities", "sensors", "traffic",
 })  # fmt: skip
 
 # Defaults for missing mandatory attributes, by element.
-_NEEDED: Final[dict[str, dict[str, str]]] = {
+_DEFAULTS: Final[dict[str, dict[str, str]]] = {
     "Condition": {"conditionEdge": "none", "delay": "0"},
     "Event": {"priority": "parallel"},
     "ManeuverGroup": {"maximumExecutionCount": "1"},
@@ -100,15 +100,15 @@ _NEEDED: Final[dict[str, dict[str, str]]] = {
     "LaneChangeActionDynamics": {"dynamicsDimension": "time"},
 }
 # Attributes that a step transition ignores.
-_AT_ONCE: Final = {"dynamicsDimension": "time", "value": "0"}
+_STEP_DEFAULTS: Final = {"dynamicsDimension": "time", "value": "0"}
 
 # Elements with free text, where spaces matter.
-_TEXTS: Final = frozenset({"FileHeader", "Property", "License", "UserDefinedAction", "CustomCommandAction"})
-_DECLARATIONS: Final = {"ParameterDeclaration": "parameterType", "VariableDeclaration": "variableType"}
-_ENDLESS: Final = "999999999"
+_FREE_TEXT_ELEMENTS: Final = frozenset({"FileHeader", "Property", "License", "UserDefinedAction", "CustomCommandAction"})
+_TYPE_ATTRIBUTES: Final = {"ParameterDeclaration": "parameterType", "VariableDeclaration": "variableType"}
+_UNLIMITED_COUNT: Final = "999999999"
 
 
-def adapt_openscenario(root: etree._Element) -> None:
+def normalize_openscenario(root: etree._Element) -> None:
     """Correct unambiguous violations of the standard in place, and record each on its element.
 
     Applies to scenarios, catalogs and parameter distributions; any other root is left as it is.
@@ -116,25 +116,25 @@ def adapt_openscenario(root: etree._Element) -> None:
     name = etree.QName(root).localname
     if name.lower() != "openscenario":
         return
-    _adapt_names(root)
+    _remove_namespaces(root)
     if root.tag != "OpenSCENARIO":
         root.tag = "OpenSCENARIO"
-        _note(root, f"<{name}>", "is read as <OpenSCENARIO>", "the root element is <OpenSCENARIO>")
-    elements = list(below(root, etree.Element))
+        _record_change(root, f"<{name}>", "is read as <OpenSCENARIO>", "the root element is <OpenSCENARIO>")
+    elements = list(iter_descendants_untracked(root, etree.Element))
     if not any(element.tag == "FileHeader" for element in etree.ElementBase.iterchildren(root, "FileHeader")):
         reason = "the file is read as OpenSCENARIO 1.3, in right-handed axes"
-        _note(root, "missing <FileHeader>", reason, "a file begins with its <FileHeader>")
+        _record_change(root, "missing <FileHeader>", reason, "a file begins with its <FileHeader>")
     for element in elements:
-        _adapt_spaces(element)
-        _adapt_declaration(element)
-        _adapt_values(element)
-        _adapt_missing(element)
+        _strip_attribute_values(element)
+        _normalize_declaration(element)
+        _normalize_values(element)
+        _add_missing_attributes(element)
 
 
-def _adapt_names(root: etree._Element) -> None:
+def _remove_namespaces(root: etree._Element) -> None:
     """Remove namespaces from element names."""
     spaces = set()
-    for element in below(root, "{*}*"):
+    for element in iter_descendants_untracked(root, "{*}*"):
         qualified = etree.QName(element)
         if qualified.namespace is not None:
             spaces.add(qualified.namespace)
@@ -142,25 +142,25 @@ def _adapt_names(root: etree._Element) -> None:
     if spaces:
         etree.cleanup_namespaces(root, keep_ns_prefixes=["xsi"])
         namespace = f"namespace {sorted(spaces)[0]}"
-        _note(root, namespace, "is left out", "elements of OpenSCENARIO are in no namespace")
+        _record_change(root, namespace, "is left out", "elements of OpenSCENARIO are in no namespace")
 
 
-def _adapt_spaces(element: etree._Element) -> None:
-    if element.tag in _TEXTS:
+def _strip_attribute_values(element: etree._Element) -> None:
+    if element.tag in _FREE_TEXT_ELEMENTS:
         return
-    for key, value in _attributes(element):
+    for key, value in _attribute_items(element):
         stripped = value.strip()
         if stripped != value:
             element.set(key, stripped)
             # XML allows spaces around numbers and booleans.
             if not (_is_number(stripped) or stripped in ("true", "false") or stripped.startswith("$")):
                 reason = f"'{stripped}' is read without the spaces around it"
-                _note(element, f"{key} of <{element.tag}>", reason, "spaces are part of a name")
+                _record_change(element, f"{key} of <{element.tag}>", reason, "spaces are part of a name")
 
 
-def _adapt_declaration(element: etree._Element) -> None:
+def _normalize_declaration(element: etree._Element) -> None:
     """Correct the declaration of a parameter or variable, or the name that a distribution refers to."""
-    kind = _DECLARATIONS.get(str(element.tag))
+    kind = _TYPE_ATTRIBUTES.get(str(element.tag))
     name_attribute = (
         "name" if kind is not None else "parameterName" if str(element.tag).endswith("Distribution") else None
     )
@@ -168,97 +168,97 @@ def _adapt_declaration(element: etree._Element) -> None:
     if name_attribute is not None and len(name) > 1 and name.startswith("$"):
         element.set(name_attribute, name[1:])
         reason = f"'{name}' is read as '{name[1:]}'"
-        _note(element, f"{name_attribute} of <{element.tag}>", reason, "names are declared without a dollar sign")
+        _record_change(element, f"{name_attribute} of <{element.tag}>", reason, "names are declared without a dollar sign")
     if kind is None or element.attrib.get(kind):
         return
     value = element.attrib.get("value", "")
     inferred = "double" if _is_number(value) else "boolean" if value.lower() in ("true", "false") else "string"
     element.set(kind, inferred)
     reason = f"'{element.attrib.get('name', '')}' is read as {inferred} because of its value '{value[:40]}'"
-    _note(element, f"missing {kind} of <{element.tag}>", reason, f"a declaration has a {kind}")
+    _record_change(element, f"missing {kind} of <{element.tag}>", reason, f"a declaration has a {kind}")
 
 
-def _adapt_values(element: etree._Element) -> None:
+def _normalize_values(element: etree._Element) -> None:
     """Correct the spelling of enumerations, booleans and counts."""
-    tag, declared = str(element.tag), _DECLARATIONS.get(str(element.tag))
-    for key, value in _attributes(element):
+    tag, declared = str(element.tag), _TYPE_ATTRIBUTES.get(str(element.tag))
+    for key, value in _attribute_items(element):
         allowed = _ENUMERATIONS.get(key) or _ENUMERATIONS.get(f"{tag}/{key}")
         if allowed is not None and value not in allowed and not value.startswith("$"):
-            match = _meant(value, allowed)
+            match = _match_allowed_value(value, allowed)
             if match is not None:
                 element.set(key, match)
-                _note(element, f"{key} of <{tag}>", f"'{value}' is read as {match}", f"it is {_either(allowed)}")
-        elif key in _FLAGS and value.lower() in ("true", "false") and value != value.lower():
-            _set_flag(element, key, value)
+                _record_change(element, f"{key} of <{tag}>", f"'{value}' is read as {match}", f"it is {_join_with_or(allowed)}")
+        elif key in _BOOLEAN_ATTRIBUTES and value.lower() in ("true", "false") and value != value.lower():
+            _lowercase_boolean(element, key, value)
     value = element.attrib.get("value", "")
     if declared is not None and element.attrib.get(declared) == "boolean" and value.lower() in ("true", "false"):
-        _set_flag(element, "value", value)
+        _lowercase_boolean(element, "value", value)
     if tag == "ConnectTrailerAction" and element.attrib.get("trailer") and not element.attrib.get("trailerRef"):
         element.set("trailerRef", element.attrib.pop("trailer"))
-        _note(element, f"trailer of <{tag}>", "is read as trailerRef", f"<{tag}> has a trailerRef")
+        _record_change(element, f"trailer of <{tag}>", "is read as trailerRef", f"<{tag}> has a trailerRef")
     if tag in ("Event", "ManeuverGroup") and element.attrib.get("maximumExecutionCount") == "-1":
-        element.set("maximumExecutionCount", _ENDLESS)
+        element.set("maximumExecutionCount", _UNLIMITED_COUNT)
         reason = "-1 is read as unlimited, as in esmini"
-        _note(element, f"maximumExecutionCount of <{tag}>", reason, "it is a whole number above 0")
+        _record_change(element, f"maximumExecutionCount of <{tag}>", reason, "it is a whole number above 0")
 
 
-def _attributes(element: etree._Element) -> list[tuple[str, str]]:
+def _attribute_items(element: etree._Element) -> list[tuple[str, str]]:
     return [(str(key), str(value)) for key, value in element.items()]
 
 
-def _set_flag(element: etree._Element, key: str, value: str) -> None:
+def _lowercase_boolean(element: etree._Element, key: str, value: str) -> None:
     if value != value.lower():
         element.set(key, value.lower())
         reason = f"'{value}' is read as {value.lower()}"
-        _note(element, f"{key} of <{element.tag}>", reason, "a boolean is true, false, 1 or 0")
+        _record_change(element, f"{key} of <{element.tag}>", reason, "a boolean is true, false, 1 or 0")
 
 
-def _adapt_missing(element: etree._Element) -> None:
+def _add_missing_attributes(element: etree._Element) -> None:
     """Add missing attributes that can only have one value."""
     tag = str(element.tag)
-    needed = _NEEDED.get(tag)
+    needed = _DEFAULTS.get(tag)
     if needed is None:
         return
     if tag.endswith("ActionDynamics") and element.attrib.get("dynamicsShape") == "step":
-        needed = _AT_ONCE
+        needed = _STEP_DEFAULTS
     for key, value in needed.items():
         misspelled = next(
-            (name for name, _ in _attributes(element) if name.lower() == key.lower() and name != key), None
+            (name for name, _ in _attribute_items(element) if name.lower() == key.lower() and name != key), None
         )
         if misspelled is not None and key not in element.attrib:
             element.set(key, element.attrib.pop(misspelled))
-            _note(element, f"{misspelled} of <{tag}>", f"is read as {key}", f"<{tag}> has a {key}")
+            _record_change(element, f"{misspelled} of <{tag}>", f"is read as {key}", f"<{tag}> has a {key}")
         elif element.attrib.get(key, "") == "":
             element.set(key, value)
-            _note(element, f"missing {key} of <{tag}>", f"is read as {value}", f"<{tag}> has a {key}")
+            _record_change(element, f"missing {key} of <{tag}>", f"is read as {value}", f"<{tag}> has a {key}")
 
 
-def _meant(value: str, known: tuple[str, ...]) -> str | None:
+def _match_allowed_value(value: str, allowed: tuple[str, ...]) -> str | None:
     """Return the allowed value that a misspelled one stands for, or None if that is not clear."""
     letters = re.sub("[^a-z]", "", value.lower())
-    if letters in _SYNONYMS and _SYNONYMS[letters] in known:
+    if letters in _SYNONYMS and _SYNONYMS[letters] in allowed:
         return _SYNONYMS[letters]
-    return next((candidate for candidate in known if candidate.lower() == letters), None)
+    return next((candidate for candidate in allowed if candidate.lower() == letters), None)
 
 
-def _either(known: tuple[str, ...]) -> str:
-    return f"{', '.join(known[:-1])} or {known[-1]}"
+def _join_with_or(values: tuple[str, ...]) -> str:
+    return f"{', '.join(values[:-1])} or {values[-1]}"
 
 
 def _is_number(text: str) -> bool:
     try:
-        number_of(text)
+        parse_number(text)
     except ValueError:
         return False
     return True
 
 
-def _note(element: etree._Element, what: str, why: str, rule: str) -> None:
-    for noted in _shown(element):
-        adapt(noted, what, why, rule)
+def _record_change(element: etree._Element, subject: str, change: str, rule: str) -> None:
+    for noted in _elements_to_annotate(element):
+        note_adaptation(noted, subject, change, rule)
 
 
-def _shown(element: etree._Element) -> Iterator[etree._Element]:
+def _elements_to_annotate(element: etree._Element) -> Iterator[etree._Element]:
     """Yield the elements to record a change on: for a catalog its entries, since only these are looked at."""
     catalog = None if element.getparent() is not None else etree.ElementBase.find(element, "Catalog")
     yield from (element,) if catalog is None else etree.ElementBase.iterchildren(catalog, etree.Element)

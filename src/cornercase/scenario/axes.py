@@ -6,12 +6,12 @@ from typing import Final
 
 from lxml import etree
 
-from cornercase._common.recorded_xml import unrecorded
+from cornercase._common.recorded_xml import find_untracked
 
-LEFT_HANDED: Final = "CARLA:"
+LEFT_HANDED_PREFIX: Final = "CARLA:"
 """Start of the header's description that declares left-handed axes, as in ScenarioRunner."""
 
-TURNED: Final = {
+MIRRORED_ATTRIBUTES: Final = {
     "WorldPosition": ("y", "h"),
     "RelativeWorldPosition": ("dy",),
     "RelativeObjectPosition": ("dy",),
@@ -23,18 +23,18 @@ TURNED: Final = {
 """Attributes that change their sign in left-handed axes, by element."""
 
 
-def left_handed_header(root: etree._Element) -> etree._Element | None:
+def find_left_handed_header(root: etree._Element) -> etree._Element | None:
     """Return the file header if it declares left-handed axes, else None."""
-    for header in unrecorded(root, "FileHeader"):
-        if str(header.attrib.get("description", "")).startswith(LEFT_HANDED):
+    for header in find_untracked(root, "FileHeader"):
+        if str(header.attrib.get("description", "")).startswith(LEFT_HANDED_PREFIX):
             return header
     return None
 
 
-def turn_axes(root: etree._Element) -> None:
+def mirror_axes(root: etree._Element) -> None:
     """Mirror all positions of a tree in place; its attributes have to be numbers."""
-    for element in root.iter(*TURNED):
-        for name in TURNED[str(element.tag)]:
+    for element in root.iter(*MIRRORED_ATTRIBUTES):
+        for name in MIRRORED_ATTRIBUTES[str(element.tag)]:
             try:
                 number = float(element.get(name, ""))
             except ValueError:

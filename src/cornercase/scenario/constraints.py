@@ -9,12 +9,12 @@ from typing import Any, ClassVar, Final
 import numpy as np
 from lxml import etree
 
-from cornercase._common.errors import InputError, suggestion
-from cornercase._common.recorded_xml import adapt, made_once
+from cornercase._common.errors import InputError, suggest_name
+from cornercase._common.recorded_xml import note_adaptation, cached_on_element
 from cornercase._common.typing import BoolArray
-from cornercase.scenario.declared_types import NUMERIC, typed_value
+from cornercase.scenario.declared_types import NUMERIC_TYPES, convert_to_type
 
-_RULES: Final[dict[str, Callable[[Any, Any], Any]]] = {
+_COMPARISONS: Final[dict[str, Callable[[Any, Any], Any]]] = {
     "equalTo": np.equal,
     "notEqualTo": np.not_equal,
     "greaterThan": np.greater,
@@ -24,9 +24,9 @@ _RULES: Final[dict[str, Callable[[Any, Any], Any]]] = {
 }
 
 # Rules for types without an order.
-_OF_TEXTS: Final = {"equalTo", "notEqualTo"}
+_TEXT_RULES: Final = {"equalTo", "notEqualTo"}
 
-_SIGNS: Final = {
+_RULE_SYMBOLS: Final = {
     "equalTo": "=",
     "notEqualTo": "≠",
     "greaterThan": ">",
@@ -56,7 +56,7 @@ class Constraint:
 
 
 @dataclass(frozen=True)
-class Declaration:
+class ParameterDeclaration:
     """A parameter that a scenario file declares (OpenSCENARIO 1.3, ``ParameterDeclaration``).
 
     Attributes
@@ -76,13 +76,13 @@ class Declaration:
     tag: ClassVar[str] = "ParameterDeclaration"
 
     name: str
-    kind: str
+    type_name: str
     value: str
-    groups: tuple[tuple[Constraint, ...], ...] = ()
+    constraint_groups: tuple[tuple[Constraint, ...], ...] = ()
     sourceline: int | None = field(default=None, repr=False, compare=False)
 
     @classmethod
-    def read(cls, element: etree._Element, source: str) -> Declaration:
+    def from_xml(cls, element: etree._Element, file_name: str) -> ParameterDeclaration:
         """Read a declaration from a file.
 
         Parameters
@@ -103,10 +103,10 @@ class Declaration:
         """
         for constraint in element.iterfind("ConstraintGroup/ValueConstraint"):
             rule = constraint.get("rule", "")
-            if rule not in _RULES:
+            if rule not in _COMPARISONS:
                 raise InputError(
-                    f"{source}, line {constraint.sourceline}: the rule '{rule}' of a <ValueConstraint>:"
-                    f" {suggestion(rule, _RULES)}"
+                    f"{file_name}, line {constraint.sourceline}: the rule '{rule}' of a <ValueConstraint>:"
+                    f" {suggest_name(rule, _COMPARISONS)}"
                 )
         groups = tuple(
             tuple(
@@ -116,9 +116,9 @@ class Declaration:
             for group in element.iterfind("ConstraintGroup")
         )
         kind = element.get("parameterType", "string")
-        ordered = {condition.rule for group in groups for condition in group} - _OF_TEXTS
+        ordered = {condition.rule for group in groups for condition in group} - _TEXT_RULES
         if kind == "string" and ordered:
-            adapt(
+            note_adaptation(
                 element,
                 f"<ValueConstraint> of {element.get('name', '')}",
                 "texts that are numbers are compared as numbers",
@@ -128,27 +128,27 @@ class Declaration:
         return cls(element.get("name", ""), kind, element.get("value", ""), groups, line)
 
 
-def read_declarations(root: etree._Element, source: str) -> tuple[Declaration, ...]:
+def read_declarations(root: etree._Element, file_name: str) -> tuple[ParameterDeclaration, ...]:
     """Read the parameters that an element declares, in order; `file_name` is for messages."""
-    return made_once(root, "declarations", lambda: _read(root, source))
+    return cached_on_element(root, "declarations", lambda: _parse_declarations(root, file_name))
 
 
-def _read(root: etree._Element, source: str) -> tuple[Declaration, ...]:
-    declarations: dict[str, Declaration] = {}
+def _parse_declarations(root: etree._Element, file_name: str) -> tuple[ParameterDeclaration, ...]:
+    declarations: dict[str, ParameterDeclaration] = {}
     for element in root.iterfind("ParameterDeclarations/ParameterDeclaration"):
-        declaration = Declaration.read(element, source)
+        declaration = ParameterDeclaration.from_xml(element, file_name)
         # Keep the later position: its value may refer to parameters declared in between.
         earlier = declarations.pop(declaration.name, None)
         if earlier is not None:
             name, line = declaration.name, earlier.sourceline
             reason = f"'{name}' is declared in line {line}, too; the later one counts, as in esmini"
-            adapt(element, "repeated <ParameterDeclaration>", reason, "a parameter is declared once")
+            note_adaptation(element, "repeated <ParameterDeclaration>", reason, "a parameter is declared once")
         declarations[declaration.name] = declaration
     return tuple(declarations.values())
 
 
-def violations(
-    declarations: Sequence[Declaration], scenarios: int, value_of: Callable[[str], Any], bound: Callable[[str], Any]
+def find_constraint_violations(
+    declarations: Sequence[ParameterDeclaration], n_scenarios: int, get_value: Callable[[str], Any], evaluate_bound: Callable[[str], Any]
 ) -> dict[str, BoolArray]:
     """Return masks of shape (N,) of the scenarios that violate constraints, by parameter; only if there are any.
 
@@ -156,19 +156,19 @@ def violations(
     """
     masks = {}
     for declaration in declarations:
-        if not declaration.groups:
+        if not declaration.constraint_groups:
             continue
-        fulfilled = np.zeros(scenarios, dtype=np.bool_)
-        for group in declaration.groups:
-            holds = np.ones(scenarios, dtype=np.bool_)
+        fulfilled = np.zeros(n_scenarios, dtype=np.bool_)
+        for group in declaration.constraint_groups:
+            holds = np.ones(n_scenarios, dtype=np.bool_)
             for constraint in group:
-                value, reference = value_of(declaration.name), bound(constraint.value)
+                value, reference = get_value(declaration.name), evaluate_bound(constraint.value)
                 try:
-                    holds &= _compare(constraint.rule, value, reference, declaration.kind)
+                    holds &= _apply_rule(constraint.rule, value, reference, declaration.type_name)
                 except ValueError:
                     raise InputError(
-                        f"The constraint {in_words([constraint])} of the parameter {declaration.name} has no value of"
-                        f" the type {declaration.kind}."
+                        f"The constraint {format_constraints([constraint])} of the parameter {declaration.name} has no value of"
+                        f" the type {declaration.type_name}."
                     ) from None
             fulfilled |= holds
         if not fulfilled.all():
@@ -176,57 +176,57 @@ def violations(
     return masks
 
 
-def in_words(group: Sequence[Constraint]) -> str:
+def format_constraints(group: Sequence[Constraint]) -> str:
     """Format a group of constraints, as ``"> 18 and <= 20"``."""
-    return " and ".join(f"{_SIGNS[constraint.rule]} {constraint.value}" for constraint in group)
+    return " and ".join(f"{_RULE_SYMBOLS[constraint.rule]} {constraint.value}" for constraint in group)
 
 
-def to_json(declarations: Sequence[Declaration]) -> list[dict[str, Any]]:
+def declarations_to_json(declarations: Sequence[ParameterDeclaration]) -> list[dict[str, Any]]:
     """Return JSON values, the inverse of `declarations_from_json`."""
     return [
         {
             "name": declaration.name,
-            "type": declaration.kind,
+            "type": declaration.type_name,
             "value": declaration.value,
             "groups": [
                 [{"rule": constraint.rule, "value": constraint.value} for constraint in group]
-                for group in declaration.groups
+                for group in declaration.constraint_groups
             ],
         }
         for declaration in declarations
     ]
 
 
-def from_json(plain: Sequence[Mapping[str, Any]]) -> tuple[Declaration, ...]:
+def declarations_from_json(data: Sequence[Mapping[str, Any]]) -> tuple[ParameterDeclaration, ...]:
     """Restore declarations from `declarations_to_json`."""
     return tuple(
-        Declaration(
+        ParameterDeclaration(
             declaration["name"],
             declaration["type"],
             declaration["value"],
             tuple(
-                tuple(Constraint(_known(constraint["rule"]), constraint["value"]) for constraint in group)
+                tuple(Constraint(_require_known_rule(constraint["rule"]), constraint["value"]) for constraint in group)
                 for group in declaration["groups"]
             ),
         )
-        for declaration in plain
+        for declaration in data
     )
 
 
-def _known(rule: str) -> str:
-    if rule not in _RULES:
-        raise InputError(f"The rule '{rule}' of a constraint: {suggestion(rule, _RULES)}")
+def _require_known_rule(rule: str) -> str:
+    if rule not in _COMPARISONS:
+        raise InputError(f"The rule '{rule}' of a constraint: {suggest_name(rule, _COMPARISONS)}")
     return rule
 
 
-def _compare(rule: str, value: Any, bound: Any, kind: str) -> Any:
+def _apply_rule(rule: str, value: Any, bound: Any, type_name: str) -> Any:
     """Compare values as their declared type; raises `ValueError` if one does not have that type."""
-    if kind not in NUMERIC and not (kind == "string" and rule not in _OF_TEXTS and _are_numbers(value, bound)):
-        of_kind = np.vectorize(lambda item: str(typed_value(_plain(item), kind)), otypes=[str])
-        return _RULES[rule](of_kind(value), of_kind(bound))
+    if type_name not in NUMERIC_TYPES and not (type_name == "string" and rule not in _TEXT_RULES and _are_numbers(value, bound)):
+        of_kind = np.vectorize(lambda item: str(convert_to_type(_to_python_scalar(item), type_name)), otypes=[str])
+        return _COMPARISONS[rule](of_kind(value), of_kind(bound))
     value, bound = np.asarray(value, dtype=np.float64), np.asarray(bound, dtype=np.float64)
     close = np.abs(value - bound) <= _TOLERANCE
-    return close if rule == "equalTo" else _RULES[rule](value, bound) & ~close | (close & (rule.endswith("OrEqual")))
+    return close if rule == "equalTo" else _COMPARISONS[rule](value, bound) & ~close | (close & (rule.endswith("OrEqual")))
 
 
 def _are_numbers(*values: Any) -> bool:
@@ -236,5 +236,5 @@ def _are_numbers(*values: Any) -> bool:
         return False
 
 
-def _plain(value: Any) -> Any:
+def _to_python_scalar(value: Any) -> Any:
     return value.item() if isinstance(value, np.generic) else value

@@ -7,18 +7,18 @@ from typing import Final
 
 from lxml import etree
 
-from cornercase._common.recorded_xml import adapt, unrecorded
+from cornercase._common.recorded_xml import note_adaptation, find_untracked
 
-NEWEST: Final = 3
+NEWEST_MINOR_VERSION: Final = 3
 """Newest supported minor version of OpenSCENARIO XML 1."""
 
 # Statements of ASAM OpenSCENARIO DSL.
-_DSL: Final = re.compile(
+_DSL_STATEMENT: Final = re.compile(
     rb"^(?:import\s+\S|(?:actor|action|scenario|struct|enum|modifier|extend|type|unit|global|namespace|use|export)\s+[\w.]+)",
     re.MULTILINE,
 )
-_LOOKED_AT: Final = 20_000
-_OPENPASS: Final = {
+_MAX_BYTES_SEARCHED: Final = 20_000
+_OPENPASS_ROOTS: Final = {
     "Profiles": "holds agent profiles of openPASS",
     "simulationConfig": "configures a simulation of openPASS",
     "slaveConfig": "configures a simulation of openPASS",
@@ -26,10 +26,10 @@ _OPENPASS: Final = {
 }
 
 
-def other_language(data: bytes) -> str:
+def describe_non_xml_format(data: bytes) -> str:
     """Describe what a file that is not XML contains, as a part of a sentence; empty if not recognized."""
-    head = data[:_LOOKED_AT].removeprefix(b"\xef\xbb\xbf").lstrip()
-    if head.startswith(b"<") or not _DSL.search(head):
+    head = data[:_MAX_BYTES_SEARCHED].removeprefix(b"\xef\xbb\xbf").lstrip()
+    if head.startswith(b"<") or not _DSL_STATEMENT.search(head):
         return ""
     return (
         "is written in the language of ASAM OpenSCENARIO DSL (2.x), which is not read; write the scenario as"
@@ -37,12 +37,12 @@ def other_language(data: bytes) -> str:
     )
 
 
-def other_format(root: etree._Element) -> str:
+def describe_other_xml_format(root: etree._Element) -> str:
     """Describe an XML format that is no OpenSCENARIO 1.x, as a part of a sentence; empty if not recognized."""
     tag = str(root.tag).rpartition("}")[2]
-    if tag in _OPENPASS:
-        return f"<{tag}> {_OPENPASS[tag]}; give the scenario, Scenario.xosc beside it"
-    if tag == "OpenSCENARIO" and unrecorded(root, "Entities", "Object"):
+    if tag in _OPENPASS_ROOTS:
+        return f"<{tag}> {_OPENPASS_ROOTS[tag]}; give the scenario, Scenario.xosc beside it"
+    if tag == "OpenSCENARIO" and find_untracked(root, "Entities", "Object"):
         return (
             "is written in a version of OpenSCENARIO before 1.0, whose elements have other names; convert it to 1.0, as"
             " by the stylesheet that ASAM offers with the standard"
@@ -50,18 +50,18 @@ def other_format(root: etree._Element) -> str:
     return ""
 
 
-def note_version(root: etree._Element) -> None:
+def record_later_version(root: etree._Element) -> None:
     """Record on the file header that the version is later than the supported ones."""
-    minor = later_version(root)
-    for header in unrecorded(root, "FileHeader") if minor is not None else ():
-        reason = f"is {minor}, a version that is not published yet; the file is read as OpenSCENARIO XML 1.{NEWEST}"
-        adapt(header, "revMinor of <FileHeader>", reason, f"revMinor is 0 to {NEWEST}")
+    minor = later_minor_version(root)
+    for header in find_untracked(root, "FileHeader") if minor is not None else ():
+        reason = f"is {minor}, a version that is not published yet; the file is read as OpenSCENARIO XML 1.{NEWEST_MINOR_VERSION}"
+        note_adaptation(header, "revMinor of <FileHeader>", reason, f"revMinor is 0 to {NEWEST_MINOR_VERSION}")
 
 
-def later_version(root: etree._Element) -> int | None:
+def later_minor_version(root: etree._Element) -> int | None:
     """Return the minor version of a file if it is later than the supported ones, else None."""
-    for header in unrecorded(root, "FileHeader"):
+    for header in find_untracked(root, "FileHeader"):
         major, minor = (str(header.attrib.get(name, "")).strip() for name in ("revMajor", "revMinor"))
-        if major == "1" and minor.isascii() and minor.isdigit() and len(minor) < 4 and int(minor) > NEWEST:
+        if major == "1" and minor.isascii() and minor.isdigit() and len(minor) < 4 and int(minor) > NEWEST_MINOR_VERSION:
             return int(minor)
     return None

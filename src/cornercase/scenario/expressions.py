@@ -14,22 +14,22 @@ from typing import Any, Final
 
 import numpy as np
 
-from cornercase._common.errors import InputError, suggestion
-from cornercase._common.numbers import number_of
+from cornercase._common.errors import InputError, suggest_name
+from cornercase._common.numbers import parse_number
 
 Operand = Any  # float, bool or str, or an array of them over concrete scenarios
 
-_MOST_CHARACTERS: Final = 10_000
-_MOST_NESTED: Final = 100
-_MOST_SHOWN: Final = 100
-_REMEMBERED: Final = 1024
+_MAX_CHARACTERS: Final = 10_000
+_MAX_NESTING: Final = 100
+_MAX_SHOWN_CHARACTERS: Final = 100
+_CACHE_SIZE: Final = 1024
 
 _TOKEN: Final = re.compile(
     r"\s*(?:(?P<number>(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][+-]?[0-9]+)?)|\$?(?P<name>[A-Za-z_][\w.]*)"
     r"|(?P<string>\"[^\"]*\"|'[^']*')|(?P<operator><=|>=|==|!=|\*\*|[-+*/%()<>,]))"
 )
 
-_BINARY: Final[dict[str, tuple[int, Callable[[Operand, Operand], Operand]]]] = {
+_BINARY_OPERATORS: Final[dict[str, tuple[int, Callable[[Operand, Operand], Operand]]]] = {
     "or": (1, np.logical_or),
     "and": (2, np.logical_and),
     "==": (3, np.equal),
@@ -66,20 +66,20 @@ _FUNCTIONS: Final[dict[str, tuple[int, Callable[..., Operand]]]] = {
 _CONSTANTS: Final[dict[str, bool | float]] = {"true": True, "false": False, "pi": math.pi, "e": math.e}
 
 
-def evaluate(expression: str, values: Mapping[str, Operand]) -> Operand:
+def evaluate_expression(expression: str, values: Mapping[str, Operand]) -> Operand:
     """Evaluate an expression, given without ``${`` and ``}``; arrays in `values` broadcast.
 
     The result is not finite if the expression has no value, as for a division by zero.
     """
-    if len(expression) > _MOST_CHARACTERS:
-        raise InputError(f"An expression has {len(expression)} characters; at most {_MOST_CHARACTERS} are read.")
-    parser = _Parser(expression, values)
+    if len(expression) > _MAX_CHARACTERS:
+        raise InputError(f"An expression has {len(expression)} characters; at most {_MAX_CHARACTERS} are read.")
+    parser = _ExpressionParser(expression, values)
     try:
         with np.errstate(all="ignore"):
-            result = parser.binary(0, 0)
+            result = parser.parse_binary(0, 0)
     except TypeError:
-        raise InputError(f"The expression '{_shortened(expression)}' mixes text and numbers.") from None
-    parser.end()
+        raise InputError(f"The expression '{_shorten(expression)}' mixes text and numbers.") from None
+    parser.require_end()
     return result
 
 
@@ -87,137 +87,137 @@ def _is_text(value: Operand) -> bool:
     return isinstance(value, str)
 
 
-def _number(value: Operand) -> Operand:
+def _number_from_text(value: Operand) -> Operand:
     """Convert a text to a number if possible; return anything else as it is."""
     try:
-        return number_of(value) if _is_text(value) else value
+        return parse_number(value) if _is_text(value) else value
     except ValueError:
         return value
 
 
-def names_in(text: str) -> set[str]:
+def parameter_names_in(text: str) -> set[str]:
     """Return the parameters that an attribute's text refers to, as ``$name`` or within ``${…}``."""
     text = text.strip()
     if text.startswith("${") and text.endswith("}"):
         try:
-            names = {kind[1] for kind in _tokens(text[2:-1]) if kind[0] == "name"}
+            names = {kind[1] for kind in _tokenize(text[2:-1]) if kind[0] == "name"}
         except InputError:
             return set()
         return names - set(_FUNCTIONS) - set(_CONSTANTS) - {"and", "or", "not"}
     return {text[1:]} if text.startswith("$") else set()
 
 
-def _tokens(expression: str) -> Iterator[tuple[str, str]]:
+def _tokenize(expression: str) -> Iterator[tuple[str, str]]:
     position = 0
     while expression[position:].strip():
         match = _TOKEN.match(expression, position)
         if match is None:
             rest = expression[position:].strip()[:20]
-            raise InputError(f"The expression '{_shortened(expression)}' cannot be read at '{rest}'.")
+            raise InputError(f"The expression '{_shorten(expression)}' cannot be read at '{rest}'.")
         position = match.end()
         kind = str(match.lastgroup)
         yield kind, match.group(kind)
 
 
-@lru_cache(_REMEMBERED)
-def _token_list(expression: str) -> tuple[tuple[str, str], ...]:
+@lru_cache(_CACHE_SIZE)
+def _tokenize_cached(expression: str) -> tuple[tuple[str, str], ...]:
     """Tokens of an expression, cached: the same ones are evaluated for each batch."""
-    return tuple(_tokens(expression))
+    return tuple(_tokenize(expression))
 
 
-def _shortened(expression: str) -> str:
-    return expression if len(expression) <= _MOST_SHOWN else f"{expression[:_MOST_SHOWN]}…"
+def _shorten(expression: str) -> str:
+    return expression if len(expression) <= _MAX_SHOWN_CHARACTERS else f"{expression[:_MAX_SHOWN_CHARACTERS]}…"
 
 
-class _Parser:
+class _ExpressionParser:
     def __init__(self, expression: str, values: Mapping[str, Operand]) -> None:
         self._expression = expression
         self._values = values
-        self._tokens = _token_list(expression)
-        self._next = 0
+        self._tokens = _tokenize_cached(expression)
+        self._position = 0
 
-    def binary(self, weakest: int, depth: int) -> Operand:
-        if depth > _MOST_NESTED:
-            raise self._error(f"it is nested more than {_MOST_NESTED} deep")
-        left = self._unary(depth)
-        while (word := self._peek()) in _BINARY and _BINARY[word][0] > weakest:
-            self._next += 1
-            strength, apply = _BINARY[word]
-            right = self.binary(strength, depth + 1)
+    def parse_binary(self, min_precedence: int, depth: int) -> Operand:
+        if depth > _MAX_NESTING:
+            raise self._error(f"it is nested more than {_MAX_NESTING} deep")
+        left = self._parse_unary(depth)
+        while (word := self._peek()) in _BINARY_OPERATORS and _BINARY_OPERATORS[word][0] > min_precedence:
+            self._position += 1
+            strength, apply = _BINARY_OPERATORS[word]
+            right = self.parse_binary(strength, depth + 1)
             # Compare two texts as texts, but a text with a number as numbers.
             if word not in ("==", "!=") or _is_text(left) != _is_text(right):
-                left, right = _number(left), _number(right)
+                left, right = _number_from_text(left), _number_from_text(right)
             left = apply(left, right)
         return left
 
-    def end(self) -> None:
-        if self._next < len(self._tokens):
+    def require_end(self) -> None:
+        if self._position < len(self._tokens):
             raise self._error(f"'{self._peek()}' is not expected")
 
-    def _unary(self, depth: int) -> Operand:
+    def _parse_unary(self, depth: int) -> Operand:
         word = self._peek()
         if word in ("-", "+", "not"):
-            if depth > _MOST_NESTED:
+            if depth > _MAX_NESTING:
                 raise self._error("it is nested too deep")
-            self._next += 1
+            self._position += 1
             if word == "not":
-                return np.logical_not(self.binary(2, depth + 1))
-            value = _number(self._unary(depth + 1))
+                return np.logical_not(self.parse_binary(2, depth + 1))
+            value = _number_from_text(self._parse_unary(depth + 1))
             return np.negative(value) if word == "-" else value
-        return self._primary(depth)
+        return self._parse_primary(depth)
 
-    def _primary(self, depth: int) -> Operand:
-        if self._next >= len(self._tokens):
+    def _parse_primary(self, depth: int) -> Operand:
+        if self._position >= len(self._tokens):
             raise self._error("it ends too early")
-        kind, word = self._tokens[self._next]
-        self._next += 1
+        kind, word = self._tokens[self._position]
+        self._position += 1
         if kind == "number":
             return float(word)
         if kind == "string":
             return word[1:-1]
         if word == "(":
-            value = self.binary(0, depth + 1)
+            value = self.parse_binary(0, depth + 1)
             self._expect(")")
             return value
         if kind != "name":
             raise self._error(f"'{word}' is not expected")
         if self._peek() == "(":
-            return self._call(word, depth)
+            return self._parse_function_call(word, depth)
         if word in _CONSTANTS and word not in self._values:
             return _CONSTANTS[word]
         if word not in self._values:
-            raise self._error(f"there is no parameter '{word}', {suggestion(word, self._values).rstrip('.')}")
+            raise self._error(f"there is no parameter '{word}', {suggest_name(word, self._values).rstrip('.')}")
         return self._values[word]
 
-    def _call(self, name: str, depth: int) -> Operand:
+    def _parse_function_call(self, name: str, depth: int) -> Operand:
         if name not in _FUNCTIONS:
-            raise self._error(f"there is no function '{name}', {suggestion(name, _FUNCTIONS).rstrip('.')}")
+            raise self._error(f"there is no function '{name}', {suggest_name(name, _FUNCTIONS).rstrip('.')}")
         count, function = _FUNCTIONS[name]
         self._expect("(")
-        arguments = [self.binary(0, depth + 1)]
+        arguments = [self.parse_binary(0, depth + 1)]
         while self._peek() == ",":
-            self._next += 1
-            arguments.append(self.binary(0, depth + 1))
+            self._position += 1
+            arguments.append(self.parse_binary(0, depth + 1))
         self._expect(")")
         if len(arguments) != count:
             raise self._error(f"'{name}' takes {count} argument{'s' if count > 1 else ''}, not {len(arguments)}")
-        return function(*map(_number, arguments))
+        return function(*map(_number_from_text, arguments))
 
     def _peek(self) -> str:
-        return self._tokens[self._next][1] if self._next < len(self._tokens) else ""
+        return self._tokens[self._position][1] if self._position < len(self._tokens) else ""
 
     def _expect(self, word: str) -> None:
         if self._peek() != word:
             raise self._error(f"'{word}' is missing")
-        self._next += 1
+        self._position += 1
 
-    def _error(self, why: str) -> InputError:
+    def _error(self, reason: str) -> InputError:
         return InputError(
-            f"The expression '{_shortened(self._expression)}' cannot be read: {why}{'' if why[-1] == '?' else '.'}"
+            f"The expression '{_shorten(self._expression)}' cannot be read: {reason}{'' if reason[-1] == '?' else '.'}"
         )
 
 
-def rounded(value: Any) -> Any:
+def round_result(value: Any) -> Any:
     """Round the result of an expression to six decimals."""
     # As in esmini, which passes results as texts with six decimals; events may depend on the last one.
     array = np.asarray(value)

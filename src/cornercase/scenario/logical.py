@@ -10,18 +10,18 @@ from typing import Any, Final
 
 import numpy as np
 
-from cornercase._common.arguments import flag, path, texts
+from cornercase._common.arguments import check_bool, check_path, check_str_sequence
 from cornercase._common.errors import InputError
 from cornercase.scenario.constraints import read_declarations
-from cornercase.scenario.declared_types import typed_value
-from cornercase.scenario.openscenario import Scenario
+from cornercase.scenario.declared_types import convert_to_type
+from cornercase.scenario.openscenario import ScenarioFile
 from cornercase.scenario.parameter import Value
 from cornercase.scenario.scope import Scope
 from cornercase.scenario.space import ParameterSpace
-from cornercase.scenario.varied_roads import with_roads
-from cornercase.scenario.xml import XmlFiles
+from cornercase.scenario.varied_roads import add_varied_roads
+from cornercase.scenario.xml import XmlFileCache
 
-_ENOUGH: Final = (
+_OWN_SIMULATOR_HINT: Final = (
     "; your own simulator only needs a file that declares parameters and entities (docs/howto/own-simulator.md)"
 )
 
@@ -42,9 +42,9 @@ class ConcreteScenario:
 
     path: Path
     values: Mapping[str, Value] = field(default_factory=dict)
-    source: Scenario | None = field(default=None, repr=False, compare=False)
+    file: ScenarioFile | None = field(default=None, repr=False, compare=False)
 
-    def scenario(self, known: Scenario | None = None) -> Scenario:
+    def load_file(self, reusable: ScenarioFile | None = None) -> ScenarioFile:
         """Return the parsed scenario file, reading it if necessary.
 
         Parameters
@@ -61,10 +61,10 @@ class ConcreteScenario:
         InputError
             The file cannot be used.
         """
-        own = Scenario.read(self.path) if self.source is None else self.source
-        return known if known is not None and known.is_same(own) else own
+        own = ScenarioFile.read(self.path) if self.file is None else self.file
+        return reusable if reusable is not None and reusable.has_same_content(own) else own
 
-    def by_name(self) -> ConcreteScenario:
+    def with_all_values(self) -> ConcreteScenario:
         """Return the scenario with the values of all parameters that its file declares, converted to their types.
 
         Returns
@@ -84,7 +84,7 @@ class ConcreteScenario:
         >>> logical.concrete({"gap": 30.0}).by_name().values
         {'ego_kmh': 90.0, 'gap': 30.0, 'deceleration': 0.5}
         """
-        return self if self.source is None else replace(self, values=_all_values(self.source, self.values))
+        return self if self.file is None else replace(self, values=_evaluate_all_parameters(self.file, self.values))
 
 
 @dataclass(frozen=True)
@@ -106,20 +106,20 @@ class LogicalScenario:
     path: Path
     space: ParameterSpace
     fingerprint: str
-    source: Scenario | None = field(default=None, repr=False, compare=False)
+    file: ScenarioFile | None = field(default=None, repr=False, compare=False)
 
     def __repr__(self) -> str:
         return f"<LogicalScenario {str(self.path)!r}: {', '.join(map(str, self.space.parameters))}>"
 
     @cached_property
-    def scenario(self) -> Scenario:
+    def scenario_file(self) -> ScenarioFile:
         """The parsed scenario file."""
-        return Scenario.read(self.path) if self.source is None else self.source
+        return ScenarioFile.read(self.path) if self.file is None else self.file
 
     @classmethod
     def read(
         cls,
-        scenario: Path | str | Scenario | None,
+        scenario: Path | str | ScenarioFile | None,
         space: Path | str | None = None,
         ranges: Sequence[str] = (),
         continuous: bool = False,
@@ -154,30 +154,30 @@ class LogicalScenario:
         >>> [parameter.name for parameter in logical.space.parameters]
         ['ego_start', 'pedestrian_wait', 'p1_speed']
         """
-        ranges = texts("ranges", ranges)
-        files = XmlFiles()
-        varied = None if space is None else ParameterSpace.from_file(path("space", space), files)
+        ranges = check_str_sequence("ranges", ranges)
+        files = XmlFileCache()
+        varied = None if space is None else ParameterSpace.from_file(check_path("space", space), files)
         if scenario is None:
             if space is None:
-                hint = _ENOUGH if ranges else ""
+                hint = _OWN_SIMULATOR_HINT if ranges else ""
                 raise InputError(
                     f"There is no scenario; name an OpenSCENARIO file, or a `space` file that names one{hint}."
                 )
-            scenario = ParameterSpace.scenario_file(space, files)
+            scenario = ParameterSpace.read_scenario_path(space, files)
         if ranges:
             varied = varied.with_ranges(ranges) if varied is not None else ParameterSpace.from_ranges(ranges)
-        file = scenario if isinstance(scenario, Scenario) else Scenario.read(scenario)
+        file = scenario if isinstance(scenario, ScenarioFile) else ScenarioFile.read(scenario)
         file.add_files(files)
         if varied is None:
             raise InputError(f"{file.path}: nothing is varied; give a `space` file, or `ranges` such as NAME=LOW:HIGH.")
-        file.require_parameters(list(varied.assigns))
-        varied = varied.continuous() if flag("continuous", continuous) else varied
+        file.require_declared(list(varied.assigned_names))
+        varied = varied.as_continuous() if check_bool("continuous", continuous) else varied
         declarations = read_declarations(file.root, str(file.path))
-        varied = varied.typed(declarations, str(file.path)).constrained(declarations, str(file.path))
-        file = with_roads(file, varied)
+        varied = varied.with_types(declarations, str(file.path)).with_constraints(declarations, str(file.path))
+        file = add_varied_roads(file, varied)
         return cls(file.path, varied, file.fingerprint(), file)
 
-    def concrete(self, values: Mapping[str, Value]) -> ConcreteScenario:
+    def concrete_scenario(self, values: Mapping[str, Value]) -> ConcreteScenario:
         """Return a concrete scenario.
 
         Parameters
@@ -189,10 +189,10 @@ class LogicalScenario:
         -------
         ConcreteScenario
         """
-        return ConcreteScenario(self.path, dict(values), self.source)
+        return ConcreteScenario(self.path, dict(values), self.file)
 
 
-def _all_values(scenario: Scenario, given: Mapping[str, Value]) -> dict[str, Value]:
+def _evaluate_all_parameters(scenario: ScenarioFile, assigned: Mapping[str, Value]) -> dict[str, Value]:
     """Return the values of all parameters: the given ones, else the evaluated defaults, with their declared types.
 
     Values of parameters that the file does not declare stay as they are.
@@ -201,17 +201,17 @@ def _all_values(scenario: Scenario, given: Mapping[str, Value]) -> dict[str, Val
         declaration.name: declaration for declaration in read_declarations(scenario.root, str(scenario.path))
     }
     changed = {
-        name: value for name, value in given.items() if name in declarations and value != declarations[name].value
+        name: value for name, value in assigned.items() if name in declarations and value != declarations[name].value
     }
-    scope = Scope.of_declarations(str(scenario.path), list(declarations.values()), [changed])
-    values = {name: _converted(scope.values[name], declaration.kind) for name, declaration in declarations.items()}
-    return values | {name: value for name, value in given.items() if name not in declarations}
+    scope = Scope.from_declarations(str(scenario.path), list(declarations.values()), [changed])
+    values = {name: _convert_scalar(scope.parameter_values[name], declaration.type_name) for name, declaration in declarations.items()}
+    return values | {name: value for name, value in assigned.items() if name not in declarations}
 
 
-def _converted(value: Any, kind: str) -> Value:
+def _convert_scalar(value: Any, type_name: str) -> Value:
     scalar = value.flat[0].item() if isinstance(value, np.ndarray) else value
     try:
-        return typed_value(scalar, kind)
+        return convert_to_type(scalar, type_name)
     except ValueError:
         # The declaration may be for other tools only.
         return str(scalar)

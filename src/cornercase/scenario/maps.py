@@ -14,20 +14,20 @@ from cornercase._common.errors import InputError
 MAPS_VARIABLE: Final = "CORNERCASE_MAPS"
 """Environment variable with the folders of maps, separated as in PATH."""
 
-_ENDING: Final = ".xodr"
+_ROAD_FILE_SUFFIX: Final = ".xodr"
 # CARLA's layered variants of its towns have the same roads.
-_LAYERED: Final = "_Opt"
-_CARLA: Final = re.compile(r"Town\d\d(HD)?(_Opt)?")
-_NETWORK: Final = re.compile(r"[A-Za-z][A-Za-z0-9+.-]+:|//|\\\\")
+_LAYERED_MAP_SUFFIX: Final = "_Opt"
+_CARLA_MAP_NAME: Final = re.compile(r"Town\d\d(HD)?(_Opt)?")
+_NETWORK_ADDRESS: Final = re.compile(r"[A-Za-z][A-Za-z0-9+.-]+:|//|\\\\")
 
 
 def is_network_address(text: str) -> bool:
     """Whether a text refers to another machine."""
-    return _NETWORK.match(text) is not None
+    return _NETWORK_ADDRESS.match(text) is not None
 
 
 @contextmanager
-def looking_in(folders: Sequence[Path]) -> Iterator[None]:
+def search_maps_in(folders: Sequence[Path]) -> Iterator[None]:
     """Search these folders for maps before those of the environment variable, also in child processes."""
     for folder in folders:
         _require_folder("`maps`", str(folder))
@@ -55,18 +55,18 @@ def map_folders() -> tuple[Path, ...]:
     return tuple(map(Path, folders))
 
 
-def find_map(reference: str, beside: Path) -> Path | None:
+def find_map(reference: str, scenario_folder: Path) -> Path | None:
     """Search for the road file of a map in `scenario_folder` and then in the map folders; None if there is none.
 
     `reference` is as in the scenario: ``"Town01"``, ``"/Game/Carla/Maps/Town01"``, ``"maps/Town01.xodr"``.
     """
     name = map_name(reference)
-    names = [stem for stem in dict.fromkeys((name, name.removesuffix(_LAYERED))) if stem.strip(". ")]
-    for folder in (beside, *map_folders()) if names else ():
+    names = [stem for stem in dict.fromkeys((name, name.removesuffix(_LAYERED_MAP_SUFFIX))) if stem.strip(". ")]
+    for folder in (scenario_folder, *map_folders()) if names else ():
         for stem in names:
             # The latter two as in CARLA's own folder.
             for subfolders in ((), ("OpenDrive",), (stem, "OpenDrive")):
-                file = folder.joinpath(*subfolders, f"{stem}{_ENDING}")
+                file = folder.joinpath(*subfolders, f"{stem}{_ROAD_FILE_SUFFIX}")
                 if file.is_file():
                     return file
     return None
@@ -74,23 +74,23 @@ def find_map(reference: str, beside: Path) -> Path | None:
 
 def map_name(reference: str) -> str:
     """Return the name of a map, without folders and file extension."""
-    return reference.replace("\\", "/").rstrip("/").rpartition("/")[2].removesuffix(_ENDING)
+    return reference.replace("\\", "/").rstrip("/").rpartition("/")[2].removesuffix(_ROAD_FILE_SUFFIX)
 
 
-def way_to_map(reference: str) -> str:
+def describe_how_to_get_map(reference: str) -> str:
     """Describe how to provide a missing road file, as a part of a sentence."""
-    name = map_name(reference).removesuffix(_LAYERED)
+    name = map_name(reference).removesuffix(_LAYERED_MAP_SUFFIX)
     options = f"name its folder by --maps FOLDER or in the environment variable {MAPS_VARIABLE}"
-    if _CARLA.fullmatch(name):
+    if _CARLA_MAP_NAME.fullmatch(name):
         return (
-            f"it is a map of CARLA, whose road file is CarlaUE4/Content/Carla/Maps/OpenDrive/{name}{_ENDING} where"
+            f"it is a map of CARLA, whose road file is CarlaUE4/Content/Carla/Maps/OpenDrive/{name}{_ROAD_FILE_SUFFIX} where"
             f" CARLA is installed; {options}"
         )
     return f"put it there, or {options}"
 
 
-def _require_folder(what: str, name: str) -> None:
+def _require_folder(option: str, name: str) -> None:
     if is_network_address(name):
-        raise InputError(f"{what} {name}: is a network address; name a folder of this machine.")
+        raise InputError(f"{option} {name}: is a network address; name a folder of this machine.")
     if not Path(name).is_dir():
-        raise InputError(f"{what} {name}: there is no such folder; name one with road files ({_ENDING}).")
+        raise InputError(f"{option} {name}: there is no such folder; name one with road files ({_ROAD_FILE_SUFFIX}).")

@@ -8,40 +8,40 @@ from typing import Final
 from lxml import etree
 
 from cornercase._common.ledger import Notice
-from cornercase._common.places import line_of
-from cornercase._common.recorded_xml import adapt, below
+from cornercase._common.places import line_number
+from cornercase._common.recorded_xml import note_adaptation, iter_descendants_untracked
 
 PROFILES_FILE: Final = "ProfilesCatalog.xml"
 """Name of openPASS's profiles file, next to the scenario."""
-_RULE: Final = "a CatalogReference names a catalog of OpenSCENARIO and an entry in it"
+_CATALOG_REFERENCE_RULE: Final = "a CatalogReference names a catalog of OpenSCENARIO and an entry in it"
 
 
-def profiles_file(catalog: str) -> str:
+def profiles_file_name(catalog_name: str) -> str:
     """Return the name of openPASS's profiles file if a catalog name refers to it, else an empty text."""
-    return PROFILES_FILE if catalog in (PROFILES_FILE, Path(PROFILES_FILE).stem) else ""
+    return PROFILES_FILE if catalog_name in (PROFILES_FILE, Path(PROFILES_FILE).stem) else ""
 
 
-def has_profiles(root: etree._Element) -> bool:
+def uses_agent_profiles(root: etree._Element) -> bool:
     """Whether an entity of a scenario is an agent profile."""
     return any(
-        profiles_file(str(reference.attrib.get("catalogName", ""))) for reference in below(root, "CatalogReference")
+        profiles_file_name(str(reference.attrib.get("catalogName", ""))) for reference in iter_descendants_untracked(root, "CatalogReference")
     )
 
 
-def vehicle_models(profiles: etree._Element, name: str) -> list[str] | None:
+def vehicle_models_of_profile(profiles: etree._Element, profile_name: str) -> list[str] | None:
     """Return the vehicle models of an agent profile, the most probable first; None if there is no such profile."""
     models = {
-        _named(element): _named(model)
+        _name_attribute(element): _name_attribute(model)
         for element in profiles.iterfind("VehicleProfiles/VehicleProfile")
         for model in element.iterfind("Model")
     }
     for profile in profiles.iterfind("AgentProfiles/AgentProfile"):
-        if _named(profile) == name:
+        if _name_attribute(profile) == profile_name:
             candidates = [
-                (_probability(element), models.get(_named(element), "")) for element in profile.iter("VehicleProfile")
+                (_probability_attribute(element), models.get(_name_attribute(element), "")) for element in profile.iter("VehicleProfile")
             ]
             candidates += [
-                (_probability(element), _named(element) or (element.text or "").strip())
+                (_probability_attribute(element), _name_attribute(element) or (element.text or "").strip())
                 for element in profile.iter("VehicleModel")
             ]
             candidates.sort(key=lambda candidate: -candidate[0])
@@ -49,35 +49,35 @@ def vehicle_models(profiles: etree._Element, name: str) -> list[str] | None:
     return None
 
 
-def profile_names(profiles: etree._Element) -> list[str]:
+def agent_profile_names(profiles: etree._Element) -> list[str]:
     """Return the names of the agent profiles in openPASS's file."""
-    return [_named(profile) for profile in profiles.iterfind("AgentProfiles/AgentProfile")]
+    return [_name_attribute(profile) for profile in profiles.iterfind("AgentProfiles/AgentProfile")]
 
 
-def note_profile(root: etree._Element, entry: str, models: list[str]) -> None:
+def record_profile_replacement(root: etree._Element, profile_name: str, models: list[str]) -> None:
     """Record on the references to an agent profile which vehicle model, the first one, replaces it."""
     choice = f", the most probable of {len(models)}" if len(models) > 1 else ""
     reason = (
-        f"names the agent profile '{entry}' of openPASS, a vehicle with a driver and sensors; only its vehicle"
+        f"names the agent profile '{profile_name}' of openPASS, a vehicle with a driver and sensors; only its vehicle"
         f" model '{models[0]}' is used{choice}"
     )
-    for reference in below(root, "CatalogReference"):
-        if reference.attrib.get("entryName") == entry and profiles_file(str(reference.attrib.get("catalogName", ""))):
-            adapt(reference, "<CatalogReference>", reason, _RULE)
+    for reference in iter_descendants_untracked(root, "CatalogReference"):
+        if reference.attrib.get("entryName") == profile_name and profiles_file_name(str(reference.attrib.get("catalogName", ""))):
+            note_adaptation(reference, "<CatalogReference>", reason, _CATALOG_REFERENCE_RULE)
 
 
-def profiles_notice(profiles: etree._Element, file: Path) -> Notice:
+def profiles_file_notice(profiles: etree._Element, file: Path) -> Notice:
     """Return a notice on what is read of openPASS's profiles file."""
     reason = (
         "only the vehicle models of openPASS's agent profiles are read; drivers, sensors and the traffic that openPASS"
         " adds are ignored"
     )
-    return Notice(("<Profiles>",), reason, file, (line_of(profiles),))
+    return Notice(("<Profiles>",), reason, file, (line_number(profiles),))
 
 
-def profile_notices(root: etree._Element, file: Path) -> tuple[Notice, ...]:
+def profile_controller_notices(root: etree._Element, file: Path) -> tuple[Notice, ...]:
     """Return a notice on the controllers of a scenario that are agent profiles of openPASS."""
-    properties = [item for item in below(root, "Property") if item.attrib.get("name") == "AgentProfile"]
+    properties = [item for item in iter_descendants_untracked(root, "Property") if item.attrib.get("name") == "AgentProfile"]
     for item in properties:
         # Mark as used, so that the support table does not report it again.
         item.get("name"), item.get("value")
@@ -85,15 +85,15 @@ def profile_notices(root: etree._Element, file: Path) -> tuple[Notice, ...]:
         "refers to an agent profile in openPASS's ProfilesCatalog.xml, whose driver and sensors are ignored; the"
         " storyboard or a driver of cornercase moves the entity"
     )
-    lines = tuple(map(line_of, properties))
+    lines = tuple(map(line_number, properties))
     return (Notice(("<Property AgentProfile>",), reason, file, lines),) if properties else ()
 
 
-def _named(element: etree._Element) -> str:
+def _name_attribute(element: etree._Element) -> str:
     return str(element.get("Name") or element.get("name") or "")
 
 
-def _probability(element: etree._Element) -> float:
+def _probability_attribute(element: etree._Element) -> float:
     try:
         return float(element.get("Probability") or element.get("probability") or 1.0)
     except ValueError:

@@ -11,40 +11,40 @@ from typing import Any
 from lxml import etree
 
 from cornercase._common import arguments
-from cornercase._common.errors import InputError, suggestion
-from cornercase._common.ledger import Label, Notice
-from cornercase._common.places import line_of, place_of, placed
-from cornercase._common.recorded_xml import adapt, children, named, unrecorded, was_read
-from cornercase.scenario.axes import left_handed_header
-from cornercase.scenario.catalogs import Catalogs, holds_catalog
-from cornercase.scenario.dialects import note_version, other_format
-from cornercase.scenario.expressions import names_in
-from cornercase.scenario.maps import find_map, is_network_address, map_name, way_to_map
+from cornercase._common.errors import InputError, suggest_name
+from cornercase._common.ledger import NoticeLabel, Notice
+from cornercase._common.places import line_number, format_location, locate_input_errors
+from cornercase._common.recorded_xml import note_adaptation, iter_children_untracked, find_by_name, find_untracked, is_read
+from cornercase.scenario.axes import find_left_handed_header
+from cornercase.scenario.catalogs import Catalogs, looks_like_catalog
+from cornercase.scenario.dialects import record_later_version, describe_other_xml_format
+from cornercase.scenario.expressions import parameter_names_in
+from cornercase.scenario.maps import find_map, is_network_address, map_name, describe_how_to_get_map
 from cornercase.scenario.openpass import (
     PROFILES_FILE,
-    has_profiles,
-    note_profile,
-    profile_names,
-    profiles_file,
-    vehicle_models,
+    uses_agent_profiles,
+    record_profile_replacement,
+    agent_profile_names,
+    profiles_file_name,
+    vehicle_models_of_profile,
 )
 from cornercase.scenario.parameter import Value
-from cornercase.scenario.xml import XmlFiles, parse_xml
+from cornercase.scenario.xml import XmlFileCache, parse_xml
 
 DRIVER_PROPERTY = "cornercase.driver"
 """Controller property that names the driver of an entity."""
 
 # Limits of file systems: bytes of a file name, characters of a path.
-_LONGEST_NAME = 255
-_LONGEST_PATH = 4000
+_MAX_FILE_NAME_BYTES = 255
+_MAX_PATH_LENGTH = 4000
 # Blocks that may occur once, as paths from the root.
-_ONCE = (
+_UNIQUE_BLOCKS = (
     ("FileHeader",), ("ParameterDeclarations",), ("VariableDeclarations",), ("CatalogLocations",), ("RoadNetwork",),
     ("Entities",), ("Storyboard",), ("Storyboard", "Init"), ("RoadNetwork", "LogicFile"),
 )  # fmt: skip
 
 
-class Scenario:
+class ScenarioFile:
     """A scenario file, and the catalogs and road files that belong to it.
 
     Each file is read once, when it is first needed. A pickled copy holds only path and fingerprint: it reads the files
@@ -54,118 +54,118 @@ class Scenario:
     objects that others derive from the file, by their type.
     """
 
-    def __init__(self, path: Path | str, fingerprint: str | None = None, roads: Sequence[str] = ()) -> None:
+    def __init__(self, path: Path | str, fingerprint: str | None = None, varied_roads: Sequence[str] = ()) -> None:
         self.path = Path(path)
-        self._roads = tuple(roads)
-        self.kept: dict[type, Any] = {}
-        self._files = XmlFiles()
+        self._varied_roads = tuple(varied_roads)
+        self.cache: dict[type, Any] = {}
+        self._files = XmlFileCache()
         self._fingerprint = fingerprint
         # Paths of road files that were found, by reference; fixed from then on.
-        self._roads_at: dict[str, Path] = {}
+        self._found_roads: dict[str, Path] = {}
 
     @classmethod
-    def read(cls, path: Path | str) -> Scenario:
+    def read(cls, path: Path | str) -> ScenarioFile:
         """Read a scenario file; raises `InputError` if it is missing, is not XML, or is not a scenario."""
-        scenario = cls(arguments.path("scenario", path))
-        scenario._require_scenario(scenario.root)
+        scenario = cls(arguments.check_path("scenario", path))
+        scenario._require_valid_root(scenario.root)
         return scenario
 
     def __repr__(self) -> str:
         return f"Scenario({str(self.path)!r})"
 
-    def __reduce__(self) -> tuple[type[Scenario], tuple[Path, str, tuple[str, ...]]]:
-        return Scenario, (self.path, self.fingerprint(), self._roads)
+    def __reduce__(self) -> tuple[type[ScenarioFile], tuple[Path, str, tuple[str, ...]]]:
+        return ScenarioFile, (self.path, self.fingerprint(), self._varied_roads)
 
-    def naming(self, roads: Sequence[str]) -> Scenario:
+    def with_varied_roads(self, varied_roads: Sequence[str]) -> ScenarioFile:
         """Return the scenario with additional road files, which a varied parameter names."""
-        copy = Scenario(self.path, None, roads)
+        copy = ScenarioFile(self.path, None, varied_roads)
         copy._files = self._files
-        copy._roads_at = self._roads_at
+        copy._found_roads = self._found_roads
         return copy
 
     @cached_property
     def root(self) -> etree._Element:
         """Root element, ``OpenSCENARIO``; do not change it."""
-        if self._fingerprint is not None and self._digest() != self._fingerprint:
+        if self._fingerprint is not None and self._compute_fingerprint() != self._fingerprint:
             raise InputError(
                 f"{self.path}: this file, its road file or a catalog has changed since it was read; run the command"
                 " again."
             )
-        return self._document
+        return self._unchecked_root
 
     @cached_property
-    def _document(self) -> etree._Element:
-        return self._files.root(self.path)
+    def _unchecked_root(self) -> etree._Element:
+        return self._files.get_root(self.path)
 
-    def as_written(self) -> etree._Element:
+    def parse_unnormalized(self) -> etree._Element:
         """Parse the file again without normalizing it."""
-        return parse_xml(self._files.content(self.path), self.path)
+        return parse_xml(self._files.read_bytes(self.path), self.path)
 
-    def xml(self, path: Path) -> etree._Element:
+    def get_root(self, path: Path) -> etree._Element:
         """Return the root of a file that belongs to the scenario; do not change it."""
-        return self._files.root(path)
+        return self._files.get_root(path)
 
-    def add_files(self, files: XmlFiles) -> None:
+    def add_files(self, files: XmlFileCache) -> None:
         """Add files to those of the scenario, such as that of a parameter space."""
         self._files.update(files)
 
-    def read_parts(self) -> list[tuple[Path, etree._Element]]:
+    def used_elements(self) -> list[tuple[Path, etree._Element]]:
         """Return the paths and elements that were used: roots of files; of catalogs, the entries that were used."""
         parts = []
-        for path, root in self._files.parsed().items():
+        for path, root in self._files.parsed_roots().items():
             catalog = etree.ElementBase.find(root, "Catalog") if root.tag == "OpenSCENARIO" else None
             if catalog is None:
                 parts.append((path, root))
             else:
-                parts += [(path, entry) for entry in children(catalog) if was_read(entry)]
+                parts += [(path, entry) for entry in iter_children_untracked(catalog) if is_read(entry)]
         return parts
 
-    def _require_scenario(self, root: etree._Element) -> None:
-        if description := other_format(root):
-            raise InputError(f"{place_of(root, str(self.path))}: {description}.")
+    def _require_valid_root(self, root: etree._Element) -> None:
+        if description := describe_other_xml_format(root):
+            raise InputError(f"{format_location(root, str(self.path))}: {description}.")
         if root.tag != "OpenSCENARIO":
             raise InputError(
-                f"{place_of(root, str(self.path))}: the root element is <{root.tag}>; an OpenSCENARIO file starts with"
+                f"{format_location(root, str(self.path))}: the root element is <{root.tag}>; an OpenSCENARIO file starts with"
                 " <OpenSCENARIO>."
             )
         header = root.find("FileHeader")
         if header is not None and header.get("revMajor", "1").strip() == "0":
             raise InputError(
-                f"{place_of(header, str(self.path))}: <FileHeader>: the file is of OpenSCENARIO"
+                f"{format_location(header, str(self.path))}: <FileHeader>: the file is of OpenSCENARIO"
                 f" 0.{header.get('revMinor', '9')}, which has another structure; convert it to 1.0 with ASAM's"
                 " migration script, which comes with OpenSCENARIO 1.0."
             )
         if (distribution := root.find("ParameterValueDistribution")) is not None:
-            location = f"{place_of(distribution, str(self.path))}: <{distribution.tag}>"
+            location = f"{format_location(distribution, str(self.path))}: <{distribution.tag}>"
             raise InputError(f"{location}: is a parameter value distribution, not a scenario; give it as `space`.")
-        note_version(root)
-        self._refuse_repeated(root)
+        record_later_version(root)
+        self._refuse_repeated_blocks(root)
         for needed in ("Entities", "Storyboard"):
             if root.find(needed) is None:
                 raise InputError(
-                    f"{place_of(root, str(self.path))}: <{root.tag}> has no <{needed}>, so there is nothing to run."
+                    f"{format_location(root, str(self.path))}: <{root.tag}> has no <{needed}>, so there is nothing to run."
                 )
         # Raises if names are not unique.
         _ = self.entities
 
-    def _refuse_repeated(self, root: etree._Element) -> None:
+    def _refuse_repeated_blocks(self, root: etree._Element) -> None:
         """Refuse a repeated block that may occur once only; tools differ in which of them they use."""
-        for *parents, tag in _ONCE:
-            blocks = [block for block in unrecorded(root, *parents) for block in children(block) if block.tag == tag]
+        for *parents, tag in _UNIQUE_BLOCKS:
+            blocks = [block for block in find_untracked(root, *parents) for block in iter_children_untracked(block) if block.tag == tag]
             if len(blocks) > 1:
                 raise InputError(
-                    f"{place_of(blocks[1], str(self.path))}: <{tag}>: repeats the one in line"
+                    f"{format_location(blocks[1], str(self.path))}: <{tag}>: repeats the one in line"
                     f" {blocks[0].sourceline}; keep one."
                 )
 
     @property
     def is_left_handed(self) -> bool:
         """Whether positions are in CARLA's left-handed axes, instead of those of the road file."""
-        return left_handed_header(self.root) is not None
+        return find_left_handed_header(self.root) is not None
 
-    def axes_notices(self) -> tuple[Notice, ...]:
+    def left_handed_notices(self) -> tuple[Notice, ...]:
         """Return a notice that positions are mirrored, if the axes are left-handed."""
-        header = left_handed_header(self.root)
+        header = find_left_handed_header(self.root)
         if header is None:
             return ()
         reason = (
@@ -173,7 +173,7 @@ class Scenario:
             " converted to the axes of the road file, which recordings use too"
         )
         rule = "positions are in right-handed axes, x east and y north, with headings counter-clockwise"
-        return (Notice(("signs of y and headings",), reason, self.path, (line_of(header),), Label.ADAPTED, rule),)
+        return (Notice(("signs of y and headings",), reason, self.path, (line_number(header),), NoticeLabel.ADAPTED, rule),)
 
     @cached_property
     def entities(self) -> tuple[str, ...]:
@@ -183,7 +183,7 @@ class Scenario:
         seen: set[str] = {""}
         for element, name in zip(objects, names, strict=True):
             if name in seen:
-                raise InputError(f"{place_of(element, str(self.path))}: every <ScenarioObject> needs a unique name.")
+                raise InputError(f"{format_location(element, str(self.path))}: every <ScenarioObject> needs a unique name.")
             seen.add(name)
         return names
 
@@ -197,16 +197,16 @@ class Scenario:
     def path_parameters(self) -> frozenset[str]:
         """Names of the declared parameters that hold the path of the road file or of a catalog folder."""
         folders = (e.get("path", "") for e in self.root.iterfind("CatalogLocations//Directory"))
-        texts = {self.logic_file(), *folders}
+        texts = {self.road_file_as_written(), *folders}
         return frozenset(name for name in self.parameters if f"${name}" in texts)
 
     @cached_property
     def drivers(self) -> dict[str, str]:
         """Driver that a controller property requests, by entity."""
-        drivers = {e.get("name", ""): self._driver_of(e) for e in self.root.iterfind("Entities/ScenarioObject")}
+        drivers = {e.get("name", ""): self._requested_driver(e) for e in self.root.iterfind("Entities/ScenarioObject")}
         return {name: driver for name, driver in drivers.items() if driver is not None}
 
-    def may_drive(self, entity: str) -> bool:
+    def may_have_driver(self, entity: str) -> bool:
         """Whether the file names a driver of cornercase for an entity, or may assign one while the storyboard runs.
 
         The latter is assumed of any action that assigns a controller of a catalog.
@@ -220,77 +220,77 @@ class Scenario:
         )
         return entity in self.drivers or named_there
 
-    def _driver_of(self, scenario_object: etree._Element) -> str | None:
-        driver = driver_property(scenario_object)
+    def _requested_driver(self, scenario_object: etree._Element) -> str | None:
+        driver = requested_driver(scenario_object)
         if driver is not None:
             return driver
         # Catalog controllers count only if referred to literally, not by a parameter.
-        for reference in unrecorded(scenario_object, "ObjectController", "CatalogReference"):
+        for reference in find_untracked(scenario_object, "ObjectController", "CatalogReference"):
             catalog, name = (str(reference.attrib.get(key, "")) for key in ("catalogName", "entryName"))
             entries = [
                 controller
-                for element in self._catalogs.named(catalog)
-                for controller in unrecorded(element, "Controller")
+                for element in self._catalogs.find_catalogs(catalog)
+                for controller in find_untracked(element, "Controller")
             ]
             for entry in entries:
-                driver = driver_of(entry) if entry.attrib.get("name") == name else None
+                driver = driver_of_controller(entry) if entry.attrib.get("name") == name else None
                 if driver is not None:
-                    self.catalog_entry(reference.get("catalogName", ""), reference.get("entryName", ""))
+                    self.find_catalog_entry(reference.get("catalogName", ""), reference.get("entryName", ""))
                     return driver
         return None
 
     def require_entity(self, name: str, role: str) -> None:
         """Raise `InputError` if no entity has this name; `role` is what it was meant to be, for the message."""
         if name not in self.entities:
-            raise InputError(f"{self.path}: has no entity '{name}' to be the {role}; {suggestion(name, self.entities)}")
+            raise InputError(f"{self.path}: has no entity '{name}' to be the {role}; {suggest_name(name, self.entities)}")
 
-    def require_parameters(self, names: tuple[str, ...] | list[str]) -> None:
+    def require_declared(self, names: tuple[str, ...] | list[str]) -> None:
         """Raise `InputError` if a parameter is not declared."""
         for name in names:
             if name not in self.parameters:
-                raise InputError(f"{self.path}: declares no parameter '{name}'; {suggestion(name, self.parameters)}")
+                raise InputError(f"{self.path}: declares no parameter '{name}'; {suggest_name(name, self.parameters)}")
 
-    def beside(self, reference: str, what: str) -> Path:
+    def resolve_path(self, reference: str, description: str) -> Path:
         """Resolve a path of the file, relative to its folder; `description` is what the path is for, for messages.
 
         Raises `InputError` for network addresses and invalid file names.
         """
-        if any(len(part.encode()) > _LONGEST_NAME for part in Path(reference).parts) or len(reference) > _LONGEST_PATH:
-            raise InputError(f"{self.path}: the {what} '{reference[:60]}…' is not a valid file name.")
+        if any(len(part.encode()) > _MAX_FILE_NAME_BYTES for part in Path(reference).parts) or len(reference) > _MAX_PATH_LENGTH:
+            raise InputError(f"{self.path}: the {description} '{reference[:60]}…' is not a valid file name.")
         if is_network_address(reference):
-            raise InputError(f"{self.path}: the {what} '{reference}' is a network address; name a local file.")
+            raise InputError(f"{self.path}: the {description} '{reference}' is a network address; name a local file.")
         return self.path.parent / reference.replace("\\", "/")
 
-    def catalog_entry(self, catalog: str, entry: str) -> etree._Element:
+    def find_catalog_entry(self, catalog_name: str, entry_name: str) -> etree._Element:
         """Return an entry of a catalog, or the vehicle that replaces an agent profile of openPASS."""
-        file = profiles_file(catalog)
-        return self._of_profile(self.path.parent / file, entry) if file else self._catalogs.entry(catalog, entry)
+        file = profiles_file_name(catalog_name)
+        return self._vehicle_of_agent_profile(self.path.parent / file, entry_name) if file else self._catalogs.find_entry(catalog_name, entry_name)
 
-    def _of_profile(self, file: Path, profile: str) -> etree._Element:
+    def _vehicle_of_agent_profile(self, profiles_path: Path, profile: str) -> etree._Element:
         """Return the vehicle model of an agent profile of openPASS."""
-        description = f"'{profile}' of {file.name} is an agent profile of openPASS, a vehicle with a driver and sensors"
+        description = f"'{profile}' of {profiles_path.name} is an agent profile of openPASS, a vehicle with a driver and sensors"
         hint = "use a vehicle of an OpenSCENARIO catalog"
-        if not file.is_file():
+        if not profiles_path.is_file():
             raise InputError(
                 f"{self.path}: {description}, but the file is not next to the scenario; put it there, or {hint}."
             )
-        profiles = self._files.root(file)
-        models = vehicle_models(profiles, profile)
+        profiles = self._files.get_root(profiles_path)
+        models = vehicle_models_of_profile(profiles, profile)
         if models is None:
             raise InputError(
-                f"{file}: has no agent profile '{profile}'; {suggestion(profile, profile_names(profiles))}"
+                f"{profiles_path}: has no agent profile '{profile}'; {suggest_name(profile, agent_profile_names(profiles))}"
             )
         if not models:
             raise InputError(f"{self.path}: {description}, but has no vehicle model; {hint}.")
-        entry = self._catalogs.entry_anywhere(models[0])
+        entry = self._catalogs.find_entry_in_any_catalog(models[0])
         if entry is None:
             raise InputError(f"{self.path}: {description}; its vehicle model '{models[0]}' is in no catalog; {hint}.")
-        note_profile(self._document, profile, models)
+        record_profile_replacement(self._unchecked_root, profile, models)
         return entry
 
     @cached_property
     def _catalogs(self) -> Catalogs:
-        return Catalogs(self.path, ((file, self._files.root(file)) for file in self._catalog_files))
+        return Catalogs(self.path, ((file, self._files.get_root(file)) for file in self._catalog_files))
 
     def catalog_files(self) -> list[Path]:
         """Return all files in the catalog locations, in their order and then by name."""
@@ -299,144 +299,144 @@ class Scenario:
     @cached_property
     def _catalog_files(self) -> list[Path]:
         files: list[Path] = []
-        for directory in self._document.iterfind("CatalogLocations//Directory"):
-            with placed(directory, str(self.path)):
-                folder = self.beside(self._parameter_text(directory.get("path", ""), {}), "catalog location")
-            candidates = self._catalogs_in(folder) if folder.is_dir() else [folder]
+        for directory in self._unchecked_root.iterfind("CatalogLocations//Directory"):
+            with locate_input_errors(directory, str(self.path)):
+                folder = self.resolve_path(self._replace_parameter(directory.get("path", ""), {}), "catalog location")
+            candidates = self._list_catalogs(folder) if folder.is_dir() else [folder]
             files += [file for file in candidates if file.is_file() and file not in files]
         return files
 
-    def _catalogs_in(self, folder: Path) -> list[Path]:
+    def _list_catalogs(self, folder: Path) -> list[Path]:
         """Return the files of a folder that hold a catalog; there may be scenarios among them."""
         scenario_files = [file for file in sorted(folder.glob("*.xosc")) if file.is_file()]
-        return [file for file in scenario_files if holds_catalog(self._files.content(file))]
+        return [file for file in scenario_files if looks_like_catalog(self._files.read_bytes(file))]
 
     @cached_property
     def profiles_files(self) -> tuple[Path, ...]:
         """Path of openPASS's profiles file if the scenario refers to it; the file may be missing."""
-        return (self.path.with_name(PROFILES_FILE),) if has_profiles(self._document) else ()
+        return (self.path.with_name(PROFILES_FILE),) if uses_agent_profiles(self._unchecked_root) else ()
 
-    def logic_file(self) -> str:
+    def road_file_as_written(self) -> str:
         """Return the road file as written in the scenario, possibly a parameter (``"$Road"``), or an empty text."""
-        file = self._document.find("RoadNetwork/LogicFile")
+        file = self._unchecked_root.find("RoadNetwork/LogicFile")
         return "" if file is None else file.get("filepath", "")
 
-    def road_file(self, values: Mapping[str, Value] | None = None) -> Path | None:
+    def road_path_for(self, values: Mapping[str, Value] | None = None) -> Path | None:
         """Return the path of the road file for parameter values, by default the declared ones."""
-        reference = self.road_reference(values)
-        return self.road_at(reference) if reference else None
+        reference = self.road_reference_for(values)
+        return self.road_path(reference) if reference else None
 
-    def road_reference(self, values: Mapping[str, Value] | None = None) -> str:
+    def road_reference_for(self, values: Mapping[str, Value] | None = None) -> str:
         """Return the road file as written in the scenario, with parameters replaced; empty if there is none."""
-        return self._parameter_text(self.logic_file(), values or {})
+        return self._replace_parameter(self.road_file_as_written(), values or {})
 
-    def road_at(self, reference: str) -> Path:
+    def road_path(self, reference: str) -> Path:
         """Return the path of a road file that the scenario names.
 
         If there is no such file, a map of that name is searched for next to the scenario and in the map folders.
         """
-        if reference in self._roads_at:
-            return self._roads_at[reference]
-        path = self.beside(reference, "road file")
+        if reference in self._found_roads:
+            return self._found_roads[reference]
+        path = self.resolve_path(reference, "road file")
         map_file = path if path.is_file() else find_map(reference, self.path.parent)
         if map_file is None:
             return path
-        self._roads_at[reference] = map_file
+        self._found_roads[reference] = map_file
         if map_file == path:
             return path
-        for element in self._document.iterfind("RoadNetwork/LogicFile"):
+        for element in self._unchecked_root.iterfind("RoadNetwork/LogicFile"):
             reason = f"'{reference}' does not exist; the map of that name is used: {map_file}"
-            adapt(element, "filepath of <LogicFile>", reason, "filepath is a path relative to the scenario")
+            note_adaptation(element, "filepath of <LogicFile>", reason, "filepath is a path relative to the scenario")
         return map_file
 
-    def present_road(self, reference: str) -> Path:
+    def existing_road_path(self, reference: str) -> Path:
         """Return the path of a road file like `road_path`; raises `InputError` if there is no such file."""
-        path = self.road_at(reference)
-        if reference not in self._roads_at and not path.exists():
-            line = next((e.sourceline for e in self._document.iterfind("RoadNetwork/LogicFile")), 0)
-            raise InputError(f"{self.path}, line {line}: {self._without_road(reference)}.")
+        path = self.road_path(reference)
+        if reference not in self._found_roads and not path.exists():
+            line = next((e.sourceline for e in self._unchecked_root.iterfind("RoadNetwork/LogicFile")), 0)
+            raise InputError(f"{self.path}, line {line}: {self._describe_road_as_missing(reference)}.")
         return path
 
-    def missing_road(self) -> str:
+    def describe_missing_road(self) -> str:
         """Describe which road file is missing, as a part of a sentence; empty if none is."""
-        reference = self.missing_reference()
-        return self._without_road(reference) if reference else ""
+        reference = self.missing_road_reference()
+        return self._describe_road_as_missing(reference) if reference else ""
 
-    def missing_reference(self) -> str:
+    def missing_road_reference(self) -> str:
         """Return the first missing road file as the scenario names it; empty if none is missing."""
-        references = (self.road_reference(), *self._roads)
-        return next((reference for reference in references if reference and not self.road_at(reference).exists()), "")
+        references = (self.road_reference_for(), *self._varied_roads)
+        return next((reference for reference in references if reference and not self.road_path(reference).exists()), "")
 
-    def _without_road(self, reference: str) -> str:
-        description = self.beside(reference, "road file") if Path(reference).suffix else f"'{reference}'"
-        return f"there is no road file {description}; {way_to_map(reference)}"
+    def _describe_road_as_missing(self, reference: str) -> str:
+        description = self.resolve_path(reference, "road file") if Path(reference).suffix else f"'{reference}'"
+        return f"there is no road file {description}; {describe_how_to_get_map(reference)}"
 
-    def road_near(self, path: Path) -> Path:
+    def road_path_next_to_scenario(self, path: Path) -> Path:
         """Return the path where a road file would be found next to the scenario, for a path from `road_path`."""
-        references = (self.road_reference(), *self._roads)
-        reference = next((name for name in references if name and self.road_at(name) == path), "")
+        references = (self.road_reference_for(), *self._varied_roads)
+        reference = next((name for name in references if name and self.road_path(name) == path), "")
         default = self.path.parent / f"{map_name(reference)}.xodr"
-        return path if not reference or self.beside(reference, "road file") == path else default
+        return path if not reference or self.resolve_path(reference, "road file") == path else default
 
-    def road_files(self) -> tuple[Path, ...]:
+    def road_paths(self) -> tuple[Path, ...]:
         """Return the paths of all road files: that of the file, and those that a varied parameter names."""
-        road = self.road_file()
-        varied = [self.road_at(reference) for reference in self._roads]
+        road = self.road_path_for()
+        varied = [self.road_path(reference) for reference in self._varied_roads]
         return tuple(dict.fromkeys([*([] if road is None else [road]), *varied]))
 
     def fingerprint(self) -> str:
         """Return the SHA-256 of all files of the scenario, with the content that they had when they were read."""
         if self._fingerprint is None:
-            self._fingerprint = self._digest()
+            self._fingerprint = self._compute_fingerprint()
         return self._fingerprint
 
-    def files(self) -> tuple[Path, ...]:
+    def all_paths(self) -> tuple[Path, ...]:
         """Return the paths of all files that the fingerprint includes, the scenario file first; some may not exist."""
-        return (self.path, *self._catalog_files, *self.profiles_files, *self.road_files())
+        return (self.path, *self._catalog_files, *self.profiles_files, *self.road_paths())
 
     @property
     def varied_roads(self) -> tuple[str, ...]:
         """Road files that a varied parameter names, as the scenario would name them."""
-        return self._roads
+        return self._varied_roads
 
-    def contents(self) -> dict[Path, bytes]:
+    def read_all_files(self) -> dict[Path, bytes]:
         """Return the content of all files that the fingerprint includes, the scenario file first.
 
         Raises `InputError` if a file has changed since it was read.
         """
-        files = {file: self._files.content(file) for file in self.files() if file.is_file()}
-        if self._digest() != self.fingerprint():
+        files = {file: self._files.read_bytes(file) for file in self.all_paths() if file.is_file()}
+        if self._compute_fingerprint() != self.fingerprint():
             raise InputError(f"{self.path}: its files have changed since they were read; run the command again.")
         return files
 
-    def is_same(self, other: Scenario) -> bool:
+    def has_same_content(self, other: ScenarioFile) -> bool:
         """Whether another scenario has the same path and the same file contents."""
         return self is other or (self.path == other.path and self.fingerprint() == other.fingerprint())
 
-    def _digest(self) -> str:
+    def _compute_fingerprint(self) -> str:
         digest = hashlib.sha256()
-        for file in self.files():
+        for file in self.all_paths():
             if file.is_file():
-                digest.update(self._files.digest(file))
+                digest.update(self._files.sha256(file))
         return digest.hexdigest()
 
-    def _parameter_text(self, text: str, values: Mapping[str, Value]) -> str:
-        for name in names_in(text):
+    def _replace_parameter(self, text: str, values: Mapping[str, Value]) -> str:
+        for name in parameter_names_in(text):
             if name in values:
                 return str(values[name])
-            for e in self._document.iterfind("ParameterDeclarations/ParameterDeclaration"):
+            for e in self._unchecked_root.iterfind("ParameterDeclarations/ParameterDeclaration"):
                 if e.get("name") == name:
                     return e.get("value", "")
         return text
 
 
-def driver_property(scenario_object: etree._Element) -> str | None:
+def requested_driver(scenario_object: etree._Element) -> str | None:
     """Return the driver that a controller inside a ``ScenarioObject`` requests, or None."""
-    drivers = (driver_of(controller) for controller in unrecorded(scenario_object, "ObjectController", "Controller"))
+    drivers = (driver_of_controller(controller) for controller in find_untracked(scenario_object, "ObjectController", "Controller"))
     return next((driver for driver in drivers if driver is not None), None)
 
 
-def driver_of(controller: etree._Element) -> str | None:
+def driver_of_controller(controller: etree._Element) -> str | None:
     """Return the driver that a ``Controller`` requests, or None; then the element is not marked as used."""
-    item = named(unrecorded(controller, "Properties", "Property"), DRIVER_PROPERTY)
+    item = find_by_name(find_untracked(controller, "Properties", "Property"), DRIVER_PROPERTY)
     return None if item is None else item.get("value")

@@ -9,7 +9,7 @@ from typing import Final
 
 import numpy as np
 
-from cornercase._common.arguments import number
+from cornercase._common.arguments import check_float
 from cornercase._common.errors import InputError
 from cornercase._common.typing import FloatArray, IntArray
 from cornercase.scenario.distributions import Distribution
@@ -18,7 +18,7 @@ Value = float | str
 """Value of a parameter in a concrete scenario: a number, or one of the choices."""
 
 # Doubles cannot represent all larger integers.
-_MOST_STEPS: Final = 2.0**53
+_MAX_STEPS: Final = 2.0**53
 
 
 @dataclass(frozen=True)
@@ -61,21 +61,21 @@ class Parameter:
     choices: tuple[str, ...] = ()
     unit: str = ""
     distribution: Distribution | None = None
-    sets: tuple[tuple[tuple[str, str], ...], ...] = ()
-    whole: bool = field(default=False, compare=False)
+    value_sets: tuple[tuple[tuple[str, str], ...], ...] = ()
+    is_integer: bool = field(default=False, compare=False)
 
     def __post_init__(self) -> None:
-        number("low", self.low)
-        number("high", self.high)
+        check_float("low", self.low)
+        check_float("high", self.high)
         if self.step is not None:
-            number("step", self.step, above=0.0)
+            check_float("step", self.step, above=0.0)
         single = bool(self.choices) or self.step is not None
         if self.low > self.high or (self.low == self.high and not single):
             raise InputError(
                 f"`low` {self.low:g}, `high` {self.high:g}: the lower bound of the parameter {self.name} must be below"
                 " the upper."
             )
-        if self.step is not None and not (self.high - self.low) / self.step < _MOST_STEPS:
+        if self.step is not None and not (self.high - self.low) / self.step < _MAX_STEPS:
             raise InputError(f"`step` {self.step:g}: the parameter {self.name} has more steps than can be counted.")
 
     def __repr__(self) -> str:
@@ -90,7 +90,7 @@ class Parameter:
         """The values in short, as ``"2 to 17 by 0.1"``."""
         if self.choices:
             return ", ".join(self.choices)
-        implicit_step = self.step is None or (self.whole and self.step == 1.0)
+        implicit_step = self.step is None or (self.is_integer and self.step == 1.0)
         return f"{self.low:g} to {self.high:g}" + ("" if implicit_step else f" by {self.step:g}")
 
     @property
@@ -101,11 +101,11 @@ class Parameter:
         return None if self.step is None else int(np.floor((self.high - self.low) / self.step + 1e-9)) + 1
 
     @property
-    def assigns(self) -> tuple[str, ...]:
+    def assigned_names(self) -> tuple[str, ...]:
         """Names of the scenario's parameters that it sets."""
-        return tuple(dict(self.sets[0])) if self.sets else (self.name,)
+        return tuple(dict(self.value_sets[0])) if self.value_sets else (self.name,)
 
-    def assigned(self, u: float) -> dict[str, Value]:
+    def assignment_at(self, unit_position: float) -> dict[str, Value]:
         """Return the values of the scenario's parameters at a position of the unit interval.
 
         Parameters
@@ -116,9 +116,9 @@ class Parameter:
         -------
         dict of str to float or str
         """
-        return {name: value for name, (value,) in self.columns(np.array([u])).items()}
+        return {name: value for name, (value,) in self.assignments_at(np.array([unit_position])).items()}
 
-    def columns(self, u: FloatArray) -> dict[str, list[Value]]:
+    def assignments_at(self, unit_positions: FloatArray) -> dict[str, list[Value]]:
         """Return the values of the scenario's parameters at many positions of the unit interval.
 
         Parameters
@@ -129,13 +129,13 @@ class Parameter:
         -------
         dict of str to list of float or str, length n
         """
-        if not self.sets:
-            return {self.name: self._values(u)}
-        members = [dict(assignments) for assignments in self.sets]
-        numbers = self.numbers(u).tolist()
+        if not self.value_sets:
+            return {self.name: self._values_at(unit_positions)}
+        members = [dict(assignments) for assignments in self.value_sets]
+        numbers = self.level_indices(unit_positions).tolist()
         return {name: [members[k][name] for k in numbers] for name in members[0]}
 
-    def read(self, values: Mapping[str, Value]) -> Value:
+    def extract_value(self, values: Mapping[str, Value]) -> Value:
         """Return the value of this parameter in a concrete scenario.
 
         Parameters
@@ -152,14 +152,14 @@ class Parameter:
         InputError
             No choice sets these values.
         """
-        if not self.sets:
+        if not self.value_sets:
             return values[self.name]
-        for choice, members in zip(self.choices, self.sets, strict=True):
+        for choice, members in zip(self.choices, self.value_sets, strict=True):
             if all(str(values.get(name)) == value for name, value in members):
                 return choice
         raise InputError(f"No value set of {self.name} has these values.")
 
-    def read_number(self, values: Mapping[str, Value]) -> float:
+    def extract_number(self, values: Mapping[str, Value]) -> float:
         """Return the value of this parameter in a concrete scenario, as a number.
 
         Parameters
@@ -176,10 +176,10 @@ class Parameter:
         InputError
             No choice sets these values.
         """
-        value = self.read(values)
+        value = self.extract_value(values)
         return float(self.choices.index(str(value)) if self.choices else value)
 
-    def value(self, u: float) -> Value:
+    def value_at(self, unit_position: float) -> Value:
         """Return the value at a position of the unit interval.
 
         Parameters
@@ -190,24 +190,24 @@ class Parameter:
         -------
         float, int or str
         """
-        (value,) = self._values(np.array([u]))
+        (value,) = self._values_at(np.array([unit_position]))
         return value
 
-    def _values(self, u: FloatArray) -> list[Value]:
+    def _values_at(self, unit_positions: FloatArray) -> list[Value]:
         """Return the values at positions of the unit interval, shape (n,)."""
         if self.size is None:
-            x = self.low + u * (self.high - self.low) if self.distribution is None else self.distribution.quantiles(u)
+            x = self.low + unit_positions * (self.high - self.low) if self.distribution is None else self.distribution.quantiles(unit_positions)
             return list(x.tolist())
-        numbers = self.numbers(u)
+        numbers = self.level_indices(unit_positions)
         if self.choices:
             return [self.choices[k] for k in numbers.tolist()]
         # Compute each distinct value once.
         met, which = np.unique(numbers, return_inverse=True)
-        steps = [_clean(self.low + k * float(self.step or 0.0)) for k in met.tolist()]
-        values = [round(value) if self.whole else value for value in steps]
+        steps = [_remove_rounding_error(self.low + k * float(self.step or 0.0)) for k in met.tolist()]
+        values = [round(value) if self.is_integer else value for value in steps]
         return [values[k] for k in which.tolist()]
 
-    def unit_place(self, value: Value) -> float:
+    def unit_position(self, value: Value) -> float:
         """Return the position of a value in the unit interval, the inverse of `value_at`.
 
         Parameters
@@ -228,16 +228,16 @@ class Parameter:
         if self.choices:
             if str(value) not in self.choices:
                 raise InputError(f"The parameter {self.name} has no value '{value}'.")
-            return float(self.middles(np.array([self.choices.index(str(value))]))[0])
+            return float(self.level_midpoints(np.array([self.choices.index(str(value))]))[0])
         x = float(value)
         if size is not None:
             k = round((x - self.low) / float(self.step or 1.0))
-            return float(self.middles(np.array([min(max(k, 0), size - 1)]))[0])
+            return float(self.level_midpoints(np.array([min(max(k, 0), size - 1)]))[0])
         if self.distribution is not None:
-            return self.distribution.place(x)
+            return self.distribution.cdf(x)
         return float(np.clip((x - self.low) / (self.high - self.low), 0.0, 1.0))
 
-    def numbers(self, u: FloatArray) -> IntArray:
+    def level_indices(self, unit_positions: FloatArray) -> IntArray:
         """Return the index of the step or choice at each position of the unit interval.
 
         Parameters
@@ -248,12 +248,12 @@ class Parameter:
         -------
         ndarray of int64, shape (n,)
         """
-        if self._edges is not None:
-            return np.asarray(np.searchsorted(self._edges[1:-1], u, side="right"), dtype=np.int64)
+        if self._level_edges is not None:
+            return np.asarray(np.searchsorted(self._level_edges[1:-1], unit_positions, side="right"), dtype=np.int64)
         size = self.size or 1
-        return np.asarray(np.minimum(np.floor(u * size), size - 1), dtype=np.int64)
+        return np.asarray(np.minimum(np.floor(unit_positions * size), size - 1), dtype=np.int64)
 
-    def middles(self, numbers: IntArray) -> FloatArray:
+    def level_midpoints(self, indices: IntArray) -> FloatArray:
         """Return the middle of the part of the unit interval that each step or choice has.
 
         Parameters
@@ -265,28 +265,28 @@ class Parameter:
         -------
         ndarray of float64, shape (n,)
         """
-        if self._edges is not None:
-            return np.asarray(0.5 * (self._edges[numbers] + self._edges[numbers + 1]))
-        return np.asarray((numbers + 0.5) / (self.size or 1))
+        if self._level_edges is not None:
+            return np.asarray(0.5 * (self._level_edges[indices] + self._level_edges[indices + 1]))
+        return np.asarray((indices + 0.5) / (self.size or 1))
 
     @property
-    def shares(self) -> FloatArray:
+    def level_probabilities(self) -> FloatArray:
         """Probability of each step or choice, which is its part of the unit interval, shape (size,)."""
         size = self.size or 1
-        return np.full(size, 1.0 / size) if self._edges is None else np.diff(self._edges)
+        return np.full(size, 1.0 / size) if self._level_edges is None else np.diff(self._level_edges)
 
     @cached_property
-    def _edges(self) -> FloatArray | None:
+    def _level_edges(self) -> FloatArray | None:
         """Bounds of the parts of the unit interval, shape (size + 1,); None if all parts are equal."""
         if self.size is None or self.distribution is None:
             return None
-        if self.distribution.discrete:
-            return self.distribution.edges()
+        if self.distribution.is_discrete:
+            return self.distribution.cumulative_probabilities()
         # Probability of the interval that is rounded to the value.
         between = self.low + float(self.step or 1.0) * (np.arange(self.size - 1) + 0.5)
-        return np.array([0.0, *(self.distribution.place(float(bound)) for bound in between), 1.0])
+        return np.array([0.0, *(self.distribution.cdf(float(bound)) for bound in between), 1.0])
 
 
-def _clean(x: float) -> float:
+def _remove_rounding_error(x: float) -> float:
     """Remove rounding errors of added steps, so that 3 × 0.1 is 0.3."""
     return float(f"{x:.12g}")

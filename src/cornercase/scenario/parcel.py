@@ -8,29 +8,29 @@ from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
 
 from cornercase._common.errors import InputError
-from cornercase.scenario.openscenario import Scenario
+from cornercase.scenario.openscenario import ScenarioFile
 
 
 @dataclass(frozen=True)
-class ScenarioParcel:
+class ScenarioBundle:
     """Content of a scenario file and its companion files, as they were when they were read.
 
     `files` maps paths in their `common_folder` (with ``/``) to content, `scenario_path` is that of the scenario file.
     `varied_roads` are road files that a varied parameter names, as the scenario would name them.
     """
 
-    folder: str
+    common_folder: str
     files: Mapping[str, bytes]
-    main: str
-    roads: tuple[str, ...]
+    scenario_path: str
+    varied_roads: tuple[str, ...]
     fingerprint: str
 
     @classmethod
-    def of(cls, scenario: Scenario) -> ScenarioParcel:
+    def from_file(cls, scenario: ScenarioFile) -> ScenarioBundle:
         """Pack a scenario; raises `InputError` if it names a file by an absolute path."""
-        contents = {scenario.road_near(file): content for file, content in scenario.contents().items()}
+        contents = {scenario.road_path_next_to_scenario(file): content for file, content in scenario.read_all_files().items()}
         for file in contents:
-            if not _is_relative(file, scenario.path.parent):
+            if not _is_named_relative_to(file, scenario.path.parent):
                 raise InputError(
                     f"{scenario.path}: names {file} by an absolute path, which other machines do not have; name it"
                     " relative to the scenario file."
@@ -46,13 +46,13 @@ class ScenarioParcel:
             raise InputError(f"{scenario.path}: names files of several drives; put them on one.") from error
         return cls(
             folder=folder,
-            files={_within(folder, path): content for path, content in packed.items()},
-            main=_within(folder, os.path.abspath(scenario.path)),
+            files={_relative_posix_path(folder, path): content for path, content in packed.items()},
+            main=_relative_posix_path(folder, os.path.abspath(scenario.path)),
             roads=scenario.varied_roads,
             fingerprint=scenario.fingerprint(),
         )
 
-    def unpack(self, folder: Path) -> Scenario:
+    def unpack(self, folder: Path) -> ScenarioFile:
         """Write the files to an empty folder; the scenario that is returned has the fingerprint of the packed one."""
         for name, content in self.files.items():
             target = folder / name
@@ -61,12 +61,12 @@ class ScenarioParcel:
                 target.write_bytes(content)
             except OSError as error:
                 raise InputError(f"{target}: cannot be written ({error.strerror}); make room for it.") from error
-        return Scenario(folder / self.main, self.fingerprint, self.roads)
+        return ScenarioFile(folder / self.scenario_path, self.fingerprint, self.varied_roads)
 
 
-def _is_relative(file: Path, folder: Path) -> bool:
+def _is_named_relative_to(file: Path, folder: Path) -> bool:
     return file.parts[: len(folder.parts)] == folder.parts and (folder.is_absolute() or not file.is_absolute())
 
 
-def _within(folder: str, place: str) -> str:
-    return PurePosixPath(*Path(place).relative_to(folder).parts).as_posix()
+def _relative_posix_path(folder: str, path: str) -> str:
+    return PurePosixPath(*Path(path).relative_to(folder).parts).as_posix()

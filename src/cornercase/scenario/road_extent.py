@@ -21,9 +21,9 @@ class RoadExtent:
     length: float
     sections: tuple[tuple[float, dict[int, str]], ...]
 
-    def stretch(self, lane: int, s: float) -> tuple[float, float]:
+    def lane_interval(self, lane: int, s: float) -> tuple[float, float]:
         """Return the interval around `s` in which a lane of this number exists; else the whole road."""
-        section = self._section(s)
+        section = self._section_index(s)
         if section is None or lane not in self.sections[section][1]:
             return 0.0, self.length
         first = last = section
@@ -36,12 +36,12 @@ class RoadExtent:
 
     def lanes_at(self, s: float) -> frozenset[int]:
         """Return the lane numbers at `s`, without the center lane."""
-        section = self._section(s)
+        section = self._section_index(s)
         return frozenset() if section is None else frozenset(self.sections[section][1])
 
-    def alike(self, lane: int, s: float) -> tuple[int, int] | None:
+    def adjacent_lanes_of_same_type(self, lane: int, s: float) -> tuple[int, int] | None:
         """Return the first and last of the adjacent lanes of the same type on the same side of the road."""
-        section = self._section(s)
+        section = self._section_index(s)
         lanes = {} if section is None else self.sections[section][1]
         if lane not in lanes:
             return None
@@ -52,14 +52,14 @@ class RoadExtent:
             high += 1
         return low, high
 
-    def _section(self, s: float) -> int | None:
+    def _section_index(self, s: float) -> int | None:
         if not -_TOLERANCE <= s <= self.length + _TOLERANCE:
             return None
         started = [k for k, (start, _) in enumerate(self.sections) if start <= s + _TOLERANCE]
         return started[-1] if started else None
 
 
-def read_extents(path: Path | None) -> dict[str, RoadExtent]:
+def read_road_extents(path: Path | None) -> dict[str, RoadExtent]:
     """Return lengths and lanes of the roads of a file by road id; roads that cannot be read are left out."""
     if path is None or not path.is_file():
         return {}
@@ -70,13 +70,13 @@ def read_extents(path: Path | None) -> dict[str, RoadExtent]:
     extents = {}
     for road in root.iterfind("road"):
         try:
-            extents[road.get("id", "")] = _read(road)
+            extents[road.get("id", "")] = _read_road_extent(road)
         except ValueError:
             continue
     return extents
 
 
-def _read(road: etree._Element) -> RoadExtent:
+def _read_road_extent(road: etree._Element) -> RoadExtent:
     sections = []
     for section in road.iterfind("lanes/laneSection"):
         lanes = {int(lane.get("id", "")): lane.get("type", "") for lane in section.iterfind("*/lane")}

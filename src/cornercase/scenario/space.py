@@ -13,16 +13,16 @@ import numpy as np
 from cornercase._common.errors import InputError
 from cornercase._common.typing import BoolArray, FloatArray
 from cornercase.scenario import constraints, distributions
-from cornercase.scenario.constraints import Declaration, in_words
-from cornercase.scenario.declared_types import typed_parameter
-from cornercase.scenario.distribution_files import read_distribution_file, scenario_file_of, without
+from cornercase.scenario.constraints import ParameterDeclaration, format_constraints
+from cornercase.scenario.declared_types import convert_parameter_to_type
+from cornercase.scenario.distribution_files import read_distribution_file, read_scenario_path, remove_from_value_sets
 from cornercase.scenario.parameter import Parameter, Value
-from cornercase.scenario.scope import admitted
-from cornercase.scenario.varied import read_ranges
-from cornercase.scenario.xml import XmlFiles
+from cornercase.scenario.scope import fulfils_constraints
+from cornercase.scenario.varied import parse_ranges
+from cornercase.scenario.xml import XmlFileCache
 
 # Number of points to test constraints with.
-_SAMPLED = 2048
+_N_TEST_POINTS = 2048
 
 
 class ParameterSpace:
@@ -43,7 +43,7 @@ class ParameterSpace:
         There are no parameters, or two have the same name.
     """
 
-    def __init__(self, parameters: Sequence[Parameter], declarations: Sequence[Declaration] = ()) -> None:
+    def __init__(self, parameters: Sequence[Parameter], declarations: Sequence[ParameterDeclaration] = ()) -> None:
         self.parameters = tuple(parameters)
         self.declarations = tuple(declarations)
         if not self.parameters:
@@ -61,16 +61,16 @@ class ParameterSpace:
         return hash((self.parameters, self.declarations))
 
     def __repr__(self) -> str:
-        constrained = [declaration.name for declaration in self.declarations if declaration.groups]
+        constrained = [declaration.name for declaration in self.declarations if declaration.constraint_groups]
         suffix = f", {', '.join(constrained)} constrained" if constrained else ""
         return f"<ParameterSpace: {', '.join(map(str, self.parameters))}{suffix}>"
 
     def _repr_html_(self) -> str:
         """Table of the parameters, for notebooks."""
-        groups = {declaration.name: declaration.groups for declaration in self.declarations}
+        groups = {declaration.name: declaration.constraint_groups for declaration in self.declarations}
         lines = [
             (p.name, p.values_text, p.unit, "uniform" if p.distribution is None else p.distribution.kind,
-             " or ".join(map(in_words, groups.get(p.name, ()))))
+             " or ".join(map(format_constraints, groups.get(p.name, ()))))
             for p in self.parameters
         ]  # fmt: skip
         head = "".join(f"<th>{name}</th>" for name in ("parameter", "values", "unit", "distribution", "constraints"))
@@ -83,9 +83,9 @@ class ParameterSpace:
         return tuple(parameter.name for parameter in self.parameters)
 
     @property
-    def assigns(self) -> tuple[str, ...]:
+    def assigned_names(self) -> tuple[str, ...]:
         """Names of all parameters of the scenario that a point sets."""
-        return tuple(name for parameter in self.parameters for name in parameter.assigns)
+        return tuple(name for parameter in self.parameters for name in parameter.assigned_names)
 
     @property
     def dimension(self) -> int:
@@ -126,10 +126,10 @@ class ParameterSpace:
         >>> space.values([[0.5, 0.9]])
         [{'speed': 15.0, 'lanes': 3.0}]
         """
-        return cls(read_ranges(ranges))
+        return cls(parse_ranges(ranges))
 
     @classmethod
-    def from_file(cls, path: Path | str, files: XmlFiles | None = None) -> ParameterSpace:
+    def from_file(cls, path: Path | str, cache: XmlFileCache | None = None) -> ParameterSpace:
         """Read the space of an OpenSCENARIO ParameterValueDistribution file.
 
         Parameters
@@ -147,10 +147,10 @@ class ParameterSpace:
         InputError
             The file cannot be used; the message names the parameter.
         """
-        return cls(read_distribution_file(path, files))
+        return cls(read_distribution_file(path, cache))
 
     @staticmethod
-    def scenario_file(path: Path | str, files: XmlFiles | None = None) -> Path:
+    def read_scenario_path(path: Path | str, cache: XmlFileCache | None = None) -> Path:
         """Return the scenario that a ParameterValueDistribution file belongs to.
 
         Parameters
@@ -168,7 +168,7 @@ class ParameterSpace:
         InputError
             The file cannot be used, or names no scenario.
         """
-        return scenario_file_of(path, files)
+        return read_scenario_path(path, cache)
 
     def with_ranges(self, ranges: Sequence[str]) -> ParameterSpace:
         """Return the space with parameters added, or replaced if the name exists.
@@ -187,15 +187,15 @@ class ParameterSpace:
         InputError
             A text is malformed, a bound is not finite, or LOW is not below HIGH.
         """
-        added = read_ranges(ranges)
-        remaining = [without(parameter, {addition.name for addition in added}) for parameter in self.parameters]
+        added = parse_ranges(ranges)
+        remaining = [remove_from_value_sets(parameter, {addition.name for addition in added}) for parameter in self.parameters]
         merged = {parameter.name: parameter for parameter in remaining if parameter is not None}
         for parameter in added:
             replaced = merged.get(parameter.name)
             merged[parameter.name] = parameter if replaced is None else replace(parameter, unit=replaced.unit)
         return ParameterSpace(list(merged.values()), self.declarations)
 
-    def continuous(self) -> ParameterSpace:
+    def as_continuous(self) -> ParameterSpace:
         """Return the space with continuous ranges instead of steps; ranges of a single value keep it.
 
         Returns
@@ -204,13 +204,13 @@ class ParameterSpace:
         """
         parameters = [
             replace(parameter, step=None)
-            if parameter.low < parameter.high and not parameter.choices and not _counts(parameter)
+            if parameter.low < parameter.high and not parameter.choices and not _has_discrete_distribution(parameter)
             else parameter
             for parameter in self.parameters
         ]
         return ParameterSpace(parameters, self.declarations)
 
-    def typed(self, declarations: Sequence[Declaration], source: str = "the scenario") -> ParameterSpace:
+    def with_types(self, declarations: Sequence[ParameterDeclaration], file_name: str = "the scenario") -> ParameterSpace:
         """Return the space with values converted to the types that a scenario declares.
 
         Parameters
@@ -230,11 +230,11 @@ class ParameterSpace:
         InputError
             A range does not fit its type.
         """
-        kinds = {declaration.name: declaration.kind for declaration in declarations}
-        parameters = [typed_parameter(p, kinds.get(p.name, "double"), source) for p in self.parameters]
+        kinds = {declaration.name: declaration.type_name for declaration in declarations}
+        parameters = [convert_parameter_to_type(p, kinds.get(p.name, "double"), file_name) for p in self.parameters]
         return ParameterSpace(parameters, self.declarations)
 
-    def constrained(self, declarations: Sequence[Declaration], source: str = "the scenario") -> ParameterSpace:
+    def with_constraints(self, declarations: Sequence[ParameterDeclaration], file_name: str = "the scenario") -> ParameterSpace:
         """Return the space restricted to the constraints of a scenario's parameters.
 
         Parameters
@@ -253,17 +253,17 @@ class ParameterSpace:
         InputError
             None of 2048 random points fulfils the constraints.
         """
-        if not any(declaration.groups for declaration in declarations):
+        if not any(declaration.constraint_groups for declaration in declarations):
             return ParameterSpace(self.parameters)
-        points = self._some()
-        if not admitted(declarations, self.values(self.snap(points)), source).any():
+        points = self._constraint_test_points()
+        if not fulfils_constraints(declarations, self.values(self.snap(points)), file_name).any():
             raise InputError(
                 f"None of {len(points)} concrete scenarios fulfils the constraints of the scenario's parameters; vary"
                 " them within their constraints."
             )
         return ParameterSpace(self.parameters, declarations)
 
-    def admits(self, points: FloatArray) -> BoolArray:
+    def is_admissible(self, points: FloatArray) -> BoolArray:
         """Return which points fulfil the constraints.
 
         Parameters
@@ -276,7 +276,7 @@ class ParameterSpace:
         """
         if not self.declarations or len(points) == 0:
             return np.ones(len(points), dtype=np.bool_)
-        return admitted(self.declarations, self.values(points))
+        return fulfils_constraints(self.declarations, self.values(points))
 
     def values(self, points: FloatArray) -> list[dict[str, Value]]:
         """Return the parameter values of points.
@@ -294,7 +294,7 @@ class ParameterSpace:
         columns: dict[str, list[Value]] = {}
         if len(points):
             for parameter, u in zip(self.parameters, np.clip(points, 0.0, 1.0).T, strict=True):
-                columns |= parameter.columns(u)
+                columns |= parameter.assignments_at(u)
         return [dict(zip(columns, row, strict=True)) for row in zip(*columns.values(), strict=True)]
 
     def points(self, values: Sequence[Mapping[str, Value]]) -> FloatArray:
@@ -314,20 +314,20 @@ class ParameterSpace:
             A value is none of its parameter's choices.
         """
         return np.array(
-            [[parameter.unit_place(parameter.read(scenario)) for parameter in self.parameters] for scenario in values]
+            [[parameter.unit_position(parameter.extract_value(scenario)) for parameter in self.parameters] for scenario in values]
         ).reshape(-1, self.dimension)
 
-    def middle(self) -> FloatArray:
+    def center_point(self) -> FloatArray:
         """Return the center of the space, or a random admissible point if the center violates the constraints.
 
         Returns
         -------
         ndarray of float64, shape (1, d)
         """
-        points = self.snap(np.concatenate([np.full((1, self.dimension), 0.5), self._some()]))
-        return points[self.admits(points)][:1]
+        points = self.snap(np.concatenate([np.full((1, self.dimension), 0.5), self._constraint_test_points()]))
+        return points[self.is_admissible(points)][:1]
 
-    def samples(self) -> FloatArray:
+    def representative_points(self) -> FloatArray:
         """Return a few admissible points that include all choices of each parameter.
 
         Returns
@@ -339,14 +339,14 @@ class ParameterSpace:
         points = np.full((max(count, 1), self.dimension), 0.5)
         for j, parameter in enumerate(self.parameters):
             if parameter.choices:
-                points[:, j] = parameter.middles(np.arange(len(points)) % len(parameter.choices))
+                points[:, j] = parameter.level_midpoints(np.arange(len(points)) % len(parameter.choices))
         points = self.snap(points)
-        return np.concatenate([self.middle(), points[self.admits(points)]])
+        return np.concatenate([self.center_point(), points[self.is_admissible(points)]])
 
-    def _some(self) -> FloatArray:
+    def _constraint_test_points(self) -> FloatArray:
         """Points to test constraints with: all of a small space, else random ones."""
-        few = self.size is not None and self.size <= _SAMPLED
-        return self.lattice() if few else np.random.default_rng(0).random((_SAMPLED, self.dimension))
+        few = self.size is not None and self.size <= _N_TEST_POINTS
+        return self.full_factorial() if few else np.random.default_rng(0).random((_N_TEST_POINTS, self.dimension))
 
     def snap(self, points: FloatArray) -> FloatArray:
         """Move points to the middle of their step or choice, which is what is simulated.
@@ -362,10 +362,10 @@ class ParameterSpace:
         snapped = np.clip(np.asarray(points, dtype=np.float64), 0.0, 1.0).copy()
         for j, parameter in enumerate(self.parameters):
             if parameter.size is not None:
-                snapped[:, j] = parameter.middles(parameter.numbers(snapped[:, j]))
+                snapped[:, j] = parameter.level_midpoints(parameter.level_indices(snapped[:, j]))
         return snapped
 
-    def lattice(self, steps: Sequence[int] | None = None) -> FloatArray:
+    def full_factorial(self, n_levels: Sequence[int] | None = None) -> FloatArray:
         """Return the points of a full factorial design.
 
         Parameters
@@ -381,13 +381,13 @@ class ParameterSpace:
         axes = []
         for j, parameter in enumerate(self.parameters):
             size = parameter.size
-            count = steps[j] if steps is not None else int(size or 1)
+            count = n_levels[j] if n_levels is not None else int(size or 1)
             positions = (np.arange(count) + 0.5) / count
             # Several positions may fall on one likely value, so go by index.
-            axes.append(positions if size is None else parameter.middles((positions * size).astype(np.int64)))
+            axes.append(positions if size is None else parameter.level_midpoints((positions * size).astype(np.int64)))
         return np.asarray(np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, self.dimension))
 
-    def shares(self, points: FloatArray) -> FloatArray:
+    def probabilities(self, points: FloatArray) -> FloatArray:
         """Return the probability of scenarios of a finite space, from the distributions of its parameters.
 
         Parameters
@@ -401,7 +401,7 @@ class ParameterSpace:
         """
         probabilities = np.ones(len(points))
         for j, parameter in enumerate(self.parameters):
-            probabilities *= parameter.shares[parameter.numbers(points[:, j])]
+            probabilities *= parameter.level_probabilities[parameter.level_indices(points[:, j])]
         return probabilities
 
     def to_json(self) -> dict[str, Any]:
@@ -421,17 +421,17 @@ class ParameterSpace:
                     "choices": list(p.choices),
                     "unit": p.unit,
                     "distribution": None if p.distribution is None else p.distribution.to_json(),
-                    "sets": [dict(members) for members in p.sets],
+                    "sets": [dict(members) for members in p.value_sets],
                     # Omitted by default, as in studies of earlier versions.
-                    **({"whole": True} if p.whole else {}),
+                    **({"whole": True} if p.is_integer else {}),
                 }
                 for p in self.parameters
             ],
-            "declarations": constraints.to_json(self.declarations),
+            "declarations": constraints.declarations_to_json(self.declarations),
         }
 
     @classmethod
-    def from_json(cls, plain: Mapping[str, Any]) -> ParameterSpace:
+    def from_json(cls, data: Mapping[str, Any]) -> ParameterSpace:
         """Restore a space from `to_json`.
 
         Parameters
@@ -450,15 +450,15 @@ class ParameterSpace:
                 p["step"],
                 tuple(p["choices"]),
                 p["unit"],
-                None if p["distribution"] is None else distributions.from_json(p["distribution"]),
+                None if p["distribution"] is None else distributions.distribution_from_json(p["distribution"]),
                 tuple(tuple(members.items()) for members in p["sets"]),
                 bool(p.get("whole", False)),
             )
-            for p in plain["parameters"]
+            for p in data["parameters"]
         ]
-        return cls(parameters, constraints.from_json(plain["declarations"]))
+        return cls(parameters, constraints.declarations_from_json(data["declarations"]))
 
 
-def _counts(parameter: Parameter) -> bool:
+def _has_discrete_distribution(parameter: Parameter) -> bool:
     """Whether a parameter has a discrete distribution, which cannot become continuous."""
-    return parameter.distribution is not None and parameter.distribution.discrete
+    return parameter.distribution is not None and parameter.distribution.is_discrete

@@ -9,12 +9,12 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
 
-from cornercase._common.errors import InputError, suggestion
+from cornercase._common.errors import InputError, suggest_name
 from cornercase._common.files import read_file
-from cornercase._common.texts import require_commas, text_of_cell
+from cornercase._common.texts import check_comma_separated, unescape_csv_cell
 from cornercase.scenario.constraints import read_declarations
-from cornercase.scenario.declared_types import unusable_values
-from cornercase.scenario.openscenario import Scenario
+from cornercase.scenario.declared_types import find_type_errors
+from cornercase.scenario.openscenario import ScenarioFile
 from cornercase.scenario.parameter import Value
 
 FILE_COLUMN: Final = "file"
@@ -26,11 +26,11 @@ class ValueRow:
     """One line of a table: line number, name of the recording (empty if not given), values by parameter."""
 
     line: int
-    file: str
+    recording_name: str
     values: Mapping[str, Value]
 
 
-def read_value_table(path: Path, scenario: Scenario) -> tuple[ValueRow, ...]:
+def read_value_table(path: Path, scenario: ScenarioFile) -> tuple[ValueRow, ...]:
     """Read a CSV table with a column for each varied parameter, and optionally ``file``; a scenario per line."""
     try:
         reader = csv.DictReader(io.StringIO(read_file(path).decode("utf-8-sig"), newline=""))
@@ -38,8 +38,8 @@ def read_value_table(path: Path, scenario: Scenario) -> tuple[ValueRow, ...]:
         lines = [(reader.line_num, row) for row in reader]
     except (UnicodeDecodeError, csv.Error) as error:
         raise InputError(f"{path}: is not a CSV table in UTF-8 ({error}).") from error
-    require_commas(path, names)
-    parameters = {name: text_of_cell(name) for name in names if name != FILE_COLUMN}
+    check_comma_separated(path, names)
+    parameters = {name: unescape_csv_cell(name) for name in names if name != FILE_COLUMN}
     if not parameters or len({*parameters.values()}) + (FILE_COLUMN in names) < len(names):
         raise InputError(f"{path}: needs a header with each parameter once, not {', '.join(names) or 'an empty one'}.")
     declared = scenario.parameters
@@ -47,7 +47,7 @@ def read_value_table(path: Path, scenario: Scenario) -> tuple[ValueRow, ...]:
         if name not in declared:
             raise InputError(
                 f"{path}: has a column '{name}', but {scenario.path} declares no such parameter;"
-                f" {suggestion(name, declared)}"
+                f" {suggest_name(name, declared)}"
             )
     if not lines:
         raise InputError(f"{path}: has a header but no rows.")
@@ -55,9 +55,9 @@ def read_value_table(path: Path, scenario: Scenario) -> tuple[ValueRow, ...]:
     for line, cells in lines:
         if None in cells or None in cells.values() or "" in cells.values():
             raise InputError(f"{path}, line {line}: has an empty field, or too many fields.")
-        values = {parameter: text_of_cell(cells[name]).strip() for name, parameter in parameters.items()}
-        rows.append(ValueRow(line, text_of_cell(cells.get(FILE_COLUMN, "")), values))
+        values = {parameter: unescape_csv_cell(cells[name]).strip() for name, parameter in parameters.items()}
+        rows.append(ValueRow(line, unescape_csv_cell(cells.get(FILE_COLUMN, "")), values))
     declarations = read_declarations(scenario.root, str(scenario.path))
-    for index, problem in unusable_values(declarations, [row.values for row in rows]).items():
+    for index, problem in find_type_errors(declarations, [row.values for row in rows]).items():
         raise InputError(f"{path}, line {rows[index].line}: {problem}.")
     return tuple(rows)

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 
-class VariesError(Exception):
+class BatchSplitError(Exception):
     """An attribute that shapes the storyboard differs between scenarios of a batch.
 
     It depends on the varied parameters `parameter_names`; the batch has to be split by their values.
     """
 
-    def __init__(self, names: set[str]) -> None:
-        super().__init__(f"varies with {', '.join(sorted(names))}")
-        self.names = names
+    def __init__(self, parameter_names: set[str]) -> None:
+        super().__init__(f"varies with {', '.join(sorted(parameter_names))}")
+        self.parameter_names = parameter_names

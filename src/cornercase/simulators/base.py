@@ -7,13 +7,13 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import ClassVar, Literal, Self
 
-from cornercase._common.arguments import number, text
+from cornercase._common.arguments import check_float, check_str
 from cornercase._common.errors import InputError, SimulationError
-from cornercase._common.ledger import Notice, warn
-from cornercase._common.parts import guarded
-from cornercase.drivers import Driver, describe_driver
+from cornercase._common.ledger import Notice, issue_notice_warning
+from cornercase._common.parts import convert_plugin_errors
+from cornercase.drivers import Driver, serialize_driver
 from cornercase.recordings import Recording
-from cornercase.scenario import ConcreteScenario, Scenario, Value
+from cornercase.scenario import ConcreteScenario, ScenarioFile, Value
 
 
 @dataclass(frozen=True)
@@ -31,8 +31,8 @@ class Availability:
     """
 
     version: str = ""
-    missing: str = ""
-    abilities: tuple[str, ...] = ()
+    problem: str = ""
+    features: tuple[str, ...] = ()
 
 
 class Simulator(ABC):
@@ -93,12 +93,12 @@ class Simulator(ABC):
 
     name: str
     settings: dict[str, object]
-    needs: ClassVar[tuple[str, ...]] = ()
+    requires: ClassVar[tuple[str, ...]] = ()
     in_process: ClassVar[bool] = False
-    repeats_itself: ClassVar[bool] = False
-    takes_batches: ClassVar[bool] = False
-    values_by: Literal["name", "file"] = "name"
-    on_notice: Callable[[str], None] = staticmethod(warn)
+    deterministic: ClassVar[bool] = False
+    batched: ClassVar[bool] = False
+    parameter_passing: Literal["name", "file"] = "name"
+    on_notice: Callable[[str], None] = staticmethod(issue_notice_warning)
 
     @abstractmethod
     def run(self, concretes: Sequence[ConcreteScenario]) -> Iterator[Recording | SimulationError]:
@@ -120,7 +120,7 @@ class Simulator(ABC):
             No scenario can be run, whatever its values, for example because the scenario file cannot be used.
         """
 
-    def require_means(self, scenario: Scenario) -> None:  # noqa: B027 - optional
+    def check_supported(self, scenario: ScenarioFile) -> None:  # noqa: B027 - optional
         """Refuse a scenario that this simulator does not support; called before anything is run.
 
         Parameters
@@ -133,7 +133,7 @@ class Simulator(ABC):
             The simulator lacks what the scenario needs. By default nothing is refused.
         """
 
-    def require_runnable(self, concretes: Sequence[ConcreteScenario]) -> None:  # noqa: B027 - optional
+    def check_runnable(self, concretes: Sequence[ConcreteScenario]) -> None:  # noqa: B027 - optional
         """Refuse scenarios none of which can be run, without running any; called before a study is created.
 
         Parameters
@@ -148,7 +148,7 @@ class Simulator(ABC):
         """
 
     @classmethod
-    def notices(cls, scenario: Scenario, values: Mapping[str, Value] | None = None) -> tuple[Notice, ...]:
+    def notices(cls, scenario: ScenarioFile, values: Mapping[str, Value] | None = None) -> tuple[Notice, ...]:
         """List scenario content that has no effect in this simulator.
 
         Parameters
@@ -175,7 +175,7 @@ class Simulator(ABC):
         """
         return Availability()
 
-    def notice(self, sentences: Iterable[str]) -> None:
+    def notify(self, sentences: Iterable[str]) -> None:
         """Pass sentences about these runs to the user, each once.
 
         Parameters
@@ -190,7 +190,7 @@ class Simulator(ABC):
                 noticed.add(subject)
                 self.on_notice(sentence)
 
-    def beside(self) -> Sequence[Simulator]:
+    def parallel_instances(self) -> Sequence[Simulator]:
         """Return simulators that may run at the same time, each in its own thread.
 
         Returns
@@ -200,7 +200,7 @@ class Simulator(ABC):
         """
         return ()
 
-    def give_up(self) -> None:  # noqa: B027 - optional
+    def cancel(self) -> None:  # noqa: B027 - optional
         """Cancel what runs in another thread soon; by default nothing happens."""
 
     def close(self) -> None:  # noqa: B027 - optional
@@ -211,21 +211,21 @@ class Simulator(ABC):
 
     def __exit__(self, *exception: object) -> None:
         try:
-            with guarded(f"the simulator '{self.name}'", self, "in close"):
+            with convert_plugin_errors(f"the simulator '{self.name}'", self, "in close"):
                 self.close()
         except InputError as error:
             # Its results are valid, so only warn.
             self.on_notice(str(error).removesuffix("."))
 
 
-def checked_seed(seed: int, whose: str) -> int:
-    """Return a valid seed; `InputError` naming `whose` seed it is unless it is an integer from 0 to 2147483647."""
+def check_seed(seed: int, owner: str) -> int:
+    """Return a valid seed; `InputError` naming `owner` seed it is unless it is an integer from 0 to 2147483647."""
     if not (isinstance(seed, int) and 0 <= seed < 2**31):
-        raise InputError(f"The seed of {whose} is {seed}; give a whole number from 0 to 2147483647.")
+        raise InputError(f"The seed of {owner} is {seed}; give a whole number from 0 to 2147483647.")
     return seed
 
 
-def checked_settings(
+def check_settings(
     time_step: float, duration: float, on_collision: str, drivers: Mapping[str, str | Driver] | None
 ) -> dict[str, object]:
     """Return the settings common to all simulators with a storyboard, as plain values.
@@ -247,15 +247,15 @@ def checked_settings(
     InputError
         A value is out of range.
     """
-    time_step, duration = number("time_step", time_step), number("duration", duration)
+    time_step, duration = check_float("time_step", time_step), check_float("duration", duration)
     if not 0.001 <= time_step <= 1.0:
         raise InputError(f"`time_step` {time_step:g}: choose a time from 0.001 s to 1 s.")
     if not time_step <= duration <= 3600.0:
         raise InputError(f"`duration` {duration:g}: choose a time from one time step to 3600 s.")
-    text("on_collision", on_collision, ("continue", "stop"))
+    check_str("on_collision", on_collision, ("continue", "stop"))
     return {
         "time_step": time_step,
         "duration": duration,
         "on_collision": on_collision,
-        "drivers": {entity: describe_driver(driver) for entity, driver in sorted((drivers or {}).items())},
+        "drivers": {entity: serialize_driver(driver) for entity, driver in sorted((drivers or {}).items())},
     }

@@ -11,36 +11,36 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any, Final
 from weakref import WeakSet
 
-from cornercase._common.dask_client import connect, disconnected, ended, leave, name_cluster, take, workers_of
-from cornercase._common.errors import InputError, LostError
+from cornercase._common.dask_client import connect, scheduler_gone_error, wait_any, disconnect, describe_cluster, pop_result, wait_for_workers
+from cornercase._common.errors import InputError, RunLostError
 from cornercase._common.version import __version__
-from cornercase.scenario import ConcreteScenario, Scenario, ScenarioParcel
+from cornercase.scenario import ConcreteScenario, ScenarioFile, ScenarioBundle
 from cornercase.simulators.base import Simulator
-from cornercase.simulators.cluster_tasks import Attempt, Job, Ran, close_job, forget, hand_over, run_job
-from cornercase.simulators.elsewhere import SimulatorElsewhere
+from cornercase.simulators.cluster_tasks import JobAttempt, SimulatorJob, BatchResult, close_job, forget_attempt, identity_task, run_scenarios_of_job
+from cornercase.simulators.elsewhere import RemoteSimulator
 from cornercase.simulators.outcomes import Outcome
-from cornercase.simulators.sending import packed_options
-from cornercase.simulators.workers import MOST_FAILURES
+from cornercase.simulators.sending import pickle_options
+from cornercase.simulators.workers import DEFAULT_MAX_FAILURES
 
 if TYPE_CHECKING:
     from distributed import Client, Future
 
 # How often Dask may lose a task before a worker has started it.
-_MOST_GIVEN_UP: Final = 5
+_MAX_TASK_LOSSES: Final = 5
 # Time limit in s to close the simulators on the workers; a scheduler that is cut off never answers.
-_CLOSES: Final = 10.0
+_CLOSE_TIMEOUT: Final = 10.0
 
 
 @dataclass(frozen=True)
-class _Task:
+class _ClusterTask:
     """Scenarios of one Dask task, their attempt, and how often Dask lost the task before it started."""
 
     indices: tuple[int, ...]
-    attempt: Attempt
-    given_up: int = 0
+    attempt: JobAttempt
+    n_lost: int = 0
 
 
-class ClusterSimulator(SimulatorElsewhere):
+class ClusterSimulator(RemoteSimulator):
     """Runs concrete scenarios on the workers of a Dask cluster.
 
     Each worker creates the simulator once, like `create_simulator` on a single machine. The content of the scenario
@@ -61,74 +61,74 @@ class ClusterSimulator(SimulatorElsewhere):
         workers: int = 1,
         timeout: float | None = None,
         retries: int = 1,
-        max_failures: int = MOST_FAILURES,
+        max_failures: int = DEFAULT_MAX_FAILURES,
     ) -> None:
         super().__init__(name, options)
         self._max_failures = max_failures
-        self._batches = self.declared.takes_batches
-        self._parcels: dict[str, tuple[ScenarioParcel, Future[Any]]] = {}
+        self._batched = self.simulator_class.batched
+        self._sent_bundles: dict[str, tuple[ScenarioBundle, Future[Any]]] = {}
         self._client = connect(cluster, workers)
-        self._owned = self._client is not cluster
+        self._owns_client = self._client is not cluster
         # A dependency of Dask; it also pickles classes that are defined in a notebook.
         import cloudpickle
 
-        self._job = Job(
+        self._job = SimulatorJob(
             uuid.uuid4().hex,
             __version__,
             name,
-            packed_options(options, cloudpickle.dumps),
+            pickle_options(options, cloudpickle.dumps),
             timeout,
             retries,
             max_failures,
         )
-        self._retries, self._lost = retries, 0
+        self._retries, self._n_consecutive_losses = retries, 0
         # Resource that restricts scenarios to some workers.
-        self._bound: str | None = None
+        self._required_resource: str | None = None
         # Futures that other threads wait for.
-        self._given: WeakSet[Future[Any]] = WeakSet()
+        self._submitted_futures: WeakSet[Future[Any]] = WeakSet()
 
-    def require_means(self, scenario: Scenario) -> None:
+    def check_supported(self, scenario: ScenarioFile) -> None:
         """Refuse a scenario that the simulator does not support or whose files cannot be sent."""
-        super().require_means(scenario)
-        ScenarioParcel.of(scenario)
+        super().check_supported(scenario)
+        ScenarioBundle.from_file(scenario)
 
     def run(self, concretes: Sequence[ConcreteScenario]) -> Iterator[Outcome]:
         """Run scenarios, as `Simulator.run`; `InputError` also if the workers cannot run it or the cluster is lost."""
         if not concretes:
             return
-        slots, resources = self._slots()
-        size = -(-len(concretes) // slots) if self._batches else 1
+        slots, resources = self._count_slots()
+        size = -(-len(concretes) // slots) if self._batched else 1
         indices = range(len(concretes))
-        waiting = deque(self._task(tuple(indices[k : k + size])) for k in indices[::size])
-        running: dict[Future[Any], _Task] = {}
+        waiting = deque(self._make_task(tuple(indices[k : k + size])) for k in indices[::size])
+        running: dict[Future[Any], _ClusterTask] = {}
         done: dict[int, Outcome] = {}
         n_yielded = 0
         try:
             while n_yielded < len(concretes):
                 while waiting:
                     task = waiting.popleft()
-                    running[self._submit(task, concretes, resources)] = task
-                for future in ended(self._client, list(running), next(iter(resources), None)):
-                    self._take(future, running.pop(future), waiting, done)
+                    running[self._submit_task(task, concretes, resources)] = task
+                for future in wait_any(self._client, list(running), next(iter(resources), None)):
+                    self._collect_result(future, running.pop(future), waiting, done)
                 while n_yielded in done:
                     yield done.pop(n_yielded)
                     n_yielded += 1
         except (OSError, CancelledError) as error:
-            raise disconnected(self._client) from error
+            raise scheduler_gone_error(self._client) from error
         finally:
             if running and self._client.status == "running":
                 self._client.cancel(list(running))
 
-    def beside(self) -> Sequence[Simulator]:
+    def parallel_instances(self) -> Sequence[Simulator]:
         """Return this simulator once per slot of the current workers; `InputError` if there are none."""
-        return [self] * self._slots()[0]
+        return [self] * self._count_slots()[0]
 
-    def give_up(self) -> None:
+    def cancel(self) -> None:
         """Cancel what other threads wait for; started tasks are not awaited."""
         # RuntimeError: another thread adds a future meanwhile; the caller repeats the call.
         with suppress(OSError, CancelledError, TimeoutError, RuntimeError):
             if self._client.status == "running":
-                self._client.cancel(list(self._given))
+                self._client.cancel(list(self._submitted_futures))
 
     def close(self) -> None:
         """Close the simulators on the workers, and disconnect; a local cluster ends."""
@@ -137,92 +137,92 @@ class ClusterSimulator(SimulatorElsewhere):
         with suppress(OSError, CancelledError, TimeoutError):
             if self._client.status == "running":
                 client: Any = self._client
-                client.sync(client._run, close_job, self._job.key, on_error="ignore", callback_timeout=_CLOSES)
-        if self._owned:
-            leave(self._client)
+                client.sync(client._run, close_job, self._job.key, on_error="ignore", callback_timeout=_CLOSE_TIMEOUT)
+        if self._owns_client:
+            disconnect(self._client)
 
-    def _slots(self) -> tuple[int, dict[str, float]]:
+    def _count_slots(self) -> tuple[int, dict[str, float]]:
         """Number of tasks that may run at once, and the worker resources that each takes."""
         resource = self.name.partition(":")[0]
-        workers = workers_of(self._client, self._bound)
+        workers = wait_for_workers(self._client, self._required_resource)
         if offered := sum(int(worker["resources"].get(resource, 0.0)) for worker in workers):
             # Remembered even if all these workers are lost: others may lack what the resource stands for.
-            self._bound = resource
+            self._required_resource = resource
             return offered, {resource: 1.0}
-        return len(workers) if self._batches else sum(worker["nthreads"] for worker in workers), {}
+        return len(workers) if self._batched else sum(worker["nthreads"] for worker in workers), {}
 
-    def _task(self, indices: tuple[int, ...]) -> _Task:
+    def _make_task(self, indices: tuple[int, ...]) -> _ClusterTask:
         # After losing a worker, a batch is split into single scenarios with one life less each.
         lives = self._retries + 1 if len(indices) == 1 else 1
-        return _Task(indices, Attempt(f"cornercase-{uuid.uuid4().hex}", lives))
+        return _ClusterTask(indices, JobAttempt(f"cornercase-{uuid.uuid4().hex}", lives))
 
-    def _submit(self, task: _Task, concretes: Sequence[ConcreteScenario], resources: dict[str, float]) -> Future[Any]:
+    def _submit_task(self, task: _ClusterTask, concretes: Sequence[ConcreteScenario], resources: dict[str, float]) -> Future[Any]:
         groups = [
-            (self._sent(concrete.scenario()), concrete.values) for concrete in (concretes[k] for k in task.indices)
+            (self._send_bundle(concrete.load_file()), concrete.values) for concrete in (concretes[k] for k in task.indices)
         ]
         parcels = dict.fromkeys(parcel for parcel, _ in groups)
         future = self._client.submit(
-            run_job,
+            run_scenarios_of_job,
             self._job,
             task.attempt,
             {parcel.key: parcel for parcel in parcels},
             [(parcel.key, dict(values)) for parcel, values in groups],
-            key=f"{task.attempt.name}-{task.given_up}",
+            key=f"{task.attempt.name}-{task.n_lost}",
             pure=False,
             resources=resources or None,
         )
-        self._given.add(future)
+        self._submitted_futures.add(future)
         return future
 
-    def _sent(self, scenario: Scenario) -> Future[Any]:
+    def _send_bundle(self, scenario: ScenarioFile) -> Future[Any]:
         """Future of a scenario's bundle on the cluster; sent again if its worker was lost."""
         key = scenario.fingerprint() + str(scenario.path)
-        if key not in self._parcels or self._parcels[key][1].status not in ("pending", "finished"):
-            parcel = ScenarioParcel.of(scenario)
-            future = self._client.submit(hand_over, parcel, key=f"cornercase-parcel-{uuid.uuid4().hex}", pure=False)
-            self._parcels[key] = parcel, future
-        return self._parcels[key][1]
+        if key not in self._sent_bundles or self._sent_bundles[key][1].status not in ("pending", "finished"):
+            parcel = ScenarioBundle.from_file(scenario)
+            future = self._client.submit(identity_task, parcel, key=f"cornercase-parcel-{uuid.uuid4().hex}", pure=False)
+            self._sent_bundles[key] = parcel, future
+        return self._sent_bundles[key][1]
 
-    def _take(self, future: Future[Any], task: _Task, waiting: deque[_Task], done: dict[int, Outcome]) -> None:
+    def _collect_result(self, future: Future[Any], task: _ClusterTask, waiting: deque[_ClusterTask], done: dict[int, Outcome]) -> None:
         from distributed.scheduler import KilledWorker
 
-        ran, error = take(self._client, future)
+        ran, error = pop_result(self._client, future)
         if error is None:
-            self._settle(ran, task, waiting, done)
+            self._record_or_retry(ran, task, waiting, done)
         elif isinstance(error, InputError):
             raise error
         elif not isinstance(error, KilledWorker):
             text = " ".join(f"{type(error).__name__}: {error}".split())[:300]
             raise InputError(
-                f"`cluster` {name_cluster(self._client)}: its workers cannot run '{self.name}' ({text}); install the"
+                f"`cluster` {describe_cluster(self._client)}: its workers cannot run '{self.name}' ({text}); install the"
                 " same versions on each as here."
             ) from error
-        elif task.given_up + 1 < _MOST_GIVEN_UP:
+        elif task.n_lost + 1 < _MAX_TASK_LOSSES:
             # Dask also counts workers that were lost before they started the task; the attempt stays the same.
-            waiting.appendleft(replace(task, given_up=task.given_up + 1))
+            waiting.appendleft(replace(task, n_lost=task.n_lost + 1))
         else:
-            raise self._broken("its workers end before they start a scenario")
+            raise self._cluster_error("its workers end before they start a scenario")
 
-    def _settle(self, found: Ran | None, task: _Task, waiting: deque[_Task], done: dict[int, Outcome]) -> None:
-        if found is not None:
-            self._lost = 0
-            self.notice(found.noticed)
-            done |= dict(zip(task.indices, found.outcomes, strict=True))
+    def _record_or_retry(self, ran: BatchResult | None, task: _ClusterTask, waiting: deque[_ClusterTask], done: dict[int, Outcome]) -> None:
+        if ran is not None:
+            self._n_consecutive_losses = 0
+            self.notify(ran.notices)
+            done |= dict(zip(task.indices, ran.outcomes, strict=True))
             return
-        forget(task.attempt, self._client)
+        forget_attempt(task.attempt, self._client)
         if len(task.indices) > 1:
             # It is unknown which scenario of the batch is at fault.
-            tasks = [self._task((k,)) for k in reversed(task.indices)]
+            tasks = [self._make_task((k,)) for k in reversed(task.indices)]
             lives = max(1, self._retries)
             waiting.extendleft(replace(single, attempt=replace(single.attempt, lives=lives)) for single in tasks)
         else:
-            self._lost += 1
-            if 0 < self._max_failures <= self._lost:
-                raise self._broken(f"workers were lost in {self._lost} scenarios in a row (`max_failures`)")
+            self._n_consecutive_losses += 1
+            if 0 < self._max_failures <= self._n_consecutive_losses:
+                raise self._cluster_error(f"workers were lost in {self._n_consecutive_losses} scenarios in a row (`max_failures`)")
             count_text = "one worker was" if self._retries == 0 else f"{self._retries + 1} workers were"
-            done[task.indices[0]] = LostError(f"{count_text} lost while running the scenario")
+            done[task.indices[0]] = RunLostError(f"{count_text} lost while running the scenario")
 
-    def _broken(self, what: str) -> InputError:
+    def _cluster_error(self, problem: str) -> InputError:
         return InputError(
-            f"`cluster` {name_cluster(self._client)}: {what}; fix the cause, and run the same command again to resume."
+            f"`cluster` {describe_cluster(self._client)}: {problem}; fix the cause, and run the same command again to resume."
         )

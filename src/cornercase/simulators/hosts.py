@@ -5,7 +5,7 @@ from __future__ import annotations
 from cornercase._common.errors import InputError
 
 
-def address(hosts: str, port: int, worker: int, step: int = 1) -> tuple[str, int]:
+def worker_address(hosts: str, port: int, worker: int, port_step: int = 1) -> tuple[str, int]:
     """Return host and port of a worker's own server.
 
     `hosts` are ``host`` or ``host:port`` separated by ``+``, used in turn; `port` is for those without one. On each
@@ -20,7 +20,7 @@ def address(hosts: str, port: int, worker: int, step: int = 1) -> tuple[str, int
         raise InputError(
             f"'{all_hosts[worker % len(all_hosts)]}' is not a host; write it as host or host:port."
         ) from None
-    worker_port = first + step * (worker // len(all_hosts))
+    worker_port = first + port_step * (worker // len(all_hosts))
     if not host or not 0 < worker_port < 65536:
         raise InputError(f"{host}:{worker_port} is not possible; give a host, and a port from 1 to 65535.")
     return host, worker_port

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Final
 
 from cornercase._common.errors import InputError
-from cornercase._common.parts import guarded
+from cornercase._common.parts import convert_plugin_errors
 from cornercase._common.registry import Registry
 from cornercase.simulators.base import Availability, Simulator
 
@@ -22,7 +22,7 @@ for _name, _target in (
     SIMULATORS.register(_name, f"cornercase.simulators.{_target}")
 
 
-def availabilities() -> dict[str, Availability]:
+def list_simulators() -> dict[str, Availability]:
     """Return which simulators can run on this machine.
 
     Returns
@@ -33,9 +33,9 @@ def availabilities() -> dict[str, Availability]:
     result = {}
     for name in SIMULATORS.names():
         try:
-            simulator_class = SIMULATORS.class_of(name)
-            with guarded(f"The simulator '{name}'", simulator_class, "in availability"):
+            simulator_class = SIMULATORS.get_class(name)
+            with convert_plugin_errors(f"The simulator '{name}'", simulator_class, "in availability"):
                 result[name] = simulator_class.availability()
         except InputError as error:
-            result[name] = Availability(missing=str(error))
+            result[name] = Availability(problem=str(error))
     return result

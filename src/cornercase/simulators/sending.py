@@ -7,29 +7,29 @@ from dataclasses import dataclass
 from typing import Any, Final
 
 from cornercase._common.errors import InputError
-from cornercase._common.texts import in_one_line
-from cornercase.drivers import Driver, describe_driver, given_name, named_driver
+from cornercase._common.texts import format_exception
+from cornercase.drivers import Driver, serialize_driver, user_driver_spec, driver_by_name
 
-_DRIVERS: Final = "drivers"
+_DRIVERS_OPTION: Final = "drivers"
 
 
 @dataclass(frozen=True)
-class GivenDriver:
+class DriverSpec:
     """Name of a driver (``"package.module:Class"`` with options), and description of the driver it stands for."""
 
     name: str
     description: str | dict[str, Any]
 
     @classmethod
-    def from_driver(cls, driver: str | Driver) -> str | Driver | GivenDriver:
+    def from_driver(cls, driver: str | Driver) -> str | Driver | DriverSpec:
         """Return what to send for a driver: itself if it was given as an object or is a preset's name."""
-        name = given_name(driver)
-        return driver if isinstance(driver, str) or name is None else cls(name, describe_driver(driver))
+        name = user_driver_spec(driver)
+        return driver if isinstance(driver, str) or name is None else cls(name, serialize_driver(driver))
 
-    def make(self) -> Driver:
+    def create(self) -> Driver:
         """Create the driver in this process; `InputError` if it cannot be, or differs from the sender's."""
-        driver = named_driver(self.name)
-        if describe_driver(driver) != self.description:
+        driver = driver_by_name(self.name)
+        if serialize_driver(driver) != self.description:
             raise InputError(
                 f"The driver '{self.name}' has changed since the command started (its file or settings); run the"
                 " command again."
@@ -37,22 +37,22 @@ class GivenDriver:
         return driver
 
 
-def packed_options(options: Mapping[str, Any], dumps: Callable[[Any], bytes]) -> bytes:
+def pickle_options(options: Mapping[str, Any], dumps: Callable[[Any], bytes]) -> bytes:
     """Pickle the options of a simulator by `dumps`; the receiver creates drivers that were given by class name.
 
     Raises `InputError` if a driver or another option cannot be pickled.
     """
     drivers = {
-        entity: GivenDriver.from_driver(driver_spec) for entity, driver_spec in (options.get(_DRIVERS) or {}).items()
+        entity: DriverSpec.from_driver(driver_spec) for entity, driver_spec in (options.get(_DRIVERS_OPTION) or {}).items()
     }
-    sent = {**options, _DRIVERS: drivers} if drivers else dict(options)
+    sent = {**options, _DRIVERS_OPTION: drivers} if drivers else dict(options)
     try:
         return dumps(sent)
     except Exception as error:
         for entity, driver in drivers.items():
             _require_picklable(entity, driver, dumps)
         raise InputError(
-            f"The options of the simulator cannot be sent to another process ({in_one_line(error)})."
+            f"The options of the simulator cannot be sent to another process ({format_exception(error)})."
         ) from error
 
 
@@ -62,9 +62,9 @@ def _require_picklable(entity: str, driver: Any, dumps: Callable[[Any], bytes]) 
     except Exception as error:
         cls = type(driver)
         culprit = next(
-            (f"its attribute '{name}'" for name, value in _attributes(driver) if not _can(dumps, value)), "it"
+            (f"its attribute '{name}'" for name, value in _instance_attributes(driver) if not _is_picklable(dumps, value)), "it"
         )
-        reason = in_one_line(error)
+        reason = format_exception(error)
         raise InputError(
             f"`drivers` {entity}: the driver {cls.__module__}:{cls.__qualname__} cannot be sent to another process,"
             f" which `workers`, `timeout` and `cluster` require: {culprit} cannot be pickled ({reason}). Create that in"
@@ -72,11 +72,11 @@ def _require_picklable(entity: str, driver: Any, dumps: Callable[[Any], bytes]) 
         ) from error
 
 
-def _attributes(driver: Any) -> list[tuple[str, Any]]:
+def _instance_attributes(driver: Any) -> list[tuple[str, Any]]:
     return list(getattr(driver, "__dict__", {}).items())
 
 
-def _can(dumps: Callable[[Any], bytes], value: Any) -> bool:
+def _is_picklable(dumps: Callable[[Any], bytes], value: Any) -> bool:
     try:
         dumps(value)
     except Exception:
@@ -84,12 +84,12 @@ def _can(dumps: Callable[[Any], bytes], value: Any) -> bool:
     return True
 
 
-def with_drivers_made(options: dict[str, Any]) -> dict[str, Any]:
+def create_drivers_from_specs(options: dict[str, Any]) -> dict[str, Any]:
     """Create the drivers that received options only name; `InputError` if that fails."""
-    drivers = options.get(_DRIVERS)
+    drivers = options.get(_DRIVERS_OPTION)
     if not drivers:
         return options
     created = {
-        entity: driver.make() if isinstance(driver, GivenDriver) else driver for entity, driver in drivers.items()
+        entity: driver.create() if isinstance(driver, DriverSpec) else driver for entity, driver in drivers.items()
     }
-    return {**options, _DRIVERS: created}
+    return {**options, _DRIVERS_OPTION: created}

@@ -5,21 +5,21 @@ from __future__ import annotations
 from collections.abc import Mapping
 from pathlib import Path
 
-from cornercase._common.arguments import numbers_or_texts
+from cornercase._common.arguments import check_parameter_values
 from cornercase._common.errors import InputError
-from cornercase._common.interrupts import noted_interrupts
-from cornercase._common.ledger import warn_of
-from cornercase._common.places import of_file
-from cornercase.drivers import Driver, told_driver
+from cornercase._common.interrupts import collect_interrupts
+from cornercase._common.ledger import warn_notices
+from cornercase._common.places import prefix_file
+from cornercase.drivers import Driver, resolve_driver
 from cornercase.recordings import Recording
-from cornercase.scenario import ConcreteScenario, Scenario, Value
+from cornercase.scenario import ConcreteScenario, ScenarioFile, Value
 from cornercase.simulators.notices import RunNotices
-from cornercase.simulators.outcomes import notices_of, outcomes_of, require_usable
-from cornercase.simulators.starting import start_simulator
+from cornercase.simulators.outcomes import list_ignored_content, run_scenarios, check_simulator_accepts
+from cornercase.simulators.starting import create_simulator
 
 
 def simulate(
-    scenario: Path | str | Scenario,
+    scenario: Path | str | ScenarioFile,
     values: Mapping[str, Value] | None = None,
     *,
     time_step: float = 0.05,
@@ -78,22 +78,22 @@ def simulate(
     >>> simulators.simulate(scenario, {"ego_start": 40.0}, duration=2.0).names
     ('Ego', 'Truck', 'C', 'Pedestrian')
     """
-    file = scenario if isinstance(scenario, Scenario) else Scenario.read(scenario)
-    checked_values = numbers_or_texts("values", values)
-    file.require_parameters(list(checked_values))
+    file = scenario if isinstance(scenario, ScenarioFile) else ScenarioFile.read(scenario)
+    checked_values = check_parameter_values("values", values)
+    file.require_declared(list(checked_values))
     options = {
         "time_step": time_step,
         "duration": duration,
         "on_collision": on_collision,
-        "drivers": {entity: told_driver(driver) for entity, driver in (drivers or {}).items()},
+        "drivers": {entity: resolve_driver(driver) for entity, driver in (drivers or {}).items()},
     }
-    with noted_interrupts(), start_simulator(simulator, options, ego=ego, timeout=timeout) as started:
-        require_usable(started, [file])
-        (result,) = outcomes_of(started, [ConcreteScenario(file.path, checked_values, file)])
+    with collect_interrupts(), create_simulator(simulator, options, ego=ego, timeout=timeout) as started:
+        check_simulator_accepts(started, [file])
+        (result,) = run_scenarios(started, [ConcreteScenario(file.path, checked_values, file)])
     if isinstance(result, Exception):
-        raise InputError(of_file(file.path, f"{result}."))
-    warn_of(notices_of(simulator, file, checked_values))
+        raise InputError(prefix_file(file.path, f"{result}."))
+    warn_notices(list_ignored_content(simulator, file, checked_values))
     notices = RunNotices(started)
-    notices.look(result, lambda: file)
-    notices.warn()
+    notices.add_run(result, lambda: file)
+    notices.issue_warnings()
     return result

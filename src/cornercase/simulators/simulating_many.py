@@ -9,27 +9,27 @@ from typing import TYPE_CHECKING, Final
 
 from cornercase._common import arguments
 from cornercase._common.errors import InputError, SimulationError
-from cornercase._common.files import portable_name, require_folder, require_other_file
-from cornercase._common.interrupts import noted_interrupts
-from cornercase._common.ledger import distinct, warn_of
-from cornercase._common.parts import group_reasons
-from cornercase._common.places import of_file
+from cornercase._common.files import portable_name, check_folder, check_output_differs_from_source
+from cornercase._common.interrupts import collect_interrupts
+from cornercase._common.ledger import deduplicate_notices, warn_notices
+from cornercase._common.parts import group_failure_messages
+from cornercase._common.places import prefix_file
 from cornercase._common.progress import ProgressBar
-from cornercase.drivers import Driver, told_driver
-from cornercase.scenario import FILE_COLUMN, ConcreteScenario, Scenario, Value, read_value_table
+from cornercase.drivers import Driver, resolve_driver
+from cornercase.scenario import FILE_COLUMN, ConcreteScenario, ScenarioFile, Value, read_value_table
 from cornercase.simulators.base import Simulator
 from cornercase.simulators.notices import RunNotices
-from cornercase.simulators.outcomes import failure_words, notices_of, outcomes_of, refusals_of, require_usable
-from cornercase.simulators.recordings_folder import NOTES, TABLE, Planned, RecordingsFolder
-from cornercase.simulators.starting import start_simulator
-from cornercase.simulators.workers import MOST_FAILURES
+from cornercase.simulators.outcomes import describe_file_error, list_ignored_content, run_scenarios, find_refusals, check_simulator_accepts
+from cornercase.simulators.recordings_folder import NOTES_FILE, TABLE_FILE, PlannedRecording, RecordingsFolder
+from cornercase.simulators.starting import create_simulator
+from cornercase.simulators.workers import DEFAULT_MAX_FAILURES
 
 if TYPE_CHECKING:
     from distributed import Client
 
-_CSV: Final = ".csv"
+_CSV_SUFFIX: Final = ".csv"
 # Scenarios per parallel simulator and batch. More gains little, and keeps unwritten recordings in memory.
-_AT_ONCE: Final = 100
+_BATCH_SIZE: Final = 100
 
 
 @dataclass(frozen=True)
@@ -49,7 +49,7 @@ class SimulatedFolder:
 
     folder: Path
     done: int
-    ran_before: int
+    n_existing: int
     failures: Mapping[str, str] = field(default_factory=dict)
 
     @property
@@ -58,22 +58,22 @@ class SimulatedFolder:
         return len(self.failures)
 
     @property
-    def reasons(self) -> dict[str, int]:
+    def failure_counts(self) -> dict[str, int]:
         """Number of failed scenarios by reason, the most frequent first."""
-        return {reason: len(members) for reason, members in group_reasons(self.failures.values()).items()}
+        return {reason: len(members) for reason, members in group_failure_messages(self.failures.values()).items()}
 
     def __repr__(self) -> str:
-        failed = f", {_counted(self.failed)} failed" if self.failed else ""
+        failed = f", {_format_scenario_count(self.failed)} failed" if self.failed else ""
         return f"<SimulatedFolder: {self.done} recordings in {str(self.folder)!r}{failed}>"
 
 
-def _counted(scenarios: int) -> str:
-    return f"{scenarios} scenario{'s' if scenarios > 1 else ''}"
+def _format_scenario_count(count: int) -> str:
+    return f"{count} scenario{'s' if count > 1 else ''}"
 
 
 # The parameters are the options of the command.
 def simulate_many(
-    scenarios: Path | str | Scenario | Sequence[Path | str | Scenario],
+    scenarios: Path | str | ScenarioFile | Sequence[Path | str | ScenarioFile],
     folder: Path | str,
     *,
     table: Path | str | None = None,
@@ -88,7 +88,7 @@ def simulate_many(
     cluster: str | Client | None = None,
     timeout: float | None = None,
     retries: int = 1,
-    max_failures: int = MOST_FAILURES,
+    max_failures: int = DEFAULT_MAX_FAILURES,
     progress: bool = False,
 ) -> SimulatedFolder:
     """Run many concrete scenarios, and write a recording of each into a folder.
@@ -163,28 +163,28 @@ def simulate_many(
     <SimulatedFolder: 1 recordings in 'recordings'>
     """
     inputs = scenarios if isinstance(scenarios, Sequence) and not isinstance(scenarios, str) else [scenarios]
-    scenario_files, failures = _readable(inputs)
-    folder = require_folder("folder", folder)
-    if folder.suffix.lower() == _CSV:
-        raise InputError(f"`folder` {folder}: recordings are written into a folder; give a name without '{_CSV}'.")
-    checked_values = arguments.numbers_or_texts("values", values)
+    scenario_files, failures = _read_scenario_files(inputs)
+    folder = check_folder("folder", folder)
+    if folder.suffix.lower() == _CSV_SUFFIX:
+        raise InputError(f"`folder` {folder}: recordings are written into a folder; give a name without '{_CSV_SUFFIX}'.")
+    checked_values = arguments.check_parameter_values("values", values)
     for scenario in scenario_files:
-        scenario.require_parameters(list(checked_values))
+        scenario.require_declared(list(checked_values))
     planned = (
-        _of_files(scenario_files, checked_values)
+        _plan_from_files(scenario_files, checked_values)
         if table is None
-        else _of_table(scenario_files, arguments.path("table", table), checked_values)
+        else _plan_from_table(scenario_files, arguments.check_path("table", table), checked_values)
     )
     if table is not None:
-        for name in (TABLE, NOTES):
-            require_other_file(folder / name, table, "folder")
+        for name in (TABLE_FILE, NOTES_FILE):
+            check_output_differs_from_source(folder / name, table, "folder")
     options = {
         "time_step": time_step,
         "duration": duration,
         "on_collision": on_collision,
-        "drivers": {entity: told_driver(driver) for entity, driver in (drivers or {}).items()},
+        "drivers": {entity: resolve_driver(driver) for entity, driver in (drivers or {}).items()},
     }
-    started = start_simulator(
+    started = create_simulator(
         simulator,
         options,
         ego=ego,
@@ -196,24 +196,24 @@ def simulate_many(
     )
     with started:
         if table is None:
-            refused = refusals_of(started, [plan.concrete for plan in planned])
-            failures |= {planned[k].file: of_file(planned[k].concrete.path, reason) for k, reason in refused.items()}
+            refused = find_refusals(started, [plan.concrete_scenario for plan in planned])
+            failures |= {planned[k].file: prefix_file(planned[k].concrete_scenario.path, reason) for k, reason in refused.items()}
             planned = [plan for k, plan in enumerate(planned) if k not in refused]
             scenario_files = [
-                scenario for scenario in scenario_files if any(plan.concrete.source is scenario for plan in planned)
+                scenario for scenario in scenario_files if any(plan.concrete_scenario.file is scenario for plan in planned)
             ]
         else:
-            require_usable(started, scenario_files, [plan.concrete for plan in planned])
+            check_simulator_accepts(started, scenario_files, [plan.concrete_scenario for plan in planned])
         output_folder = RecordingsFolder(folder, planned, {"simulator": simulator, **started.settings})
-        warn_of(
-            distinct(
-                notice for scenario in scenario_files for notice in notices_of(simulator, scenario, checked_values)
+        warn_notices(
+            deduplicate_notices(
+                notice for scenario in scenario_files for notice in list_ignored_content(simulator, scenario, checked_values)
             )
         )
-        failures |= _run(
+        failures |= _run_missing(
             started,
             output_folder,
-            [plan for plan in planned if plan.file not in output_folder.there],
+            [plan for plan in planned if plan.file not in output_folder.existing_files],
             len(planned),
             progress,
         )
@@ -221,72 +221,72 @@ def simulate_many(
     if not done:
         first = next(iter(failures.values()))
         count = len({*failures, *(plan.file for plan in planned)})
-        raise InputError(f"None of {_counted(count)} could be run; the first: {first}.")
+        raise InputError(f"None of {_format_scenario_count(count)} could be run; the first: {first}.")
     output_folder.write_table(done)
-    return SimulatedFolder(folder, len(done), len(output_folder.there), failures)
+    return SimulatedFolder(folder, len(done), len(output_folder.existing_files), failures)
 
 
-def _readable(scenarios: Sequence[Path | str | Scenario]) -> tuple[list[Scenario], dict[str, str]]:
+def _read_scenario_files(scenarios: Sequence[Path | str | ScenarioFile]) -> tuple[list[ScenarioFile], dict[str, str]]:
     """Read scenario files; also return why recordings of unreadable ones are missing, unless none can be read."""
-    readable, errors = list[Scenario](), dict[Path, InputError]()
+    readable, errors = list[ScenarioFile](), dict[Path, InputError]()
     for item in scenarios:
         try:
-            readable.append(item if isinstance(item, Scenario) else Scenario.read(item))
+            readable.append(item if isinstance(item, ScenarioFile) else ScenarioFile.read(item))
         except InputError as error:
-            path = Path(item.path if isinstance(item, Scenario) else item)
+            path = Path(item.path if isinstance(item, ScenarioFile) else item)
             if not path.is_file():
                 # Probably a typing error.
                 raise
             errors[path] = error
     if errors and not readable:
         raise next(iter(errors.values()))
-    return readable, {_recording_of(path): of_file(path, failure_words(path, error)) for path, error in errors.items()}
+    return readable, {_recording_file_name(path): prefix_file(path, describe_file_error(path, error)) for path, error in errors.items()}
 
 
-def _recording_of(path: Path) -> str:
-    return portable_name(path.stem) + _CSV
+def _recording_file_name(path: Path) -> str:
+    return portable_name(path.stem) + _CSV_SUFFIX
 
 
-def _of_files(scenarios: Sequence[Scenario], given: Mapping[str, Value]) -> list[Planned]:
+def _plan_from_files(scenarios: Sequence[ScenarioFile], values: Mapping[str, Value]) -> list[PlannedRecording]:
     """Plan recordings that are named after their scenarios."""
     if not scenarios:
         raise InputError("`scenario`: name at least one OpenSCENARIO file.")
-    scenario_by_name: dict[str, Scenario] = {}
+    scenario_by_name: dict[str, ScenarioFile] = {}
     for scenario in scenarios:
         other = scenario_by_name.setdefault(portable_name(scenario.path.stem).casefold(), scenario)
         if other is not scenario:
             raise InputError(f"{scenario.path}: has the same recording name as {other.path}; rename one.")
     return [
-        Planned(_recording_of(scenario.path), ConcreteScenario(scenario.path, given, scenario))
+        PlannedRecording(_recording_file_name(scenario.path), ConcreteScenario(scenario.path, values, scenario))
         for scenario in scenarios
     ]
 
 
-def _of_table(scenarios: Sequence[Scenario], table: Path, given: Mapping[str, Value]) -> list[Planned]:
+def _plan_from_table(scenarios: Sequence[ScenarioFile], table: Path, values: Mapping[str, Value]) -> list[PlannedRecording]:
     """Plan recordings of one scenario with the values of a table."""
     if len(scenarios) != 1:
         raise InputError(f"`table` {table}: requires one scenario, not {len(scenarios)}.")
     (scenario,) = scenarios
     planned, lines = [], dict[str, int]()
     for number, row in enumerate(read_value_table(table, scenario), 1):
-        if duplicates := sorted({*given} & {*row.values}):
+        if duplicates := sorted({*values} & {*row.values}):
             raise InputError(f"`values` {duplicates[0]}: is also a column of {table}; remove one of the two.")
         # A fixed number of digits, so that recordings keep their names if the table grows.
-        file = row.file or f"{portable_name(scenario.path.stem)}-{number:05d}{_CSV}"
-        if portable_name(file) != file or not file.lower().endswith(_CSV) or file.lower() == TABLE:
+        file = row.recording_name or f"{portable_name(scenario.path.stem)}-{number:05d}{_CSV_SUFFIX}"
+        if portable_name(file) != file or not file.lower().endswith(_CSV_SUFFIX) or file.lower() == TABLE_FILE:
             raise InputError(
                 f"{table}, line {row.line}: '{file}' in the column {FILE_COLUMN} cannot be a recording; give a file"
-                f" name without folder that ends in {_CSV} and is not {TABLE}."
+                f" name without folder that ends in {_CSV_SUFFIX} and is not {TABLE_FILE}."
             )
         earlier = lines.setdefault(file.casefold(), row.line)
         if earlier != row.line:
             raise InputError(f"{table}, line {row.line}: repeats the file name {file} of line {earlier}.")
-        planned.append(Planned(file, ConcreteScenario(scenario.path, {**given, **row.values}, scenario)))
+        planned.append(PlannedRecording(file, ConcreteScenario(scenario.path, {**values, **row.values}, scenario)))
     return planned
 
 
-def _run(
-    simulator: Simulator, folder: RecordingsFolder, missing: Sequence[Planned], total: int, progress: bool
+def _run_missing(
+    simulator: Simulator, folder: RecordingsFolder, missing: Sequence[PlannedRecording], total: int, progress: bool
 ) -> dict[str, str]:
     """Run the missing scenarios; return why recordings could not be made."""
     failures: dict[str, str] = {}
@@ -294,26 +294,26 @@ def _run(
     done = total - len(missing)
     bar = ProgressBar(total, "simulating", "scenarios") if progress else None
     try:
-        with noted_interrupts() as check:
+        with collect_interrupts() as check:
             while missing:
-                batch_size = _AT_ONCE * max(1, len(simulator.beside()))
+                batch_size = _BATCH_SIZE * max(1, len(simulator.parallel_instances()))
                 batch, missing = missing[:batch_size], missing[batch_size:]
-                outcomes = outcomes_of(simulator, [planned.concrete for planned in batch])
+                outcomes = run_scenarios(simulator, [planned.concrete_scenario for planned in batch])
                 for planned, outcome in zip(batch, outcomes, strict=True):
                     check()
                     if isinstance(outcome, SimulationError):
-                        failures[planned.file] = of_file(planned.concrete.path, str(outcome))
+                        failures[planned.file] = prefix_file(planned.concrete_scenario.path, str(outcome))
                     else:
                         if not notes_written:
-                            folder.note()
+                            folder.write_notes()
                             notes_written = True
-                        outcome.to_csv(folder.place(planned.file))
-                        notices.look(outcome, planned.concrete.scenario)
+                        outcome.to_csv(folder.path_of(planned.file))
+                        notices.add_run(outcome, planned.concrete_scenario.load_file)
                     done += 1
                     if bar is not None:
                         bar.update(done, "")
     finally:
         if bar is not None:
             bar.stop()
-        notices.warn()
+        notices.issue_warnings()
     return failures

@@ -9,21 +9,21 @@ from multiprocessing import current_process
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
-from cornercase._common.arguments import number, text, whole_number
-from cornercase.drivers import given_name
+from cornercase._common.arguments import check_float, check_str, check_int
+from cornercase.drivers import user_driver_spec
 from cornercase.simulators.base import Simulator
 from cornercase.simulators.cluster import ClusterSimulator
-from cornercase.simulators.common_options import take_options
+from cornercase.simulators.common_options import select_declared_options
 from cornercase.simulators.registry import SIMULATORS
-from cornercase.simulators.workers import MOST_FAILURES, MOST_WORKERS, WorkerSimulator
+from cornercase.simulators.workers import DEFAULT_MAX_FAILURES, MAX_WORKERS, WorkerSimulator
 
 if TYPE_CHECKING:
     from distributed import Client
 
-_GUARD: Final = re.compile(r"""__name__\s*==\s*["']__main__["']|["']__main__["']\s*==\s*__name__""")
+_MAIN_GUARD_PATTERN: Final = re.compile(r"""__name__\s*==\s*["']__main__["']|["']__main__["']\s*==\s*__name__""")
 
 
-def start_simulator(
+def create_simulator(
     name: str,
     options: Mapping[str, Any] | None = None,
     *,
@@ -32,7 +32,7 @@ def start_simulator(
     timeout: float | None = None,
     retries: int = 1,
     cluster: str | Client | None = None,
-    max_failures: int = MOST_FAILURES,
+    max_failures: int = DEFAULT_MAX_FAILURES,
 ) -> Simulator:
     """Create a simulator by name (options after a colon), in this process, in worker processes or on a Dask cluster.
 
@@ -50,12 +50,12 @@ def start_simulator(
     ...     simulator.settings["duration"]
     20.0
     """
-    timeout = None if timeout is None else number("timeout", timeout, above=0.0)
-    workers = whole_number("workers", workers, 1, MOST_WORKERS)
-    retries, max_failures = whole_number("retries", retries), whole_number("max_failures", max_failures)
-    simulator_class = SIMULATORS.class_of(text("simulator", name))
-    accepted = take_options(name, simulator_class, options or {}) | (
-        {"ego": ego} if "ego" in simulator_class.needs else {}
+    timeout = None if timeout is None else check_float("timeout", timeout, above=0.0)
+    workers = check_int("workers", workers, 1, MAX_WORKERS)
+    retries, max_failures = check_int("retries", retries), check_int("max_failures", max_failures)
+    simulator_class = SIMULATORS.get_class(check_str("simulator", name))
+    accepted = select_declared_options(name, simulator_class, options or {}) | (
+        {"ego": ego} if "ego" in simulator_class.requires else {}
     )
     if cluster is not None:
         return ClusterSimulator(name, accepted, cluster, workers, timeout, retries, max_failures)
@@ -63,18 +63,18 @@ def start_simulator(
         simulator_class.in_process
         and workers == 1
         and timeout is None
-        and not (_has_given_driver(accepted) and _may_start())
+        and not (_has_user_driver(accepted) and _can_start_processes())
     ):
         return SIMULATORS.create(name, **accepted)
     return WorkerSimulator(name, accepted, workers, timeout, retries, max_failures)
 
 
-def _has_given_driver(options: Mapping[str, Any]) -> bool:
+def _has_user_driver(options: Mapping[str, Any]) -> bool:
     """Return whether a user named a driver that does not come with cornercase."""
-    return any(given_name(driver) is not None for driver in (options.get("drivers") or {}).values())
+    return any(user_driver_spec(driver) is not None for driver in (options.get("drivers") or {}).values())
 
 
-def _may_start() -> bool:
+def _can_start_processes() -> bool:
     """Return whether this process can start others without running the user's script again."""
     if current_process().daemon:
         return False
@@ -82,6 +82,6 @@ def _may_start() -> bool:
     if script is None:
         return True
     try:
-        return _GUARD.search(Path(script).read_text(encoding="utf-8", errors="replace")) is not None
+        return _MAIN_GUARD_PATTERN.search(Path(script).read_text(encoding="utf-8", errors="replace")) is not None
     except OSError:
         return True

@@ -14,21 +14,21 @@ from typing import Any, Final
 from cornercase.simulators.base import Simulator
 
 # Time in s between two counts of parallel instances, and between two checks for signals while waiting.
-_LOOKS: Final = 5.0
-_WAITS: Final = 0.5
+_COUNT_INTERVAL: Final = 5.0
+_WAIT_INTERVAL: Final = 0.5
 # Time limit in s for cancelled work to end; a wait for a cluster that is cut off never does.
-_ENDS: Final = 10.0
+_CANCEL_TIMEOUT: Final = 10.0
 
 # Runs something on a simulator.
-Work = Callable[[Simulator], Any]
+SimulatorWork = Callable[[Simulator], Any]
 
 
 @dataclass(eq=False)
-class _Desk:
+class _WorkQueue:
     """Work queue of one simulator, and the threads that process it."""
 
     simulator: Simulator
-    waiting: SimpleQueue[tuple[int, Work] | None] = field(default_factory=SimpleQueue)
+    queue: SimpleQueue[tuple[int, SimulatorWork] | None] = field(default_factory=SimpleQueue)
     threads: list[tuple[Thread, Simulator]] = field(default_factory=list)
 
 
@@ -40,62 +40,62 @@ class SimulatorStream:
     """
 
     def __init__(self, simulators: Mapping[str, Simulator]) -> None:
-        self._desks = {name: _Desk(simulator) for name, simulator in simulators.items()}
-        self._first = next(iter(self._desks))
-        self._here: deque[tuple[int, Work, Simulator]] = deque()
-        self._ended: SimpleQueue[tuple[int, Any, BaseException | None]] = SimpleQueue()
-        self._looked, self._places, self._closed = -math.inf, 1, False
+        self._queues = {name: _WorkQueue(simulator) for name, simulator in simulators.items()}
+        self._first_name = next(iter(self._queues))
+        self._local_work: deque[tuple[int, SimulatorWork, Simulator]] = deque()
+        self._results: SimpleQueue[tuple[int, Any, BaseException | None]] = SimpleQueue()
+        self._last_counted, self._n_parallel, self._closed = -math.inf, 1, False
 
-    def places(self) -> int:
+    def count_parallel(self) -> int:
         """Current number of parallel scenarios; it changes on a cluster."""
-        if time.monotonic() - self._looked > _LOOKS:
-            self._places = max(1, self._staffed(self._desks[self._first]))
-            self._looked = time.monotonic()
-        return self._places
+        if time.monotonic() - self._last_counted > _COUNT_INTERVAL:
+            self._n_parallel = max(1, self._start_threads(self._queues[self._first_name]))
+            self._last_counted = time.monotonic()
+        return self._n_parallel
 
-    def _staffed(self, desk: _Desk) -> int:
+    def _start_threads(self, queue: _WorkQueue) -> int:
         """Start threads for new parallel instances of a simulator; return their number."""
-        instances = desk.simulator.beside()
-        for instance in instances[len(desk.threads) :]:
-            thread = Thread(target=self._work, args=(desk.waiting, instance), daemon=True)
-            desk.threads.append((thread, instance))
+        instances = queue.simulator.parallel_instances()
+        for instance in instances[len(queue.threads) :]:
+            thread = Thread(target=self._process_work, args=(queue.queue, instance), daemon=True)
+            queue.threads.append((thread, instance))
             thread.start()
         return len(instances)
 
-    def _work(self, waiting: SimpleQueue[tuple[int, Work] | None], simulator: Simulator) -> None:
+    def _process_work(self, queue: SimpleQueue[tuple[int, SimulatorWork] | None], simulator: Simulator) -> None:
         """Process work in a thread."""
-        while (job := waiting.get()) is not None and not self._closed:
+        while (job := queue.get()) is not None and not self._closed:
             key, work = job
             try:
-                self._ended.put((key, work(simulator), None))
+                self._results.put((key, work(simulator), None))
             except BaseException as error:
-                self._ended.put((key, None, error))
+                self._results.put((key, None, error))
 
-    def give(self, key: int, work: Work, name: str | None = None) -> None:
+    def submit(self, key: int, work: SimulatorWork, name: str | None = None) -> None:
         """Submit work under a key, for the simulator `name` or the first one; it may be called in another thread."""
-        desk = self._desks[self._first if name is None else name]
-        if desk.threads or self._staffed(desk):
-            desk.waiting.put((key, work))
+        desk = self._queues[self._first_name if name is None else name]
+        if desk.threads or self._start_threads(desk):
+            desk.queue.put((key, work))
         else:
-            self._here.append((key, work, desk.simulator))
+            self._local_work.append((key, work, desk.simulator))
 
     @property
-    def ready(self) -> bool:
+    def has_result(self) -> bool:
         """Whether a result is available now."""
-        return not self._ended.empty()
+        return not self._results.empty()
 
-    def take(self, check: Callable[[], None]) -> tuple[int, Any]:
+    def wait_for_result(self, check: Callable[[], None]) -> tuple[int, Any]:
         """Wait for the next result and return it with its key, or raise the error of the work.
 
         `check` is called now and then while waiting.
         """
         while True:
             check()
-            if self._here and not self.ready:
-                own_key, work, simulator = self._here.popleft()
+            if self._local_work and not self.has_result:
+                own_key, work, simulator = self._local_work.popleft()
                 return own_key, work(simulator)
             try:
-                key, result, error = self._ended.get(timeout=_WAITS)
+                key, result, error = self._results.get(timeout=_WAIT_INTERVAL)
             except Empty:
                 continue
             if error is not None:
@@ -105,15 +105,15 @@ class SimulatorStream:
     def close(self) -> None:
         """Cancel unfinished work; the simulators stay open."""
         self._closed = True
-        for desk in self._desks.values():
+        for desk in self._queues.values():
             for _ in desk.threads:
-                desk.waiting.put(None)
-        busy = [entry for desk in self._desks.values() for entry in desk.threads]
-        deadline = time.monotonic() + _ENDS
+                desk.queue.put(None)
+        busy = [entry for desk in self._queues.values() for entry in desk.threads]
+        deadline = time.monotonic() + _CANCEL_TIMEOUT
         while busy := [(thread, simulator) for thread, simulator in busy if thread.is_alive()]:
             if time.monotonic() > deadline:
                 return
             busy[0][0].join(0.1)
             for thread, simulator in busy:
                 if thread.is_alive():
-                    simulator.give_up()
+                    simulator.cancel()

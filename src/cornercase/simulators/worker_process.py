@@ -14,33 +14,33 @@ from multiprocessing.connection import Connection
 from pathlib import Path
 from typing import Any
 
-from cornercase._common.current_folder import kept_from_children, unpickle_here
-from cornercase._common.errors import InputError, LostError, SimulationError, SimulatorError
-from cornercase._common.guardian import Guardian
-from cornercase._common.interrupts import held_interrupts
-from cornercase._common.lifeline import end_with_parent, keep_temporary_files_in
-from cornercase._common.parts import guarded
+from cornercase._common.current_folder import hide_current_folder_from_children, unpickle_with_current_folder
+from cornercase._common.errors import InputError, RunLostError, SimulationError, SimulatorError
+from cornercase._common.guardian import Reaper
+from cornercase._common.interrupts import defer_interrupts
+from cornercase._common.lifeline import exit_with_parent, set_temporary_folder
+from cornercase._common.parts import convert_plugin_errors
 from cornercase._common.platform import (
-    end_process_tree,
-    ended_from_outside,
-    ending_signals,
-    interrupts_kept,
-    leave_terminal,
-    words_of_exit_code,
+    kill_process_tree,
+    is_killed_externally,
+    termination_signals,
+    block_interrupts,
+    detach_from_terminal,
+    describe_exit_code,
 )
 from cornercase.recordings import Recording
 from cornercase.scenario import ConcreteScenario
 from cornercase.simulators.base import Simulator
-from cornercase.simulators.outcomes import Outcome, outcomes_as_given
+from cornercase.simulators.outcomes import Outcome, run_scenarios_as_given
 from cornercase.simulators.registry import SIMULATORS
-from cornercase.simulators.sending import packed_options, with_drivers_made
+from cornercase.simulators.sending import pickle_options, create_drivers_from_specs
 
 # Time limits in s: to start the simulator, to get its exit code, and to let it end by itself.
-_STARTED, _DIED, _ENDED = 60.0, 0.2, 10.0
+_START_TIMEOUT, _EXIT_CODE_TIMEOUT, _END_TIMEOUT = 60.0, 0.2, 10.0
 
 
 @dataclass(frozen=True)
-class Task:
+class WorkerTask:
     """Scenarios (indices) that a worker runs in one call of its simulator, and how often they were tried before."""
 
     indices: tuple[int, ...]
@@ -48,16 +48,16 @@ class Task:
 
 
 @dataclass(frozen=True)
-class Noticed:
+class NoticeMessage:
     """A sentence for the user."""
 
     sentence: str
 
 
-Answer = Outcome | InputError | Noticed | None
+WorkerMessage = Outcome | InputError | NoticeMessage | None
 
 
-class Worker:
+class WorkerProcess:
     """A process with a simulator; started when first needed, and again after it has ended.
 
     `timeout` is in s per scenario. `guardian` ends the process if this one cannot, and owns its folder for temporary
@@ -68,165 +68,165 @@ class Worker:
     """
 
     connection: Connection
-    task: Task
+    task: WorkerTask
 
-    def __init__(self, name: str, options: dict[str, Any], timeout: float | None, guardian: Guardian) -> None:
+    def __init__(self, name: str, options: dict[str, Any], timeout: float | None, guardian: Reaper) -> None:
         self._name, self._timeout, self._guardian = name, timeout, guardian
         # As bytes, so that the process imports the user's drivers from where this one did.
-        self._options = packed_options(options, pickle.dumps)
+        self._options = pickle_options(options, pickle.dumps)
         self._process: Any = None
         self._folder: Path | None = None
-        self._code: int | None = None
-        self._started = False
-        self.waiting: list[int] = []
+        self._exit_code: int | None = None
+        self._is_started = False
+        self.remaining: list[int] = []
         self.deadline = float("inf")
 
-    def give(self, task: Task, concretes: Sequence[ConcreteScenario]) -> None:
+    def start_task(self, task: WorkerTask, concretes: Sequence[ConcreteScenario]) -> None:
         """Start a task; `concretes` are all scenarios; the task has the indices of its own."""
         if self._process is None or not self._process.is_alive():
             self.stop()
             # Spawned, not forked: threads of numerical libraries do not survive a fork, and Windows has none.
             context = get_context("spawn")
             # Removed after the process, however it ends.
-            self._folder = self._guardian.new_folder()
+            self._folder = self._guardian.make_temporary_folder()
             self.connection, child_connection = context.Pipe()
             arguments = child_connection, self._name, self._options, self._folder
-            process = context.Process(target=_serve, args=arguments, daemon=True)
+            process = context.Process(target=_worker_main, args=arguments, daemon=True)
             # An interrupt in the middle would leave an orphaned process.
-            with held_interrupts(), interrupts_kept(*ending_signals()), kept_from_children():
+            with defer_interrupts(), block_interrupts(*termination_signals()), hide_current_folder_from_children():
                 process.start()
                 self._process = process
-            self._guardian.watch(self._process.pid)
+            self._guardian.watch_process(self._process.pid)
             child_connection.close()
-        self.task, self.waiting = task, list(task.indices)
+        self.task, self.remaining = task, list(task.indices)
         self._set_deadline()
         # If the process has just ended, `receive` notices.
         with suppress(OSError):
             self.connection.send([concretes[k] for k in task.indices])
 
     def _set_deadline(self) -> None:
-        if not self._started:
-            self.deadline = time.monotonic() + _STARTED
+        if not self._is_started:
+            self.deadline = time.monotonic() + _START_TIMEOUT
         elif self._timeout is None:
             self.deadline = float("inf")
         else:
             # Scenarios may run in parallel or one after another.
-            self.deadline = time.monotonic() + self._timeout * len(self.waiting)
+            self.deadline = time.monotonic() + self._timeout * len(self.remaining)
 
-    def answer(self) -> Answer:
+    def receive(self) -> WorkerMessage:
         """Receive the next message: a result, an error for the rest, a notice, or None once the simulator has started.
 
         Raises TimeoutError after the deadline, EOFError or OSError if the process has ended.
         """
         if not self.connection.poll():
-            action = f"end within {self._timeout:g} s" if self._started else f"start within {_STARTED:g} s"
+            action = f"end within {self._timeout:g} s" if self._is_started else f"start within {_START_TIMEOUT:g} s"
             raise TimeoutError(f"the simulator did not {action}")
-        answer: Answer = self.connection.recv()
-        if isinstance(answer, Noticed):
+        answer: WorkerMessage = self.connection.recv()
+        if isinstance(answer, NoticeMessage):
             return answer
         if isinstance(answer, Recording | SimulationError):
-            self.waiting.pop(0)
-        self._started = True
+            self.remaining.pop(0)
+        self._is_started = True
         self._set_deadline()
         return answer
 
-    def ending(self, process: str) -> SimulatorError:
-        """Return the error that describes how the process ended; `LostError` if it was killed from outside."""
-        text = f"{process} {words_of_exit_code(self._code)}"
-        return LostError(f"{text} from outside") if ended_from_outside(self._code) else SimulatorError(text)
+    def describe_exit(self, process_name: str) -> SimulatorError:
+        """Return the error that describes how the process ended; `RunLostError` if it was killed from outside."""
+        text = f"{process_name} {describe_exit_code(self._exit_code)}"
+        return RunLostError(f"{text} from outside") if is_killed_externally(self._exit_code) else SimulatorError(text)
 
     def stop(self) -> None:
         """End the process at once, if there is one."""
-        self.waiting, self._code, self._started = [], None, False
+        self.remaining, self._exit_code, self._is_started = [], None, False
         if self._process is None:
             return
         # If the process has ended by itself, its exit code arrives within a moment.
-        self._process.join(_DIED)
-        self._code = self._process.exitcode
+        self._process.join(_EXIT_CODE_TIMEOUT)
+        self._exit_code = self._process.exitcode
         # A killed process may have left children.
-        end_process_tree(self._process.pid)
-        self._process.join(_ENDED)
-        self._forget()
+        kill_process_tree(self._process.pid)
+        self._process.join(_END_TIMEOUT)
+        self._release_process()
 
     def kill(self) -> None:
         """Kill the process from another thread than the one that waits for it."""
         process = self._process
         if process is not None and process.exitcode is None:
-            end_process_tree(process.pid)
+            kill_process_tree(process.pid)
 
-    def hang_up(self) -> None:
+    def close_connection(self) -> None:
         """Close the connection, so that an idle process closes its simulator and ends; a busy one is stopped."""
-        if self.waiting:
+        if self.remaining:
             self.stop()
         elif self._process is not None:
             self.connection.close()
 
-    def wait(self) -> None:
+    def wait_until_ended(self) -> None:
         """Wait until a process that was told to end has ended; kill it if it does not."""
         if self._process is None:
             return
-        self._process.join(_ENDED)
+        self._process.join(_END_TIMEOUT)
         if self._process.is_alive():
-            end_process_tree(self._process.pid)
-            self._process.join(_ENDED)
-        self._started = False
-        self._forget()
+            kill_process_tree(self._process.pid)
+            self._process.join(_END_TIMEOUT)
+        self._is_started = False
+        self._release_process()
 
-    def _forget(self) -> None:
+    def _release_process(self) -> None:
         self.connection.close()
-        self._guardian.release(self._process.pid)
+        self._guardian.release_process(self._process.pid)
         if self._folder is not None:
-            self._guardian.remove(self._folder)
+            self._guardian.remove_folder(self._folder)
         self._process = self._folder = None
 
 
-def _serve(connection: Connection, name: str, options: bytes, folder: Path) -> None:
+def _worker_main(connection: Connection, name: str, options: bytes, folder: Path) -> None:
     """Create a simulator in the worker process, and run tasks until the connection closes."""
     # Ctrl-C is handled by the main process, which lets this one finish its scenario or stops it.
-    leave_terminal()
-    end_with_parent()
-    keep_temporary_files_in(folder)
+    detach_from_terminal()
+    exit_with_parent()
+    set_temporary_folder(folder)
     try:
-        with guarded("A worker process", None, "as it began"):
-            simulator = SIMULATORS.create(name, **unpickled_options(options))
+        with convert_plugin_errors("A worker process", None, "as it began"):
+            simulator = SIMULATORS.create(name, **unpickle_options(options))
     except InputError as error:
-        _send(connection, error)
+        _send_message(connection, error)
         return
-    simulator.on_notice = partial(_send_notice, connection)
-    _send(connection, None)
+    simulator.on_notice = partial(_forward_notice, connection)
+    _send_message(connection, None)
     with simulator:
         while True:
             try:
                 concretes = connection.recv()
             except (EOFError, OSError):
                 return
-            _answer(connection, simulator, concretes)
+            _run_and_send(connection, simulator, concretes)
 
 
-def unpickled_options(options: bytes) -> dict[str, Any]:
+def unpickle_options(options: bytes) -> dict[str, Any]:
     """Unpickle the options of a simulator; modules of the user's drivers may be in the current folder."""
-    options_with_names: dict[str, Any] = unpickle_here(options)
-    return with_drivers_made(options_with_names)
+    options_with_names: dict[str, Any] = unpickle_with_current_folder(options)
+    return create_drivers_from_specs(options_with_names)
 
 
-def _answer(connection: Connection, simulator: Simulator, concretes: list[ConcreteScenario]) -> None:
+def _run_and_send(connection: Connection, simulator: Simulator, concretes: list[ConcreteScenario]) -> None:
     try:
-        for outcome in outcomes_as_given(simulator, concretes):
-            _send(connection, outcome)
+        for outcome in run_scenarios_as_given(simulator, concretes):
+            _send_message(connection, outcome)
     except InputError as error:
-        _send(connection, error)
+        _send_message(connection, error)
 
 
-def _send_notice(connection: Connection, sentence: str) -> None:
-    if not _send(connection, Noticed(sentence)):
+def _forward_notice(connection: Connection, sentence: str) -> None:
+    if not _send_message(connection, NoticeMessage(sentence)):
         print(f"{sentence}.", file=sys.stderr)
 
 
-def _send(connection: Connection, found: Answer) -> bool:
+def _send_message(connection: Connection, message: WorkerMessage) -> bool:
     """Send an answer; return whether there is a receiver."""
     # Without a receiver, this process is about to be ended.
     try:
-        connection.send(found)
+        connection.send(message)
     except (BrokenPipeError, ConnectionResetError):
         return False
     return True

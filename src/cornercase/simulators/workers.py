@@ -10,31 +10,31 @@ from dataclasses import dataclass
 from multiprocessing.connection import wait
 from typing import Any, Final
 
-from cornercase._common.errors import InputError, LostError, SimulationError, SimulatorError
-from cornercase._common.guardian import Guardian
-from cornercase._common.texts import quoted_name
-from cornercase.drivers import given_name
+from cornercase._common.errors import InputError, RunLostError, SimulationError, SimulatorError
+from cornercase._common.guardian import Reaper
+from cornercase._common.texts import quote_name
+from cornercase.drivers import user_driver_spec
 from cornercase.scenario import ConcreteScenario
-from cornercase.simulators.elsewhere import SimulatorElsewhere
+from cornercase.simulators.elsewhere import RemoteSimulator
 from cornercase.simulators.outcomes import Outcome
-from cornercase.simulators.worker_process import Noticed, Task, Worker
+from cornercase.simulators.worker_process import NoticeMessage, WorkerTask, WorkerProcess
 
-MOST_FAILURES: Final = 5
+DEFAULT_MAX_FAILURES: Final = 5
 """Default number of consecutive failures after which the simulator, not the scenarios, is considered at fault."""
 # In s.
-_LONGEST_WAIT: Final = 3600.0
-MOST_WORKERS: Final = 1024
+_MAX_SINGLE_WAIT: Final = 3600.0
+MAX_WORKERS: Final = 1024
 """Maximum number of worker processes: more than any machine has cores, and few enough to be started."""
 
 
 @dataclass
-class _Lost:
+class _FailureCount:
     """Number of consecutive scenarios without a result, over all processes."""
 
     count: int = 0
 
 
-class WorkerSimulator(SimulatorElsewhere):
+class WorkerSimulator(RemoteSimulator):
     """Runs concrete scenarios in worker processes, each with its own simulator.
 
     A simulator with `batched` gets an equal share of the scenarios per process, any other gets one at a time. If a
@@ -59,50 +59,50 @@ class WorkerSimulator(SimulatorElsewhere):
         workers: int = 1,
         timeout: float | None = None,
         retries: int = 1,
-        max_failures: int = MOST_FAILURES,
+        max_failures: int = DEFAULT_MAX_FAILURES,
     ) -> None:
         super().__init__(name, options)
-        self._max_failures, self._process = max_failures, _name_process(options)
-        self._batches, self._retries = self.declared.takes_batches, retries
-        numbered = "worker" in self.declared.needs
-        self._guardian = Guardian()
+        self._max_failures, self._process_description = max_failures, _describe_process(options)
+        self._batched, self._retries = self.simulator_class.batched, retries
+        numbered = "worker" in self.simulator_class.requires
+        self._guardian = Reaper()
         self._workers = [
-            Worker(name, options | ({"worker": k} if numbered else {}), timeout, self._guardian) for k in range(workers)
+            WorkerProcess(name, options | ({"worker": k} if numbered else {}), timeout, self._guardian) for k in range(workers)
         ]
-        self._lost = _Lost()
-        self._each: list[WorkerSimulator] = []
+        self._consecutive_failures = _FailureCount()
+        self._single_process_simulators: list[WorkerSimulator] = []
 
     def run(self, concretes: Sequence[ConcreteScenario]) -> Iterator[Outcome]:
         """Run scenarios, as `Simulator.run`; `InputError` also after `max_failures` consecutive failures."""
-        size = -(-len(concretes) // len(self._workers)) if self._batches and concretes else 1
+        size = -(-len(concretes) // len(self._workers)) if self._batched and concretes else 1
         indices = range(len(concretes))
-        waiting = deque(Task(tuple(indices[k : k + size])) for k in indices[::size])
+        waiting = deque(WorkerTask(tuple(indices[k : k + size])) for k in indices[::size])
         done: dict[int, Outcome] = {}
         n_yielded = 0
         try:
             while n_yielded < len(concretes):
                 for worker in self._workers:
-                    if not worker.waiting and waiting:
-                        worker.give(waiting.popleft(), concretes)
-                for worker in self._ready():
-                    self._take(worker, waiting, done)
+                    if not worker.remaining and waiting:
+                        worker.start_task(waiting.popleft(), concretes)
+                for worker in self._wait_for_workers():
+                    self._collect_answer(worker, waiting, done)
                 while n_yielded in done:
                     yield done.pop(n_yielded)
                     n_yielded += 1
         finally:
             for worker in self._workers:
-                if worker.waiting:
+                if worker.remaining:
                     worker.stop()
 
-    def beside(self) -> Sequence[WorkerSimulator]:
+    def parallel_instances(self) -> Sequence[WorkerSimulator]:
         """Return one simulator per process; they are closed with this one."""
-        if not self._each:
-            self._each = [copy(self) for _ in self._workers]
-            for single, worker in zip(self._each, self._workers, strict=True):
-                single._workers, single._each = [worker], []
-        return self._each
+        if not self._single_process_simulators:
+            self._single_process_simulators = [copy(self) for _ in self._workers]
+            for single, worker in zip(self._single_process_simulators, self._workers, strict=True):
+                single._workers, single._single_process_simulators = [worker], []
+        return self._single_process_simulators
 
-    def give_up(self) -> None:
+    def cancel(self) -> None:
         """Kill the processes at once, even if another thread waits for them; nothing is retried."""
         self._retries = -1
         for worker in self._workers:
@@ -111,87 +111,87 @@ class WorkerSimulator(SimulatorElsewhere):
     def close(self) -> None:
         """End the processes; idle ones close their simulator first."""
         for worker in self._workers:
-            worker.hang_up()
+            worker.close_connection()
         for worker in self._workers:
-            worker.wait()
+            worker.wait_until_ended()
         self._guardian.close()
         super().close()
 
-    def _ready(self) -> list[Worker]:
+    def _wait_for_workers(self) -> list[WorkerProcess]:
         """Wait for workers that have an answer or exceeded their deadline."""
-        busy = [worker for worker in self._workers if worker.waiting]
+        busy = [worker for worker in self._workers if worker.remaining]
         deadline = min(worker.deadline for worker in busy)
         # Operating systems limit the time of a single wait.
-        remaining = None if deadline == float("inf") else min(max(0.0, deadline - time.monotonic()), _LONGEST_WAIT)
+        remaining = None if deadline == float("inf") else min(max(0.0, deadline - time.monotonic()), _MAX_SINGLE_WAIT)
         readable = wait([worker.connection for worker in busy], remaining)
         return [worker for worker in busy if worker.connection in readable or worker.deadline <= time.monotonic()]
 
-    def _take(self, worker: Worker, waiting: deque[Task], done: dict[int, Outcome]) -> None:
-        task, remaining = worker.task, tuple(worker.waiting)
+    def _collect_answer(self, worker: WorkerProcess, waiting: deque[WorkerTask], done: dict[int, Outcome]) -> None:
+        task, remaining = worker.task, tuple(worker.remaining)
         try:
-            answer = worker.answer()
+            answer = worker.receive()
         except (EOFError, OSError) as error:
             worker.stop()
-            failure = SimulatorError(str(error)) if isinstance(error, TimeoutError) else worker.ending(self._process)
-            self._lose(task, remaining, failure, waiting, done)
+            failure = SimulatorError(str(error)) if isinstance(error, TimeoutError) else worker.describe_exit(self._process_description)
+            self._retry_or_fail(task, remaining, failure, waiting, done)
             return
         if answer is None:
             return
-        if isinstance(answer, Noticed):
-            self.notice([answer.sentence])
+        if isinstance(answer, NoticeMessage):
+            self.notify([answer.sentence])
             return
         if isinstance(answer, InputError):
-            worker.waiting = []
+            worker.remaining = []
             raise answer
         if isinstance(answer, SimulatorError):
-            self._lose(task, remaining[:1], answer, waiting, done, own=True)
+            self._retry_or_fail(task, remaining[:1], answer, waiting, done, is_own_result=True)
         else:
-            self._lost.count = 0
+            self._consecutive_failures.count = 0
             done[remaining[0]] = answer
 
-    def _lose(
+    def _retry_or_fail(
         self,
-        task: Task,
-        left: tuple[int, ...],
-        why: SimulationError,
-        waiting: deque[Task],
+        task: WorkerTask,
+        remaining: tuple[int, ...],
+        failure: SimulationError,
+        waiting: deque[WorkerTask],
         done: dict[int, Outcome],
         *,
-        own: bool = False,
+        is_own_result: bool = False,
     ) -> None:
         """Run scenarios without a result again, or fail them.
 
         If a batch failed, it is unknown which scenario is at fault, unless `own`: the failure is the result of the
         first.
         """
-        if len(task.indices) > 1 and not own:
-            waiting.extendleft(Task((k,)) for k in reversed(left))
+        if len(task.indices) > 1 and not is_own_result:
+            waiting.extendleft(WorkerTask((k,)) for k in reversed(remaining))
             return
-        (index,) = left
+        (index,) = remaining
         # A process that was killed from outside is no reason to fail a scenario without a retry.
-        retries = 1 if self._retries == 0 and isinstance(why, LostError) else self._retries
-        if not isinstance(why, SimulatorError):
-            self._lost.count = 0
-            done[index] = why
+        retries = 1 if self._retries == 0 and isinstance(failure, RunLostError) else self._retries
+        if not isinstance(failure, SimulatorError):
+            self._consecutive_failures.count = 0
+            done[index] = failure
         elif task.tries < retries:
-            waiting.appendleft(Task((index,), task.tries + 1))
+            waiting.appendleft(WorkerTask((index,), task.tries + 1))
         else:
-            self._lost.count += 1
-            if 0 < self._max_failures <= self._lost.count:
+            self._consecutive_failures.count += 1
+            if 0 < self._max_failures <= self._consecutive_failures.count:
                 raise InputError(
-                    f"The simulator '{self.name}' gave no result in {self._lost.count} scenarios in a row"
-                    f" (`max_failures`); in the last one {why}. Fix it, and run the same command again to resume."
+                    f"The simulator '{self.name}' gave no result in {self._consecutive_failures.count} scenarios in a row"
+                    f" (`max_failures`); in the last one {failure}. Fix it, and run the same command again to resume."
                 )
             times = "once" if task.tries == 0 else f"{task.tries + 1} times"
-            error_class = LostError if isinstance(why, LostError) else SimulationError
-            done[index] = error_class(f"{why}, tried {times}")
+            error_class = RunLostError if isinstance(failure, RunLostError) else SimulationError
+            done[index] = error_class(f"{failure}, tried {times}")
 
 
-def _name_process(options: Mapping[str, Any]) -> str:
+def _describe_process(options: Mapping[str, Any]) -> str:
     """Describe a simulator's process in messages, with the user's drivers, which may have ended it."""
     drivers = [
-        f"the driver of {quoted_name(entity)} ({name})"
+        f"the driver of {quote_name(entity)} ({name})"
         for entity, driver in (options.get("drivers") or {}).items()
-        if (name := given_name(driver)) is not None
+        if (name := user_driver_spec(driver)) is not None
     ]
     return f"the process of the simulator and of {' and '.join(drivers)}" if drivers else "the simulator's process"

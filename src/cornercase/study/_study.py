@@ -13,41 +13,41 @@ from typing import TYPE_CHECKING, Any, Final, Self
 import numpy as np
 
 from cornercase._common import arguments
-from cornercase._common.arguments import number, whole_number
+from cornercase._common.arguments import check_float, check_int
 from cornercase._common.displays import DISPLAYS
 from cornercase._common.errors import InputError
-from cornercase._common.files import require_folder
-from cornercase._common.pending_files import written_together
-from cornercase._common.texts import loaded_json, require_whole
+from cornercase._common.files import check_folder
+from cornercase._common.pending_files import atomic_write_group
+from cornercase._common.texts import parse_json, check_no_surrogates
 from cornercase._common.typing import BoolArray, FloatArray
 from cornercase.drivers import ReferenceOutcome
-from cornercase.metrics import METRICS, condition_of
+from cornercase.metrics import METRICS, find_critical_if_condition
 from cornercase.recordings import Collision, Recording
-from cornercase.study._writer import StudyWriter, optional_tables
+from cornercase.study._writer import StudyWriter, optional_table_names
 from cornercase.study.arrays import read_arrays
 from cornercase.study.codec import unpack_arrays, unpack_collisions, unpack_recording
-from cornercase.study.connecting import remove_log
-from cornercase.study.damage import damage_told, require
+from cornercase.study.connecting import remove_sqlite_files
+from cornercase.study.damage import reraise_as_damage, require_value
 from cornercase.study.database import Database
 from cornercase.study.export import write_scenarios, write_table
-from cornercase.study.meta import StudyMeta, digest_of_scores
-from cornercase.study.notes import LONGEST_NOTE
-from cornercase.study.repeated_runs import shares_of_runs
+from cornercase.study.meta import StudyMeta, hash_points_and_scores
+from cornercase.study.notes import MAX_NOTE_LENGTH
+from cornercase.study.repeated_runs import critical_run_rates
 from cornercase.study.schema import TABLES
-from cornercase.study.second_runs import read_reference, row_name
-from cornercase.study.table import Row, scenario_table
+from cornercase.study.second_runs import decode_reference_outcome, reference_metric_name
+from cornercase.study.table import ScenarioRecord, build_scenario_table
 
 if TYPE_CHECKING:
     import pandas as pd
 
 # Largest integer of SQLite.
-_LARGEST_ID: Final = 2**63 - 1
-_SHOWN: Final = 10
-_CRITICAL_RUNS: Final = ("critical runs", "critical runs from", "critical runs to")
+_MAX_ID: Final = 2**63 - 1
+_N_SHOWN_ROWS: Final = 10
+_CRITICAL_RUN_COLUMNS: Final = ("critical runs", "critical runs from", "critical runs to")
 
 # Files are read and checked; the optimizer proposes and learns; scenarios are simulated, measured and stored; the
 # critical set is judged; recordings are read back and compared; and so on.
-STAGES: Final = (
+ELAPSED_STAGES: Final = (
     "files", "optimize", "simulate", "measure", "store", "judge", "read", "compare", "cluster", "reduce", "draw",
 )  # fmt: skip
 
@@ -70,10 +70,10 @@ class Study:
     def __init__(self, database: Database) -> None:
         self._database = database
         self.path = database.path
-        self.meta = self.stored_meta()
+        self.meta = self.read_meta()
         self.space = self.meta.space
-        self._asked: float | None = None
-        self._known: tuple[tuple[int, int], list[Row]] | None = None
+        self._critical_override: float | None = None
+        self._row_cache: tuple[tuple[int, int], list[ScenarioRecord]] | None = None
 
     @classmethod
     def create(cls, path: Path | str, meta: StudyMeta) -> Study:
@@ -97,10 +97,10 @@ class Study:
         items = sorted(meta.to_json().items())
         rows = [(key, json.dumps(value, sort_keys=True)) for key, value in items]
         try:
-            require_whole(json.dumps(items, ensure_ascii=False))
+            check_no_surrogates(json.dumps(items, ensure_ascii=False))
         except ValueError as error:
             raise InputError(f"{path}: cannot be created, since {error}; rename it.") from error
-        return cls(Database.create(Path(path), rows, *optional_tables(meta)))
+        return cls(Database.create(Path(path), rows, *optional_table_names(meta)))
 
     @classmethod
     def open(cls, path: Path | str, readonly: bool = True) -> Study:
@@ -125,9 +125,9 @@ class Study:
         """
         database: Database | None = None
         try:
-            file = arguments.path("path", path)
+            file = arguments.check_path("path", path)
             # Its description may be damaged.
-            with damage_told(file):
+            with reraise_as_damage(file):
                 database = Database.open(file, readonly)
                 return cls(database)
         except InputError:
@@ -159,7 +159,7 @@ class Study:
         """
         return self._database.snapshot()
 
-    def changes(self) -> int | None:
+    def data_version(self) -> int | None:
         """Count writes of other connections, so that a reader knows when to read again.
 
         Returns
@@ -168,19 +168,19 @@ class Study:
             It differs from the last value if another connection has written since. None if this reader cannot see what
             others write, since nobody could write to the file when it was opened.
         """
-        return self._database.changes()
+        return self._database.data_version()
 
-    def stored_meta(self) -> StudyMeta:
+    def read_meta(self) -> StudyMeta:
         """Read the description of the study anew: an exploration that continues it may change the budget.
 
         Returns
         -------
         StudyMeta
         """
-        pairs = self._database.rows("meta")
-        return StudyMeta.from_json({key: loaded_json(value) for key, value in pairs})
+        pairs = self._database.read_rows("meta")
+        return StudyMeta.from_json({key: parse_json(value) for key, value in pairs})
 
-    def rows(self) -> list[Row]:
+    def rows(self) -> list[ScenarioRecord]:
         """List all scenarios.
 
         Returns
@@ -189,39 +189,39 @@ class Study:
             In the order in which they were proposed.
         """
         # Checking 50,000 rows takes seconds, so it is repeated only after a write.
-        version = self._database.written()
-        if self._known is None or self._known[0] != version:
-            stored = self._database.rows("scenarios")
-            with damage_told(self.path):
-                rows = [self._row(*columns) for columns in stored]
-            self._known = version, rows
-        return list(self._known[1])
+        version = self._database.write_version()
+        if self._row_cache is None or self._row_cache[0] != version:
+            stored = self._database.read_rows("scenarios")
+            with reraise_as_damage(self.path):
+                rows = [self._decode_row(*columns) for columns in stored]
+            self._row_cache = version, rows
+        return list(self._row_cache[1])
 
-    def _row(self, number: int, turn: int, point: bytes, values: str, state: str, error: str | None) -> Row:
-        require(isinstance(number, int) and number > 0, f"a scenario is numbered {str(number)[:60]!r}")
-        row = Row(number, turn, np.frombuffer(point, "<f8"), loaded_json(values), state, error)
-        require(row.point.shape == (self.space.dimension,), f"the scenario {number} has another number of parameters")
-        require(bool(np.isfinite(row.point).all()), f"the point of the scenario {number} is not finite")
+    def _decode_row(self, scenario_id: int, round_number: int, point: bytes, parameters: str, state: str, error: str | None) -> ScenarioRecord:
+        require_value(isinstance(scenario_id, int) and scenario_id > 0, f"a scenario is numbered {str(scenario_id)[:60]!r}")
+        row = ScenarioRecord(scenario_id, round_number, np.frombuffer(point, "<f8"), parse_json(parameters), state, error)
+        require_value(row.point.shape == (self.space.dimension,), f"the scenario {scenario_id} has another number of parameters")
+        require_value(bool(np.isfinite(row.point).all()), f"the point of the scenario {scenario_id} is not finite")
         is_plain = all(isinstance(item, str | int | float) for item in row.values.values())
-        require(is_plain, f"the scenario {number} has values that are neither numbers nor texts")
+        require_value(is_plain, f"the scenario {scenario_id} has values that are neither numbers nor texts")
         for parameter in self.space.parameters:
-            value = parameter.read(row.values)
+            value = parameter.extract_value(row.values)
             if parameter.choices:
-                require(
-                    str(value) in parameter.choices, f"the scenario {number} has an unknown choice of {parameter.name}"
+                require_value(
+                    str(value) in parameter.choices, f"the scenario {scenario_id} has an unknown choice of {parameter.name}"
                 )
             else:
-                require(np.isfinite(float(value)), f"the scenario {number} has no number for {parameter.name}")
-        require(isinstance(turn, int) and isinstance(error, str | None), f"the scenario {number} is damaged")
+                require_value(np.isfinite(float(value)), f"the scenario {scenario_id} has no number for {parameter.name}")
+        require_value(isinstance(round_number, int) and isinstance(error, str | None), f"the scenario {scenario_id} is damaged")
         return row
 
-    def _rows_where(self, condition: str, value: int | str) -> list[Row]:
-        self._database.require_all("scenarios")
-        stored = self._database.rows("scenarios", condition, value)
-        with damage_told(self.path):
-            return [self._row(*columns) for columns in stored]
+    def _read_rows_where(self, condition: str, value: int | str) -> list[ScenarioRecord]:
+        self._database.require_all_rows("scenarios")
+        stored = self._database.read_rows("scenarios", condition, value)
+        with reraise_as_damage(self.path):
+            return [self._decode_row(*columns) for columns in stored]
 
-    def rows_of(self, turn: int) -> list[Row]:
+    def rows_of_round(self, round_number: int) -> list[ScenarioRecord]:
         """List the scenarios of a round.
 
         Parameters
@@ -233,9 +233,9 @@ class Study:
         list of ScenarioRecord
             In the order in which they were proposed.
         """
-        return self._rows_where("round = ?", turn)
+        return self._read_rows_where("round = ?", round_number)
 
-    def rows_from(self, first: int) -> list[Row]:
+    def rows_from_id(self, first_id: int) -> list[ScenarioRecord]:
         """List the scenarios from an id on.
 
         Parameters
@@ -247,9 +247,9 @@ class Study:
         list of ScenarioRecord
             In the order in which they were proposed.
         """
-        return self._rows_where("id >= ?", first)
+        return self._read_rows_where("id >= ?", first_id)
 
-    def done(self) -> list[Row]:
+    def finished_rows(self) -> list[ScenarioRecord]:
         """List the scenarios that ran successfully.
 
         Returns
@@ -258,14 +258,14 @@ class Study:
         """
         return [row for row in self.rows() if row.state == "done"]
 
-    def failed(self) -> list[Row]:
+    def failed_rows(self) -> list[ScenarioRecord]:
         """List the scenarios that failed.
 
         Returns
         -------
         list of ScenarioRecord
         """
-        return self._rows_where("state = ?", "failed")
+        return self._read_rows_where("state = ?", "failed")
 
     def points(self) -> FloatArray:
         """Points of the scenarios that ran.
@@ -275,16 +275,16 @@ class Study:
         ndarray of float64, shape (n, d)
             In the unit cube.
         """
-        return np.array([row.point for row in self.done()]).reshape(-1, self.space.dimension)
+        return np.array([row.point for row in self.finished_rows()]).reshape(-1, self.space.dimension)
 
-    def audits(self) -> BoolArray:
+    def audit_mask(self) -> BoolArray:
         """Mask of the scenarios that ran which are audits: drawn at random, and hidden from the search.
 
         Returns
         -------
         ndarray of bool, shape (n,)
         """
-        return np.array([self.meta.is_audit(row.id) for row in self.done()], dtype=np.bool_)
+        return np.array([self.meta.is_audit(row.id) for row in self.finished_rows()], dtype=np.bool_)
 
     def scores(self, metric: str) -> FloatArray:
         """Scores of the scenarios that ran.
@@ -305,13 +305,13 @@ class Study:
         """
         self._require_metric(metric)
         with self.snapshot():
-            self._database.require_all("courses")
-            done = self.done()
-            score_of = {scenario: score for scenario, _, score in self._database.rows("courses", "metric = ?", metric)}
-        with damage_told(self.path):
+            self._database.require_all_rows("courses")
+            done = self.finished_rows()
+            score_of = {scenario: score for scenario, _, score in self._database.read_rows("courses", "metric = ?", metric)}
+        with reraise_as_damage(self.path):
             return np.array([float(score_of[row.id]) for row in done], dtype=np.float64)
 
-    def scores_of(self, scenario: int) -> dict[str, float]:
+    def scenario_scores(self, scenario: int) -> dict[str, float]:
         """Scores of one scenario.
 
         Parameters
@@ -324,11 +324,11 @@ class Study:
         dict of str to float
             By metric, in the metric's unit; empty if it has not run.
         """
-        scores = {name: score for _, name, score in self._database.rows("courses", "scenario = ?", scenario)}
-        with damage_told(self.path):
+        scores = {name: score for _, name, score in self._database.read_rows("courses", "scenario = ?", scenario)}
+        with reraise_as_damage(self.path):
             return {name: float(scores[name]) for name in self.meta.metrics if name in scores}
 
-    def references(self, driver: str) -> dict[int, ReferenceOutcome]:
+    def reference_outcomes(self, driver: str) -> dict[int, ReferenceOutcome]:
         """Outcomes of the scenarios that were run again with a reference driver in the ego.
 
         Parameters
@@ -341,12 +341,12 @@ class Study:
         dict of int to ReferenceOutcome
             By id of each scenario that was run with it.
         """
-        self._database.require_all("courses")
-        stored = self._database.rows("courses", "metric = ?", row_name(driver), blob=True)
-        with damage_told(self.path):
-            return {scenario: read_reference(score, packed) for scenario, _, score, packed in stored}
+        self._database.require_all_rows("courses")
+        stored = self._database.read_rows("courses", "metric = ?", reference_metric_name(driver), with_blob=True)
+        with reraise_as_damage(self.path):
+            return {scenario: decode_reference_outcome(score, packed) for scenario, _, score, packed in stored}
 
-    def against(self, metric: str) -> dict[int, str | None]:
+    def score_sources(self, metric: str) -> dict[int, str | None]:
         """Name the entity that each score is against, in a study of several others.
 
         Parameters
@@ -369,17 +369,17 @@ class Study:
         if len(others) == 1:
             return {}
         with self.snapshot():
-            self._database.require_all("against")
-            done = self.done()
-            sources = {scenario: other for scenario, _, other in self._database.rows("against", "metric = ?", metric)}
-        with damage_told(self.path):
-            require(
+            self._database.require_all_rows("against")
+            done = self.finished_rows()
+            sources = {scenario: other for scenario, _, other in self._database.read_rows("against", "metric = ?", metric)}
+        with reraise_as_damage(self.path):
+            require_value(
                 all(scenario is None or scenario in others for scenario in sources.values()),
                 f"a score of {metric} is against an unknown entity",
             )
             return {row.id: sources[row.id] for row in done}
 
-    def against_of(self, scenario: int) -> dict[str, str | None]:
+    def scenario_score_sources(self, scenario: int) -> dict[str, str | None]:
         """Name the entity that each score of one scenario is against, in a study of several others.
 
         Parameters
@@ -394,15 +394,15 @@ class Study:
         """
         if len(self.meta.others) == 1:
             return {}
-        sources = {name: other for _, name, other in self._database.rows("against", "scenario = ?", scenario)}
-        with damage_told(self.path):
-            require(
+        sources = {name: other for _, name, other in self._database.read_rows("against", "scenario = ?", scenario)}
+        with reraise_as_damage(self.path):
+            require_value(
                 all(source is None or source in self.meta.others for source in sources.values()),
                 "a score is against an unknown entity",
             )
             return {name: sources[name] for name in self.meta.metrics if name in sources}
 
-    def main_other(self) -> str:
+    def primary_other(self) -> str:
         """Choose the one of several others that describes how scenarios end, and that aspects compare.
 
         Returns
@@ -418,11 +418,11 @@ class Study:
         has_rounds = not self.meta.asynchronous
         first_ids = {row.id for row in self.rows() if (row.round == 1 if has_rounds else row.id <= self.meta.batch)}
         counts = Counter(
-            source for scenario, source in self.against(self.meta.metrics[0]).items() if scenario in first_ids
+            source for scenario, source in self.score_sources(self.meta.metrics[0]).items() if scenario in first_ids
         )
         return max(others, key=counts.__getitem__)
 
-    def reference_of(self, scenario: int, driver: str) -> ReferenceOutcome | None:
+    def reference_outcome(self, scenario: int, driver: str) -> ReferenceOutcome | None:
         """Outcome of one scenario that was run again with a reference driver in the ego.
 
         Parameters
@@ -438,11 +438,11 @@ class Study:
             None if it was not run with this driver.
         """
         condition = "scenario = ? AND metric = ?"
-        stored = self._database.rows("courses", condition, scenario, row_name(driver), blob=True)
-        with damage_told(self.path):
-            return read_reference(*stored[0][2:]) if stored else None
+        stored = self._database.read_rows("courses", condition, scenario, reference_metric_name(driver), with_blob=True)
+        with reraise_as_damage(self.path):
+            return decode_reference_outcome(*stored[0][2:]) if stored else None
 
-    def spread(self, metric: str) -> FloatArray | None:
+    def score_range(self, metric: str) -> FloatArray | None:
         """Lowest and highest score among the runs of each scenario that ran.
 
         Parameters
@@ -460,21 +460,21 @@ class Study:
             The study has no such metric.
         """
         self._require_metric(metric)
-        if (scores := self._runs(metric)) is None:
+        if (scores := self._read_run_scores(metric)) is None:
             return None
-        with damage_told(self.path):
+        with reraise_as_damage(self.path):
             return np.array([[min(run_scores), max(run_scores)] for run_scores in scores], dtype=np.float64)
 
-    def _runs(self, metric: str) -> list[Any] | None:
+    def _read_run_scores(self, metric: str) -> list[Any] | None:
         """Scores of all runs of each scenario that ran; None if each has one run."""
         with self.snapshot():
-            self._database.require_all("repeats")
-            done = self.done()
-            texts = {scenario: text for scenario, _, text in self._database.rows("repeats", "metric = ?", metric)}
+            self._database.require_all_rows("repeats")
+            done = self.finished_rows()
+            texts = {scenario: text for scenario, _, text in self._database.read_rows("repeats", "metric = ?", metric)}
         if not texts:
             return None
-        with damage_told(self.path):
-            return [loaded_json(texts[row.id]) for row in done]
+        with reraise_as_damage(self.path):
+            return [parse_json(texts[row.id]) for row in done]
 
     def course(self, scenario: int, metric: str) -> FloatArray:
         """Course of a metric in one scenario.
@@ -496,13 +496,13 @@ class Study:
             The scenario has not run, its id is not an integer, or the study has no such metric.
         """
         self._require_metric(metric)
-        scenario_id = whole_number("scenario", scenario, most=_LARGEST_ID)
-        rows = self._database.rows("courses", "scenario = ? AND metric = ?", scenario_id, metric, blob=True)
+        scenario_id = check_int("scenario", scenario, maximum=_MAX_ID)
+        rows = self._database.read_rows("courses", "scenario = ? AND metric = ?", scenario_id, metric, with_blob=True)
         if not rows:
             raise InputError(f"{self.path}: the scenario {scenario_id} was not run.")
-        with damage_told(self.path):
+        with reraise_as_damage(self.path):
             course = np.asarray(unpack_arrays(rows[0][-1])["course"])
-            require(
+            require_value(
                 course.ndim == 1 and course.dtype.kind in "fiu", f"the course of {metric} in the scenario {scenario_id}"
             )
             return course
@@ -524,18 +524,18 @@ class Study:
         InputError
             The scenario has not run, or its id is not an integer.
         """
-        return self._unpacked(self._packed(scenario))
+        return self._unpack_recording(self._read_packed_recording(scenario))
 
-    def _packed(self, scenario: int) -> bytes:
-        scenario_id = whole_number("scenario", scenario, most=_LARGEST_ID)
-        rows = self._database.rows("scenarios", "id = ?", scenario_id, blob=True)
+    def _read_packed_recording(self, scenario: int) -> bytes:
+        scenario_id = check_int("scenario", scenario, maximum=_MAX_ID)
+        rows = self._database.read_rows("scenarios", "id = ?", scenario_id, with_blob=True)
         if not rows or rows[0][-1] is None:
             raise InputError(f"{self.path}: the scenario {scenario_id} was not run.")
         packed: bytes = rows[0][-1]
         return packed
 
-    def _unpacked(self, packed: bytes) -> Recording:
-        with damage_told(self.path):
+    def _unpack_recording(self, packed: bytes) -> Recording:
+        with reraise_as_damage(self.path):
             return unpack_recording(packed)
 
     def collisions(self) -> dict[int, tuple[Collision, ...]]:
@@ -546,9 +546,9 @@ class Study:
         dict of int to tuple of Collision
             By id, in the order in which they were proposed.
         """
-        self._database.require_all("scenarios")
-        iterator = self._database.each_row("scenarios", "state = 'done'", blob=True)
-        with damage_told(self.path), closing(iterator) as rows:
+        self._database.require_all_rows("scenarios")
+        iterator = self._database.iter_rows("scenarios", "state = 'done'", with_blob=True)
+        with reraise_as_damage(self.path), closing(iterator) as rows:
             return {row[0]: unpack_collisions(row[-1]) for row in rows}
 
     def outcomes(self) -> dict[int, str]:
@@ -559,7 +559,7 @@ class Study:
         dict of int to str
             By id of each scenario that had run when the study was analyzed.
         """
-        rows = self._database.rows("outcomes")
+        rows = self._database.read_rows("outcomes")
         return {scenario: str(outcome) for scenario, outcome in rows}
 
     def notes(self) -> dict[int, str]:
@@ -570,10 +570,10 @@ class Study:
         dict of int to str
             By id of each scenario that has a note.
         """
-        rows = self._database.rows("notes")
-        with damage_told(self.path):
+        rows = self._database.read_rows("notes")
+        with reraise_as_damage(self.path):
             for scenario, note in rows:
-                require(isinstance(note, str) and len(note) <= LONGEST_NOTE, f"the note on the scenario {scenario}")
+                require_value(isinstance(note, str) and len(note) <= MAX_NOTE_LENGTH, f"the note on the scenario {scenario}")
             return dict(rows)
 
     def _require_metric(self, metric: str) -> None:
@@ -585,9 +585,9 @@ class Study:
     @property
     def critical(self) -> float | None:
         """Threshold: that of the study, or the one that currently replaces it."""
-        return self.meta.critical if self._asked is None else self._asked
+        return self.meta.critical if self._critical_override is None else self._critical_override
 
-    def ask(self, critical: float | None) -> float | None:
+    def override_critical(self, critical: float | None) -> float | None:
         """Replace the threshold from now on; the file stays as it is.
 
         Parameters
@@ -600,7 +600,7 @@ class Study:
         float or None
             The previous replacement.
         """
-        previous, self._asked = self._asked, critical
+        previous, self._critical_override = self._critical_override, critical
         return previous
 
     def __enter__(self) -> Self:
@@ -610,7 +610,7 @@ class Study:
         self.close()
 
     def __repr__(self) -> str:
-        meta, counts = self.meta, self._counts()
+        meta, counts = self.meta, self._count_states()
         return (
             f"<Study {str(self.path)!r}: {meta.title}, {meta.ego} and {', '.join(meta.others)}, by"
             f" {', '.join(meta.metrics)}; {counts.get('done', 0)} scenarios run, {counts.get('failed', 0)} failed,"
@@ -626,9 +626,9 @@ class Study:
         with suppress(InputError):
             metric = METRICS.create(self.meta.metrics[0])
             table = table.sort_values(metric.name, ascending=metric.lower_is_critical, kind="stable")
-        return f"<p>{escape(repr(self))}</p>{table.head(_SHOWN).to_html(index=False)}"
+        return f"<p>{escape(repr(self))}</p>{table.head(_N_SHOWN_ROWS).to_html(index=False)}"
 
-    def critical_runs(self) -> FloatArray | None:
+    def critical_run_rates(self) -> FloatArray | None:
         """Probability that a run of each scenario is critical, if each was run several times.
 
         Returns
@@ -640,13 +640,13 @@ class Study:
         if self.critical is None or self.meta.weights or self.meta.pareto:
             return None
         metric = METRICS.create(self.meta.metrics[0])
-        if (runs := self._runs(metric.name)) is None:
+        if (runs := self._read_run_scores(metric.name)) is None:
             return None
-        with damage_told(self.path):
-            scores = [[metric.oriented(float(score)) for score in run_scores] for run_scores in runs]
-            return shares_of_runs(scores, metric.oriented(self.critical))
+        with reraise_as_damage(self.path):
+            scores = [[metric.to_minimize(float(score)) for score in run_scores] for run_scores in runs]
+            return critical_run_rates(scores, metric.to_minimize(self.critical))
 
-    def elsewhere(self) -> tuple[FloatArray, FloatArray] | None:
+    def warm_start_data(self) -> tuple[FloatArray, FloatArray] | None:
         """Read the points and scores of the study that the search was warm-started from.
 
         Returns
@@ -663,15 +663,15 @@ class Study:
         """
         if not self.meta.elsewhere:
             return None
-        with damage_told(self.path):
-            rows = self._database.rows("elsewhere")
+        with reraise_as_damage(self.path):
+            rows = self._database.read_rows("elsewhere")
             points = np.array([np.frombuffer(point, dtype="<f8") for point, _ in rows], dtype=np.float64)
             scores = np.array([score for _, score in rows], dtype=np.float64)
-            digest = digest_of_scores(points, scores)
-            require(digest == self.meta.elsewhere.get("sha256"), "the warm-start data is incomplete")
+            digest = hash_points_and_scores(points, scores)
+            require_value(digest == self.meta.elsewhere.get("sha256"), "the warm-start data is incomplete")
             return points, scores
 
-    def analyses(self) -> list[str]:
+    def analyzed_aspects(self) -> list[str]:
         """List the aspects that the study was analyzed by.
 
         Returns
@@ -679,11 +679,11 @@ class Study:
         list of str
             ``ego-trajectory`` first, then the others in alphabetical order, the metrics last.
         """
-        names = {str(name) for name, _ in self._database.rows("analyses")} - {"reduction", "estimate"}
+        names = {str(name) for name, _ in self._database.read_rows("analyses")} - {"reduction", "estimate"}
         metrics = [name for name in self.meta.metrics if name in names]
         return [*sorted(names - set(metrics), key=lambda name: (name != "ego-trajectory", name)), *metrics]
 
-    def analysis(self, name: str, *arrays: str) -> tuple[dict[str, Any], dict[str, Any]]:
+    def read_analysis(self, name: str, *array_names: str) -> tuple[dict[str, Any], dict[str, Any]]:
         """Read the stored result of an analysis.
 
         Parameters
@@ -704,24 +704,24 @@ class Study:
         InputError
             There is no such result.
         """
-        rows = self._database.rows("analyses", "name = ?", name)
+        rows = self._database.read_rows("analyses", "name = ?", name)
         if not rows:
-            others = ", ".join(self.analyses())
+            others = ", ".join(self.analyzed_aspects())
             advice = (
                 f", only by {others}; choose among these, or run `analyze` by it" if others else "; run `analyze` first"
             )
             raise InputError(f"{self.path}: holds no analysis by {name}{advice}.")
-        self._database.require_all("arrays")
+        self._database.require_all_rows("arrays")
         # In the order in which they were written.
         query = "SELECT name FROM arrays WHERE analysis = ? AND part = 0 ORDER BY rowid"
-        stored = [key for (key,) in self._database.found(query, name)]
-        if missing := sorted(set(arrays).difference(stored)):
+        stored = [key for (key,) in self._database.query(query, name)]
+        if missing := sorted(set(array_names).difference(stored)):
             raise InputError(f"{self.path}: its analysis by {name} lacks {', '.join(missing)}; run `analyze` again.")
-        with damage_told(self.path), self.snapshot():
-            values = read_arrays(self._database.rows, name, list(arrays or stored), sum(self._counts().values()))
-            return values, loaded_json(rows[0][1])
+        with reraise_as_damage(self.path), self.snapshot():
+            values = read_arrays(self._database.read_rows, name, list(array_names or stored), sum(self._count_states().values()))
+            return values, parse_json(rows[0][1])
 
-    def reduction(self) -> dict[str, Any] | None:
+    def read_reduction(self) -> dict[str, Any] | None:
         """Read the description of the reduced set, as in its manifest.
 
         Returns
@@ -729,9 +729,9 @@ class Study:
         dict or None
             None before the reduction.
         """
-        return self._info("reduction")
+        return self._read_analysis_info("reduction")
 
-    def estimate(self) -> dict[str, Any] | None:
+    def read_estimate(self) -> dict[str, Any] | None:
         """Read the result of an estimate of probabilities.
 
         Returns
@@ -739,15 +739,15 @@ class Study:
         dict or None
             None if the study is not an estimate, or has not ended.
         """
-        return self._info("estimate")
+        return self._read_analysis_info("estimate")
 
-    def _info(self, name: str) -> dict[str, Any] | None:
-        self._database.require_all("analyses")
-        rows = self._database.rows("analyses", "name = ?", name)
-        with damage_told(self.path):
-            return dict(loaded_json(rows[0][1])) if rows else None
+    def _read_analysis_info(self, name: str) -> dict[str, Any] | None:
+        self._database.require_all_rows("analyses")
+        rows = self._database.read_rows("analyses", "name = ?", name)
+        with reraise_as_damage(self.path):
+            return dict(parse_json(rows[0][1])) if rows else None
 
-    def results(self) -> list[tuple[int, int]]:
+    def result_order(self) -> list[tuple[int, int]]:
         """Read the order in which the results of an asynchronous search came.
 
         Returns
@@ -759,27 +759,27 @@ class Study:
         if not self.meta.asynchronous:
             return []
         with self.snapshot():
-            stored = self._database.rows("results")
+            stored = self._database.read_rows("results")
             rows = {row.id: row for row in self.rows()}
         ended_ids = {row.id for row in rows.values() if row.state != "pending"}
-        with damage_told(self.path):
+        with reraise_as_damage(self.path):
             rounds = [round_number for _, _, round_number in stored]
-            require(
+            require_value(
                 all(isinstance(round_number, int) for round_number in rounds) and rounds == sorted(rounds),
                 "the order of its results",
             )
             last = max((row.round for row in rows.values()), default=0)
-            require(
+            require_value(
                 all(rows[scenario_id].round < round_number <= last + 1 for _, scenario_id, round_number in stored),
                 "a result's round",
             )
-            require(
+            require_value(
                 len(stored) == len(ended_ids) and {scenario_id for _, scenario_id, _ in stored} == ended_ids,
                 "a result is missing, there twice, or of a scenario that has not ended",
             )
             return [(scenario, round_number) for _, scenario, round_number in stored]
 
-    def elapsed(self) -> dict[str, float]:
+    def elapsed_by_stage(self) -> dict[str, float]:
         """Time spent by stage.
 
         Returns
@@ -787,10 +787,10 @@ class Study:
         dict of str to float
             s, in the order of the stages.
         """
-        rows = self._database.rows("elapsed")
-        with damage_told(self.path):
+        rows = self._database.read_rows("elapsed")
+        with reraise_as_damage(self.path):
             seconds_of = {str(stage): float(seconds) for stage, seconds in rows}
-        return {stage: seconds_of[stage] for stage in (*STAGES, *seconds_of) if stage in seconds_of}
+        return {stage: seconds_of[stage] for stage in (*ELAPSED_STAGES, *seconds_of) if stage in seconds_of}
 
     def table(self) -> pd.DataFrame:
         """Make a table of all scenarios.
@@ -811,38 +811,38 @@ class Study:
             scores = {}
             for name in self.meta.metrics:
                 scores[name] = self.scores(name)
-                if (spread := self.spread(name)) is not None:
+                if (spread := self.score_range(name)) is not None:
                     scores[f"lowest {name}"], scores[f"highest {name}"] = spread.T
             with suppress(InputError):  # The package of a metric may be missing.
-                if (runs := self.critical_runs()) is not None:
-                    scores |= dict(zip(_CRITICAL_RUNS, runs.T, strict=True))
+                if (runs := self.critical_run_rates()) is not None:
+                    scores |= dict(zip(_CRITICAL_RUN_COLUMNS, runs.T, strict=True))
             clusters = {}
-            for name in self.analyses():
-                arrays, _ = self.analysis(name, "ids", "labels")
+            for name in self.analyzed_aspects():
+                arrays, _ = self.read_analysis(name, "ids", "labels")
                 clusters[name] = arrays["ids"], arrays["labels"]
             rows = self.rows()
             ids = {row.id for row in rows}
-            with damage_told(self.path):
+            with reraise_as_damage(self.path):
                 for name, ids_and_labels in clusters.items():
                     is_valid = all(
                         array.ndim == 1 and array.dtype.kind == "i" and len(array) == len(ids_and_labels[0])
                         for array in ids_and_labels
                     )
-                    require(
+                    require_value(
                         is_valid and set(ids_and_labels[0].tolist()) <= ids,
                         f"its clusters by {name} are of other scenarios",
                     )
                 audits = [self.meta.is_audit(row.id) for row in rows] if self.meta.audit else None
-                against = {name: self.against(name) for name in self.meta.metrics if len(self.meta.others) > 1}
-                counts = self._counts_of_runs() if self.meta.most_repeats is not None else None
-                return scenario_table(
+                against = {name: self.score_sources(name) for name in self.meta.metrics if len(self.meta.others) > 1}
+                counts = self._count_runs() if self.meta.most_repeats is not None else None
+                return build_scenario_table(
                     rows, self.space, scores, clusters, self.outcomes(), audits, self.notes(), against, counts
                 )
 
-    def _counts_of_runs(self) -> dict[int, int]:
+    def _count_runs(self) -> dict[int, int]:
         """Number of runs that did not fail, by id of each scenario that ran."""
-        runs = self._runs(self.meta.metrics[0]) or []
-        return {row.id: len(scores) for row, scores in zip(self.done(), runs, strict=True)}
+        runs = self._read_run_scores(self.meta.metrics[0]) or []
+        return {row.id: len(scores) for row, scores in zip(self.finished_rows(), runs, strict=True)}
 
     def export(self, folder: Path | str, parquet: bool = False) -> None:
         """Write everything as CSV: one table of scenarios, and recording and courses of each.
@@ -861,14 +861,14 @@ class Study:
         InputError
             The folder cannot be written, or the package that writes Parquet is not installed; no file has changed then.
         """
-        folder = require_folder("folder", folder)
+        folder = check_folder("folder", folder)
         table = self.table()
         # All files appear at the end, so that a damaged study leaves no partial export.
-        with written_together():
+        with atomic_write_group():
             write_table(folder, table, parquet)
-            write_scenarios(folder, self.recorded(), parquet)
+            write_scenarios(folder, self.iter_recordings(), parquet)
 
-    def recordings_beside(self, scenario: int, other: Study, its: int) -> tuple[Recording, Recording]:
+    def read_recording_pair(self, scenario: int, other: Study, other_scenario: int) -> tuple[Recording, Recording]:
         """Recordings of a scenario and of one of another study.
 
         Parameters
@@ -891,11 +891,11 @@ class Study:
         InputError
             As by `recording`.
         """
-        packed, other_packed = self._packed(scenario), other._packed(its)
-        recording = self._unpacked(packed)
-        return recording, recording if packed == other_packed else other._unpacked(other_packed)
+        packed, other_packed = self._read_packed_recording(scenario), other._read_packed_recording(other_scenario)
+        recording = self._unpack_recording(packed)
+        return recording, recording if packed == other_packed else other._unpack_recording(other_packed)
 
-    def recorded(self) -> Iterator[tuple[int, Recording, dict[str, FloatArray]]]:
+    def iter_recordings(self) -> Iterator[tuple[int, Recording, dict[str, FloatArray]]]:
         """Yield recording and courses of each scenario that ran.
 
         Yields
@@ -911,19 +911,19 @@ class Study:
         InputError
             A course has another length than its recording.
         """
-        for row in self.done():
+        for row in self.finished_rows():
             recording = self.recording(row.id)
             courses = {name: self.course(row.id, name) for name in self.meta.metrics}
-            with damage_told(self.path):
+            with reraise_as_damage(self.path):
                 for name, course in courses.items():
-                    require(
+                    require_value(
                         len(course) == len(recording.time),
                         f"{len(course)} instants of {name} in the scenario {row.id}, of which the recording has"
                         f" {len(recording.time)}",
                     )
             yield row.id, recording, courses
 
-    def require_sound(self) -> None:
+    def require_undamaged(self) -> None:
         """Check all checksums without unpacking anything.
 
         Raises
@@ -931,14 +931,14 @@ class Study:
         InputError
             Something is damaged.
         """
-        tables = {name for (name,) in self._database.found("SELECT name FROM sqlite_master WHERE type = 'table'")}
+        tables = {name for (name,) in self._database.query("SELECT name FROM sqlite_master WHERE type = 'table'")}
         for table in (name for name in TABLES if name in tables):
-            self._database.require_all(table)
-            with closing(self._database.each_row(table, blob=True)) as rows:
+            self._database.require_all_rows(table)
+            with closing(self._database.iter_rows(table, with_blob=True)) as rows:
                 for _ in rows:
                     pass
 
-    def tallies(self) -> dict[str, tuple[int, int]]:
+    def checksum_totals(self) -> dict[str, tuple[int, int]]:
         """Row counts and checksums of all tables, to compare studies by.
 
         Returns
@@ -946,9 +946,9 @@ class Study:
         dict of str to (int, int)
             Number of rows, and the XOR of their checksums, by table.
         """
-        return {name: (rows, sums) for name, rows, sums in self._database.rows("tallies")}
+        return {name: (rows, sums) for name, rows, sums in self._database.read_rows("tallies")}
 
-    def _counts(self) -> dict[str, int]:
+    def _count_states(self) -> dict[str, int]:
         """Number of scenarios by state."""
         return Counter(row.state for row in self.rows())
 
@@ -960,41 +960,41 @@ def open_study(study: Study | Path | str, readonly: bool = False, critical: floa
     `critical` replaces the threshold of the study within the block; the file stays as it is. Raises `InputError` if an
     open study cannot be written but should be, or if the study has no single score that a threshold could apply to.
     """
-    threshold = None if critical is None else number("critical", critical)
+    threshold = None if critical is None else check_float("critical", critical)
     if isinstance(study, Study):
         if study.readonly and not readonly:
             raise InputError(f"{study.path}: is open for reading only; open it with readonly=False, or give its path.")
-        with _asked(study, threshold):
+        with _override_critical(study, threshold):
             yield study
         return
-    with Study.open(arguments.path("study", study), readonly) as opened, _asked(opened, threshold):
+    with Study.open(arguments.check_path("study", study), readonly) as opened, _override_critical(opened, threshold):
         yield opened
 
 
 @contextmanager
-def _asked(study: Study, threshold: float | None) -> Iterator[None]:
+def _override_critical(study: Study, critical: float | None) -> Iterator[None]:
     """Replace the threshold of a study within the block."""
-    if threshold is None:
+    if critical is None:
         yield
         return
     meta = study.meta
-    if condition := condition_of(meta.metrics):
+    if condition := find_critical_if_condition(meta.metrics):
         raise InputError(f"{study.path}: the condition '{condition}' replaces a threshold; leave out `critical`.")
     if meta.pareto:
         raise InputError(f"{study.path}: a Pareto front has no threshold; leave out `critical`.")
-    if study.estimate() is not None:
+    if study.read_estimate() is not None:
         raise InputError(
             f"{study.path}: its probabilities are for the threshold of the estimate; give `critical` to `estimate`."
         )
-    previous = study.ask(threshold)
+    previous = study.override_critical(critical)
     try:
         yield
     finally:
-        study.ask(previous)
+        study.override_critical(previous)
 
 
 @contextmanager
-def begun_study(path: Path, meta: StudyMeta) -> Iterator[Study]:
+def open_or_create_study(path: Path, meta: StudyMeta) -> Iterator[Study]:
     """Open a study for writing for as long as the block lasts; create it if there is none.
 
     A study that was created is removed again if the block raises `InputError` and no scenario has run.
@@ -1009,8 +1009,8 @@ def begun_study(path: Path, meta: StudyMeta) -> Iterator[Study]:
         except InputError:
             # The error of the block matters more than that of removing the file.
             with suppress(InputError, OSError):
-                if not study.done() and not study.notes():
+                if not study.finished_rows() and not study.notes():
                     study.close()
                     path.unlink()
-                    remove_log(path)
+                    remove_sqlite_files(path)
             raise

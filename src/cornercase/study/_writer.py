@@ -11,28 +11,28 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy.typing as npt
 
 from cornercase._common.errors import InputError, SimulationError
-from cornercase._common.texts import without_folders
+from cornercase._common.texts import remove_folders
 from cornercase._common.typing import FloatArray
 from cornercase.drivers import ReferenceOutcome
-from cornercase.metrics import Measured
+from cornercase.metrics import MetricResult
 from cornercase.recordings import Recording
 from cornercase.scenario import Value
 from cornercase.study.arrays import write_arrays
 from cornercase.study.codec import pack_arrays, pack_recording
 from cornercase.study.database import Database
 from cornercase.study.meta import StudyMeta
-from cornercase.study.schema import STATEMENTS, TABLES
-from cornercase.study.seals import put, remove
-from cornercase.study.second_runs import write_references
-from cornercase.study.table import Row
+from cornercase.study.schema import CREATE_STATEMENTS, TABLES
+from cornercase.study.seals import insert_rows, delete_rows
+from cornercase.study.second_runs import write_reference_outcomes
+from cornercase.study.table import ScenarioRecord
 
 if TYPE_CHECKING:
     from cornercase.study._study import Study
 
 # Tables with content, each before those that it refers to.
-_CONTENT: Final = tuple(table for table in reversed(TABLES) if table not in ("meta", "tallies"))
+_CONTENT_TABLES: Final = tuple(table for table in reversed(TABLES) if table not in ("meta", "tallies"))
 # Fields that may change when a study is continued.
-_CHANGING: Final = ("space", "critical", "budget", "kinds", "requirements", "origin")
+_MUTABLE_FIELDS: Final = ("space", "critical", "budget", "kinds", "requirements", "origin")
 
 
 class StudyWriter:
@@ -41,20 +41,20 @@ class StudyWriter:
     def __init__(self, study: Study, database: Database) -> None:
         self._study, self._database = study, database
 
-    def continue_with(self, meta: StudyMeta, *, same_budget: bool = False) -> None:
+    def resume(self, meta: StudyMeta, *, same_budget: bool = False) -> None:
         """Check that the study matches `meta`, and update what may change; raises `InputError` if it does not.
 
         Budget, requirements and kinds of a suite, constraints of the space, and a missing threshold may change; with
         `same_budget` the budget may not, because the optimizer depends on it. A study in which no scenario has ended
         yet takes over `meta` completely.
         """
-        self._study.require_sound()
+        self._study.require_undamaged()
         try:
-            self._study.meta.require_same(meta, self._study.path, same_budget=same_budget)
+            self._study.meta.require_resumable(meta, self._study.path, same_budget=same_budget)
         except InputError:
             if any(row.state != "pending" for row in self._study.rows()):
                 raise
-            self._begin_anew(meta)
+            self._reset(meta)
         updated = replace(
             self._study.meta,
             space=self._study.space if self._study.space.declarations else meta.space,
@@ -68,69 +68,69 @@ class StudyWriter:
         )
         if updated == self._study.meta:
             return
-        with self._database.writing() as connection:
+        with self._database.transaction() as connection:
             values = updated.to_json()
-            put(connection, "meta", [(key, json.dumps(values[key], sort_keys=True)) for key in _CHANGING])
+            insert_rows(connection, "meta", [(key, json.dumps(values[key], sort_keys=True)) for key in _MUTABLE_FIELDS])
         self._study.meta, self._study.space = updated, updated.space
 
-    def keep_elsewhere(self, points: FloatArray, scores: FloatArray) -> None:
+    def save_warm_start(self, points: FloatArray, scores: FloatArray) -> None:
         """Store points, shape (n, d), and minimized scores of another study for a warm start, unless they exist."""
         rows = [(point.astype("<f8").tobytes(), score) for point, score in zip(points, scores.tolist(), strict=True)]
-        with self._database.writing() as connection:
+        with self._database.transaction() as connection:
             if connection.execute("SELECT 1 FROM elsewhere LIMIT 1").fetchone() is not None:
                 return
-            put(connection, "elsewhere", rows)
+            insert_rows(connection, "elsewhere", rows)
 
-    def save_repeatability(self, scenario: int, same: bool, apart: float | None) -> None:
+    def save_repeatability(self, scenario: int, same: bool, max_distance: float | None) -> None:
         """Store whether a second run of a scenario gave the same bytes, and the largest distance of an entity in m."""
-        result = {"scenario": scenario, "same": same, "apart": apart}
-        with self._database.writing() as connection:
-            put(connection, "meta", [("repeatability", json.dumps(result, sort_keys=True))])
+        result = {"scenario": scenario, "same": same, "apart": max_distance}
+        with self._database.transaction() as connection:
+            insert_rows(connection, "meta", [("repeatability", json.dumps(result, sort_keys=True))])
         self._study.meta = replace(self._study.meta, repeatability=result)
 
-    def clear(self) -> None:
+    def remove_scenarios(self) -> None:
         """Remove all scenarios, and everything about them."""
-        with self._database.writing() as connection:
+        with self._database.transaction() as connection:
             _remove_content(connection)
 
-    def _begin_anew(self, meta: StudyMeta) -> None:
+    def _reset(self, meta: StudyMeta) -> None:
         """Turn the study into an empty one with another description."""
-        with self._database.writing() as connection:
+        with self._database.transaction() as connection:
             _remove_content(connection)
-            for name in optional_tables(meta):
-                connection.execute(STATEMENTS[name].replace("CREATE TABLE", "CREATE TABLE IF NOT EXISTS"))
-            remove(connection, "meta")
+            for name in optional_table_names(meta):
+                connection.execute(CREATE_STATEMENTS[name].replace("CREATE TABLE", "CREATE TABLE IF NOT EXISTS"))
+            delete_rows(connection, "meta")
             items = meta.to_json().items()
-            put(connection, "meta", [(key, json.dumps(value, sort_keys=True)) for key, value in items])
+            insert_rows(connection, "meta", [(key, json.dumps(value, sort_keys=True)) for key, value in items])
         self._study.meta, self._study.space = meta, meta.space
 
-    def propose(
+    def add_pending(
         self,
-        number: int,
+        round_number: int,
         points: FloatArray,
         values: Sequence[Mapping[str, Value]],
         ids: Sequence[int] | None = None,
-    ) -> list[Row]:
+    ) -> list[ScenarioRecord]:
         """Store a round of proposed scenarios as pending, all or none.
 
         `ids` are those of lost scenarios, by default the next ones; `points` are in the unit cube, shape (n, d);
         `round_number` counts from 1.
         """
-        with self._database.writing() as connection:
+        with self._database.transaction() as connection:
             ((last,),) = connection.execute("SELECT COALESCE(MAX(id), 0) FROM scenarios")
             numbers = range(last + 1, last + 1 + len(points)) if ids is None else ids
             rows = [
-                Row(scenario_id, number, point, dict(parameters), "pending", None)
+                ScenarioRecord(scenario_id, round_number, point, dict(parameters), "pending", None)
                 for scenario_id, point, parameters in zip(numbers, points, values, strict=True)
             ]
-            put(connection, "scenarios", [_plain_row(row) for row in rows])
+            insert_rows(connection, "scenarios", [_encode_pending_row(row) for row in rows])
         return rows
 
-    def finish(
+    def record_result(
         self,
         scenario: int,
         recording: Recording,
-        courses: Mapping[str, tuple[FloatArray, float] | Measured],
+        courses: Mapping[str, tuple[FloatArray, float] | MetricResult],
         repeats: Mapping[str, Sequence[float]] | None = None,
         references: Mapping[str, ReferenceOutcome] | None = None,
     ) -> None:
@@ -140,54 +140,54 @@ class StudyWriter:
         reference drivers in the ego, by driver. In a study of several others, `courses` are metric results that name
         the other entity.
         """
-        with self._database.writing() as connection:
-            write_references(connection, scenario, references or {})
+        with self._database.transaction() as connection:
+            write_reference_outcomes(connection, scenario, references or {})
             runs = [(scenario, name, json.dumps(list(scores))) for name, scores in (repeats or {}).items()]
-            put(connection, "repeats", runs)
+            insert_rows(connection, "repeats", runs)
             packed = [
                 (scenario, name, result[1], pack_arrays({"course": result[0]})) for name, result in courses.items()
             ]
-            put(connection, "courses", packed)
+            insert_rows(connection, "courses", packed)
             if len(self._study.meta.others) > 1:
                 sources = [
-                    (scenario, name, result.against) for name, result in courses.items() if isinstance(result, Measured)
+                    (scenario, name, result.against) for name, result in courses.items() if isinstance(result, MetricResult)
                 ]
-                put(connection, "against", sources)
-            self._end(connection, scenario, "done", None, pack_recording(recording))
+                insert_rows(connection, "against", sources)
+            self._end_scenario(connection, scenario, "done", None, pack_recording(recording))
 
-    def save_reference(self, scenario: int, driver: str, outcome: ReferenceOutcome) -> None:
+    def save_reference_outcome(self, scenario: int, driver: str, outcome: ReferenceOutcome) -> None:
         """Store the outcome of a scenario that was run again with a reference driver in the ego."""
-        with self._database.writing() as connection:
-            write_references(connection, scenario, {driver: outcome})
+        with self._database.transaction() as connection:
+            write_reference_outcomes(connection, scenario, {driver: outcome})
 
-    def fail(self, scenario: int, error: SimulationError) -> None:
+    def record_failure(self, scenario: int, error: SimulationError) -> None:
         """Store why a scenario failed."""
-        with self._database.writing() as connection:
-            self._end(connection, scenario, "failed", without_folders(str(error)), None)
+        with self._database.transaction() as connection:
+            self._end_scenario(connection, scenario, "failed", remove_folders(str(error)), None)
 
     def retry_failed(self) -> int:
         """Make failed scenarios pending again; return their number."""
-        failed = self._study.failed()
-        with self._database.writing() as connection:
-            put(connection, "scenarios", [_plain_row(replace(row, state="pending", error=None)) for row in failed])
+        failed = self._study.failed_rows()
+        with self._database.transaction() as connection:
+            insert_rows(connection, "scenarios", [_encode_pending_row(replace(row, state="pending", error=None)) for row in failed])
             for row in failed if self._study.meta.asynchronous else ():
                 # It will get a new result.
-                remove(connection, "results", "scenario = ?", row.id)
+                delete_rows(connection, "results", "scenario = ?", row.id)
         return len(failed)
 
-    def _end(
+    def _end_scenario(
         self, connection: Connection, scenario: int, state: str, error: str | None, recording: bytes | None
     ) -> None:
         """Store that a scenario has ended, and in an asynchronous search that its result has come."""
-        stored = self._database.rows("scenarios", "id = ?", scenario)
+        stored = self._database.read_rows("scenarios", "id = ?", scenario)
         if not stored:
             return
-        put(connection, "scenarios", [(*stored[0][:4], state, error, recording)])
-        if self._study.meta.asynchronous and not self._database.rows("results", "scenario = ?", scenario):
+        insert_rows(connection, "scenarios", [(*stored[0][:4], state, error, recording)])
+        if self._study.meta.asynchronous and not self._database.read_rows("results", "scenario = ?", scenario):
             # The next round is the first that can use this result.
             ((last,),) = connection.execute("SELECT round FROM scenarios ORDER BY id DESC LIMIT 1")
             ((number,),) = connection.execute("SELECT COALESCE(MAX(number), 0) FROM results")
-            put(connection, "results", [(number + 1, scenario, last + 1)])
+            insert_rows(connection, "results", [(number + 1, scenario, last + 1)])
 
     def save_analysis(self, name: str, arrays: Mapping[str, npt.ArrayLike], info: Mapping[str, Any]) -> None:
         """Store arrays and further facts of a result under a name, replacing an earlier one.
@@ -205,33 +205,33 @@ class StudyWriter:
 
         `outcomes` describe how scenarios ended, by id, and are stored with them.
         """
-        with self._database.writing() as connection:
-            put(connection, "outcomes", sorted((outcomes or {}).items()))
+        with self._database.transaction() as connection:
+            insert_rows(connection, "outcomes", sorted((outcomes or {}).items()))
             for name, value in results.items():
-                remove(connection, "analyses", "name = ?", name)
-                remove(connection, "arrays", "analysis = ?", name)
+                delete_rows(connection, "analyses", "name = ?", name)
+                delete_rows(connection, "arrays", "analysis = ?", name)
                 if value is not None:
                     arrays, info = value
-                    put(connection, "analyses", [(name, json.dumps(dict(info)))])
+                    insert_rows(connection, "analyses", [(name, json.dumps(dict(info)))])
                     write_arrays(connection, name, arrays)
 
-    def add_elapsed(self, stage: str, seconds: float) -> None:
+    def add_elapsed_time(self, stage: str, seconds: float) -> None:
         """Add to the time in s spent in a stage."""
-        self.add_all_elapsed({stage: seconds})
+        self.add_elapsed_times({stage: seconds})
 
-    def add_all_elapsed(self, seconds: Mapping[str, float]) -> None:
+    def add_elapsed_times(self, seconds: Mapping[str, float]) -> None:
         """Add to the times in s spent in several stages, in one transaction."""
-        with self._database.writing() as connection:
-            stored = dict(self._database.rows("elapsed"))
-            put(connection, "elapsed", [(stage, stored.get(stage, 0.0) + spent) for stage, spent in seconds.items()])
+        with self._database.transaction() as connection:
+            stored = dict(self._database.read_rows("elapsed"))
+            insert_rows(connection, "elapsed", [(stage, stored.get(stage, 0.0) + spent) for stage, spent in seconds.items()])
 
 
-def _plain_row(row: Row) -> tuple[Any, ...]:
+def _encode_pending_row(row: ScenarioRecord) -> tuple[Any, ...]:
     """Columns of a scenario that has not ended."""
     return row.id, row.round, row.point.astype("<f8").tobytes(), json.dumps(row.values), row.state, row.error, None
 
 
-def optional_tables(meta: StudyMeta) -> tuple[str, ...]:
+def optional_table_names(meta: StudyMeta) -> tuple[str, ...]:
     """Names of the optional tables that the study has."""
     is_present = {"against": len(meta.others) > 1, "results": meta.asynchronous, "elsewhere": bool(meta.elsewhere)}
     return tuple(name for name, present in is_present.items() if present)
@@ -239,6 +239,6 @@ def optional_tables(meta: StudyMeta) -> tuple[str, ...]:
 
 def _remove_content(connection: Connection) -> None:
     tables = {name for (name,) in connection.execute("SELECT name FROM sqlite_master WHERE type = 'table'")}
-    for table in _CONTENT:
+    for table in _CONTENT_TABLES:
         if table in tables:
-            remove(connection, table)
+            delete_rows(connection, table)

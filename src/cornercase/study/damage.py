@@ -12,10 +12,10 @@ from cornercase._common.errors import InputError
 
 T = TypeVar("T")
 
-_PLAIN: Final[dict[Any, Any]] = {float: float | int, int: int, str: str, NoneType: NoneType}
+_ALLOWED_TYPES: Final[dict[Any, Any]] = {float: float | int, int: int, str: str, NoneType: NoneType}
 
 # Errors that damaged values cause.
-_BROKEN: Final = (
+_READ_ERRORS: Final = (
     ValueError, LookupError, TypeError, AttributeError, ArithmeticError, RecursionError, MemoryError, StopIteration,
 )  # fmt: skip
 
@@ -24,13 +24,13 @@ class DamageError(InputError):
     """The content of a study is not what was written."""
 
     @classmethod
-    def of(cls, path: Path, what: str) -> DamageError:
+    def from_problem(cls, path: Path, problem: str) -> DamageError:
         """Say what is damaged, and how to repair it."""
-        return cls(f"{path}: is damaged: {what}; `verify` lists all damage, and repairs it with `repair`.")
+        return cls(f"{path}: is damaged: {problem}; `verify` lists all damage, and repairs it with `repair`.")
 
 
 @contextmanager
-def damage_told(path: Path) -> Iterator[None]:
+def reraise_as_damage(path: Path) -> Iterator[None]:
     """Turn any error from reading unusable content within the block into an `InputError` that names the study."""
     try:
         yield
@@ -39,25 +39,25 @@ def damage_told(path: Path) -> Iterator[None]:
     except InputError as error:
         text = str(error)
         raise InputError(text if str(path) in text else f"{path}: {text}") from error
-    except _BROKEN as error:
+    except _READ_ERRORS as error:
         raise InputError(
             f"{path}: cannot be used as a study ({type(error).__name__}: {error}); it is damaged, or was not written by"
             " cornercase."
         ) from error
 
 
-def require(holds: bool, what: str) -> None:
+def require_value(condition: bool, message: str) -> None:
     """Raise `ValueError` with `message` unless `condition` holds; call it within `reraise_as_damage`."""
-    if not holds:
-        raise ValueError(what)
+    if not condition:
+        raise ValueError(message)
 
 
-def made(kind: type[T], plain: Mapping[str, Any]) -> T:
+def dataclass_from_json(dataclass_type: type[T], values: Mapping[str, Any]) -> T:
     """Make a dataclass from plain values; raise `TypeError` if a value is missing, too many or of another type."""
-    for name, hint in get_type_hints(kind).items():
+    for name, hint in get_type_hints(dataclass_type).items():
         # Nested types are not checked.
         types = get_args(hint) if get_origin(hint) in (Union, UnionType) else (hint,)
-        allowed = tuple(_PLAIN[option] for option in types) if set(types) <= set(_PLAIN) else ()
-        if allowed and name in plain and (isinstance(plain[name], bool) or not isinstance(plain[name], allowed)):
-            raise TypeError(f"{kind.__name__} has {str(plain[name])[:60]!r} as its {name}")
-    return kind(**plain)
+        allowed = tuple(_ALLOWED_TYPES[option] for option in types) if set(types) <= set(_ALLOWED_TYPES) else ()
+        if allowed and name in values and (isinstance(values[name], bool) or not isinstance(values[name], allowed)):
+            raise TypeError(f"{dataclass_type.__name__} has {str(values[name])[:60]!r} as its {name}")
+    return dataclass_type(**values)

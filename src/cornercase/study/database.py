@@ -12,32 +12,32 @@ from pathlib import Path
 from typing import Any, Final
 
 from cornercase._common.errors import InputError, StudyLostError
-from cornercase._common.files import written_whole
-from cornercase._common.platform import alone_in
+from cornercase._common.files import atomic_write
+from cornercase._common.platform import lock_folder
 from cornercase.study.connecting import (
-    connected,
-    damage_of,
-    file_at,
-    is_out_of_reach,
-    remove_log,
-    require_file,
-    require_intact,
-    require_one_name,
-    require_plain,
-    require_still,
-    require_study,
-    sentences,
+    open_connection,
+    add_path_to_damage,
+    file_identity,
+    is_read_only_file,
+    remove_sqlite_files,
+    require_study_file,
+    require_sqlite_integrity,
+    require_single_link,
+    require_known_tables,
+    require_same_file,
+    require_current_schema,
+    reraise_sqlite_errors,
 )
 from cornercase.study.lease import Lease
-from cornercase.study.own_file import OwnFile
-from cornercase.study.schema import ALWAYS, APPLICATION, SCHEMA_VERSION, STATEMENTS
-from cornercase.study.seals import put, read_rows, require_tally
+from cornercase.study.own_file import StudyFileGuard
+from cornercase.study.schema import REQUIRED_TABLES, APPLICATION_ID, SCHEMA_VERSION, CREATE_STATEMENTS
+from cornercase.study.seals import insert_rows, read_rows, require_checksum_totals
 
 # Minimum time in s between transactions that wait until they are on disk.
-_SECONDS_BETWEEN_FORCED: Final = 1.0
+_SYNC_INTERVAL: Final = 1.0
 
 # Time in s that a note waits for other transactions, which take milliseconds.
-_PATIENCE_BESIDE: Final = 5.0
+_NOTE_TIMEOUT: Final = 5.0
 
 
 class Database:
@@ -47,20 +47,20 @@ class Database:
         self.path = path
         self.connection = connection
         self._lease = lease
-        self._closed = self._writing = False
+        self._is_closed = self._is_writing = False
         # Message once the file was moved or overwritten.
-        self._lost = ""
+        self._lost_reason = ""
         # SQLite does not look again at a file that was opened as immutable.
-        self._sees_others = not is_out_of_reach(path)
-        self._forced = -math.inf
-        self._tallied: dict[str, tuple[int, int]] = {}
-        self._own = None if lease is None else OwnFile(path, connection, lease)
+        self._sees_other_writers = not is_read_only_file(path)
+        self._last_sync = -math.inf
+        self._verified_versions: dict[str, tuple[int, int]] = {}
+        self._file_guard = None if lease is None else StudyFileGuard(path, connection, lease)
         if lease is not None:
             # A database that is never closed must not keep others from writing.
-            weakref.finalize(self, lease.give_back)
+            weakref.finalize(self, lease.release)
 
     @classmethod
-    def create(cls, path: Path, meta: Iterable[tuple[str, str]], *more: str) -> Database:
+    def create(cls, path: Path, meta: Iterable[tuple[str, str]], *extra_tables: str) -> Database:
         """Create a study file with the rows of its table `meta` and further tables, and open it for writing.
 
         Raises `InputError` if the file exists already or cannot be written.
@@ -70,55 +70,55 @@ class Database:
         except OSError as error:
             raise InputError(f"{path}: cannot be written ({error.strerror}).") from error
         # If two processes start at once, only one creates the file.
-        with alone_in(path.parent):
+        with lock_folder(path.parent):
             if path.exists():
                 raise InputError(f"{path}: exists already; choose another name or remove it.")
-            remove_log(path)
+            remove_sqlite_files(path)
             # The file gets its name only when it is complete.
-            with written_whole(path) as temporary, sentences(path), closing(sqlite3.connect(temporary)) as connection:
-                make_tables(connection, *more)
-                put(connection, "meta", meta)
+            with atomic_write(path) as temporary, reraise_sqlite_errors(path), closing(sqlite3.connect(temporary)) as connection:
+                create_tables(connection, *extra_tables)
+                insert_rows(connection, "meta", meta)
                 connection.commit()
-        return cls._opened(path, writes=True)
+        return cls._open(path, for_writing=True)
 
     @classmethod
     def open(cls, path: Path, readonly: bool) -> Database:
         """Open a file; raises `InputError` if it is not a study of this version, or another process writes to it."""
-        require_file(path)
+        require_study_file(path)
         # Open it for reading first: a file that is not a study must not be written.
-        reader = cls._opened(path, writes=False)
+        reader = cls._open(path, for_writing=False)
         if readonly:
             return reader
         reader.close()
-        return cls._opened(path, writes=True)
+        return cls._open(path, for_writing=True)
 
     @classmethod
-    def _opened(cls, path: Path, writes: bool) -> Database:
+    def _open(cls, path: Path, for_writing: bool) -> Database:
         """Open for reading, or for writing with a lease."""
         lease = None
-        identity = file_at(path)
-        with sentences(path):
-            connection = connected(path)
+        identity = file_identity(path)
+        with reraise_sqlite_errors(path):
+            connection = open_connection(path)
             try:
                 # Do not trust the file: its views and triggers may not call functions, ...
                 connection.execute("PRAGMA trusted_schema = OFF")
                 connection.execute("PRAGMA cell_size_check = ON")
-                require_study(path, connection)
+                require_current_schema(path, connection)
                 # ... and it may not have any.
-                require_plain(path, connection)
-                if writes:
-                    require_one_name(path)
+                require_known_tables(path, connection)
+                if for_writing:
+                    require_single_link(path)
                     # Damage in unread pages could misdirect writes.
-                    require_intact(path, connection)
+                    require_sqlite_integrity(path, connection)
                     connection.execute("PRAGMA journal_mode = WAL")
-                    lease = Lease.take(path, connection)
-                    require_still(path, identity)
+                    lease = Lease.acquire(path, connection)
+                    require_same_file(path, identity)
                 else:
                     connection.execute("PRAGMA query_only = ON")
                 return cls(path, connection, lease)
             except BaseException:
                 if lease is not None:
-                    lease.give_back(connection)
+                    lease.release(connection)
                 connection.close()
                 raise
 
@@ -129,55 +129,55 @@ class Database:
 
     def close(self) -> None:
         """Close the file; raises `StudyLostError` if it was open for writing and was removed or replaced since."""
-        self._require_own(thorough=True)
-        if not self._closed and self._lease is not None:
-            self._lease.give_back(self.connection)
-        self._closed = True
+        self._require_own_file(force=True)
+        if not self._is_closed and self._lease is not None:
+            self._lease.release(self.connection)
+        self._is_closed = True
         self.connection.close()
 
-    def found(self, question: str, *values: Any) -> list[Any]:
+    def query(self, sql: str, *values: Any) -> list[Any]:
         """Return all rows of an SQL query."""
         self._require_open()
-        with sentences(self.path):
-            return self.connection.execute(question, values).fetchall()
+        with reraise_sqlite_errors(self.path):
+            return self.connection.execute(sql, values).fetchall()
 
-    def rows(self, table: str, where: str = "1", *values: Any, blob: bool = False) -> list[Any]:
+    def read_rows(self, table: str, condition: str = "1", *values: Any, with_blob: bool = False) -> list[Any]:
         """Return rows without checksums in the order of their keys, after checking each against its checksum.
 
         Without a condition all rows are read, and none may be missing. `blob` reads the blob column too.
         """
-        if where == "1":
-            self.require_all(table)
-        with closing(self.each_row(table, where, *values, blob=blob)) as rows:
+        if condition == "1":
+            self.require_all_rows(table)
+        with closing(self.iter_rows(table, condition, *values, with_blob=with_blob)) as rows:
             return list(rows)
 
-    def each_row(self, table: str, where: str = "1", *values: Any, blob: bool = False) -> Generator[Any, None, None]:
+    def iter_rows(self, table: str, condition: str = "1", *values: Any, with_blob: bool = False) -> Generator[Any, None, None]:
         """Yield rows like `rows`, one at a time to save memory; close the generator before the file."""
         self._require_open()
-        with sentences(self.path), damage_of(self.path):
-            yield from read_rows(self.connection, table, where, *values, blob=blob)
+        with reraise_sqlite_errors(self.path), add_path_to_damage(self.path):
+            yield from read_rows(self.connection, table, condition, *values, with_blob=with_blob)
 
-    def require_all(self, table: str) -> None:
+    def require_all_rows(self, table: str) -> None:
         """Raise `DamageError` if the table has other rows than were written."""
-        version = self.written()
-        if self._tallied.get(table) != version:
-            with self.snapshot(), sentences(self.path), damage_of(self.path):
-                require_tally(self.connection, table)
-            self._tallied[table] = version
+        version = self.write_version()
+        if self._verified_versions.get(table) != version:
+            with self.snapshot(), reraise_sqlite_errors(self.path), add_path_to_damage(self.path):
+                require_checksum_totals(self.connection, table)
+            self._verified_versions[table] = version
 
-    def changes(self) -> int | None:
+    def data_version(self) -> int | None:
         """Count writes of other connections; see `Study.data_version`."""
-        return int(self.found("PRAGMA data_version")[0][0]) if self._sees_others else None
+        return int(self.query("PRAGMA data_version")[0][0]) if self._sees_other_writers else None
 
-    def each(self, question: str) -> Generator[Any, None, None]:
+    def iter_query(self, sql: str) -> Generator[Any, None, None]:
         """Yield the rows of an SQL query one at a time to save memory; close the generator before the file."""
         self._require_open()
-        with sentences(self.path):
-            yield from self.connection.execute(question)
+        with reraise_sqlite_errors(self.path):
+            yield from self.connection.execute(sql)
 
-    def written(self) -> tuple[int, int]:
+    def write_version(self) -> tuple[int, int]:
         """Count writes of other connections and of this one; unchanged as long as all queries give the same result."""
-        return int(self.found("PRAGMA data_version")[0][0]), self.connection.total_changes
+        return int(self.query("PRAGMA data_version")[0][0]), self.connection.total_changes
 
     @contextmanager
     def snapshot(self) -> Iterator[None]:
@@ -187,7 +187,7 @@ class Database:
             yield
             return
         try:
-            with sentences(self.path):
+            with reraise_sqlite_errors(self.path):
                 self.connection.execute("BEGIN")
             yield
         finally:
@@ -195,91 +195,91 @@ class Database:
                 self.connection.execute("ROLLBACK")
 
     @contextmanager
-    def writing(self) -> Iterator[sqlite3.Connection]:
+    def transaction(self) -> Iterator[sqlite3.Connection]:
         """Open a transaction: what is written in the block is stored completely or not at all.
 
         A killed process loses nothing that was committed. Waiting until it is on disk, so that a power cut cannot lose
         it, happens once a second at most, since many scenarios may end within that time.
         """
         self._require_open()
-        if self._writing:
+        if self._is_writing:
             # A nested call joins the open transaction.
             yield self.connection
             return
-        syncs = time.monotonic() - self._forced >= _SECONDS_BETWEEN_FORCED
+        syncs = time.monotonic() - self._last_sync >= _SYNC_INTERVAL
         # A moved file is reported after the transaction, so that it holds everything.
-        self._require_own(thorough=syncs, name=False)
-        with sentences(self.path), damage_of(self.path):
+        self._require_own_file(force=syncs, check_name=False)
+        with reraise_sqlite_errors(self.path), add_path_to_damage(self.path):
             if self.connection.in_transaction:
                 # An interrupt after BEGIN left an empty transaction open.
                 self.connection.rollback()
             self.connection.execute(f"PRAGMA synchronous = {'FULL' if syncs else 'NORMAL'}")
             self.connection.execute("BEGIN IMMEDIATE")
-            with self.connection, self._noted():
+            with self.connection, self._mark_writing():
                 if self._lease is not None:
-                    self._lease.require(self.connection)
+                    self._lease.require_held(self.connection)
                 yield self.connection
-        self.require_there()
+        self.require_unchanged_file()
         if syncs:
-            self._forced = time.monotonic()
+            self._last_sync = time.monotonic()
 
     @contextmanager
-    def _noted(self) -> Iterator[None]:
-        self._writing = True
+    def _mark_writing(self) -> Iterator[None]:
+        self._is_writing = True
         try:
             yield
         finally:
-            self._writing = False
+            self._is_writing = False
 
-    def require_there(self) -> None:
+    def require_unchanged_file(self) -> None:
         """Raise `StudyLostError` if the file that is open for writing was moved, removed or overwritten."""
-        self._require_own(thorough=False)
+        self._require_own_file(force=False)
 
-    def _require_own(self, thorough: bool, name: bool = True) -> None:
-        if self._closed or self._own is None:
+    def _require_own_file(self, force: bool, check_name: bool = True) -> None:
+        if self._is_closed or self._file_guard is None:
             return
         try:
-            self._own.require_content(thorough)
-            if name:
-                self._own.require_name()
+            self._file_guard.require_not_overwritten(force)
+            if check_name:
+                self._file_guard.require_not_moved()
         except StudyLostError as error:
-            self._closed, self._lost = True, str(error)
+            self._is_closed, self._lost_reason = True, str(error)
             raise
 
     def _require_open(self) -> None:
         # Later calls get the same error.
-        if self._lost:
-            raise StudyLostError(self._lost)
-        if self._closed:
+        if self._lost_reason:
+            raise StudyLostError(self._lost_reason)
+        if self._is_closed:
             raise InputError(f"{self.path}: is closed; open it again with `Study.open`.")
 
 
-def make_tables(connection: sqlite3.Connection, *more: str) -> None:
+def create_tables(connection: sqlite3.Connection, *extra_tables: str) -> None:
     """Create the tables of an empty study, with those named in `extra` that only some studies have."""
-    for name in (*ALWAYS, *more):
-        connection.execute(STATEMENTS[name])
-    connection.execute(f"PRAGMA application_id = {APPLICATION}")
+    for name in (*REQUIRED_TABLES, *extra_tables):
+        connection.execute(CREATE_STATEMENTS[name])
+    connection.execute(f"PRAGMA application_id = {APPLICATION_ID}")
     connection.execute(f"PRAGMA user_version = {SCHEMA_VERSION}")
 
 
 @contextmanager
-def written_beside(path: Path) -> Iterator[sqlite3.Connection]:
+def open_note_transaction(path: Path) -> Iterator[sqlite3.Connection]:
     """Open a short transaction beside those of an exploration, whose lease is not needed for it.
 
     SQLite lets one of them write at a time, and each waits for the other.
     """
     reader = Database.open(path, readonly=True)
-    can_write = reader.changes() is not None
+    can_write = reader.data_version() is not None
     reader.close()
     if not can_write:
         # Opening it for writing raises the error that says why it cannot be written.
         Database.open(path, readonly=False).close()
-    identity = file_at(path)
-    with sentences(path), damage_of(path), closing(connected(path, _PATIENCE_BESIDE)) as connection:
+    identity = file_identity(path)
+    with reraise_sqlite_errors(path), add_path_to_damage(path), closing(open_connection(path, _NOTE_TIMEOUT)) as connection:
         connection.execute("PRAGMA trusted_schema = OFF")
-        require_plain(path, connection)
+        require_known_tables(path, connection)
         connection.execute("PRAGMA synchronous = FULL")
         connection.execute("BEGIN IMMEDIATE")
         with connection:
-            require_still(path, identity)
+            require_same_file(path, identity)
             yield connection

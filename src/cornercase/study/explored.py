@@ -5,15 +5,15 @@ from __future__ import annotations
 from pathlib import Path
 
 from cornercase._common.errors import InputError
-from cornercase.scenario import Scenario, find_scenario, scenario_of, with_roads
+from cornercase.scenario import ScenarioFile, find_scenario_file, read_if_fingerprint_matches, add_varied_roads
 from cornercase.study._study import Study
-from cornercase.study.importing import IMPORTED
-from cornercase.study.stored_paths import file_named
+from cornercase.study.importing import IMPORTED_SIMULATOR
+from cornercase.study.stored_paths import resolve_stored_path
 
 
-def explored_scenario(
-    study: Study, given: Path | str | Scenario | None = None, *, where_named: bool = False
-) -> Scenario | None:
+def find_explored_scenario(
+    study: Study, scenario: Path | str | ScenarioFile | None = None, *, search_stored_path: bool = False
+) -> ScenarioFile | None:
     """Find the scenario file that was explored, and refuse any other one.
 
     By default it is looked for beside the study and in the current folder, and recognized by its fingerprint.
@@ -21,24 +21,24 @@ def explored_scenario(
     study may come from anywhere. Returns None for imported recordings, and the first file for a suite.
     """
     meta = study.meta
-    if meta.simulator == IMPORTED:
+    if meta.simulator == IMPORTED_SIMULATOR:
         return None
     # The study may come from anywhere: without the option, its stored path is not opened.
-    stored_file = file_named(meta.scenario, study.path) if where_named and given is None and not meta.suite else None
-    file = given
+    stored_file = resolve_stored_path(meta.scenario, study.path) if search_stored_path and scenario is None and not meta.suite else None
+    file = scenario
     if stored_file is not None:
-        file = scenario_of(stored_file, meta.fingerprint, meta.space)
+        file = read_if_fingerprint_matches(stored_file, meta.fingerprint, meta.space)
     if file is None:
-        file = find_scenario(meta.file_name, meta.fingerprint, (study.path.parent, Path()), meta.space) or stored_file
+        file = find_scenario_file(meta.file_name, meta.fingerprint, (study.path.parent, Path()), meta.space) or stored_file
     if file is None:
-        stored = f", or at {meta.scenario}" if where_named and "/" in meta.scenario else ""
+        stored = f", or at {meta.scenario}" if search_stored_path and "/" in meta.scenario else ""
         raise InputError(
             f"{study.path}: its scenario file '{meta.file_name}' was not found beside it, in the current folder, up to"
             f" two folders below{stored}; name it with `scenario`."
         )
-    result = with_roads(file if isinstance(file, Scenario) else Scenario.read(file), meta.space)
+    result = add_varied_roads(file if isinstance(file, ScenarioFile) else ScenarioFile.read(file), meta.space)
     if result.fingerprint() != meta.fingerprint:
-        missing = result.missing_road()
+        missing = result.describe_missing_road()
         if missing:
             raise InputError(f"{result.path}: differs from what {study.path} was explored with: {missing}.")
         raise InputError(

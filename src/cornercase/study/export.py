@@ -11,8 +11,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from cornercase._common.errors import InputError
-from cornercase._common.files import written_whole
-from cornercase._common.texts import cell_text
+from cornercase._common.files import atomic_write
+from cornercase._common.texts import escape_csv_cell
 from cornercase._common.typing import FloatArray
 from cornercase.recordings import Recording, write_courses
 
@@ -25,17 +25,17 @@ def write_table(folder: Path, table: pd.DataFrame, parquet: bool = False) -> Non
 
     In the CSV, texts that a spreadsheet would take for formulas get an apostrophe before them.
     """
-    renamed = table.set_axis(names_without_spaces(map(str, table.columns)), axis="columns")
+    renamed = table.set_axis(replace_spaces_in_names(map(str, table.columns)), axis="columns")
     if parquet:
         path = folder / "scenarios.parquet"
         _require_pyarrow(path)
-        with written_whole(path) as temporary:
+        with atomic_write(path) as temporary:
             renamed.to_parquet(temporary, engine="pyarrow", index=False)
-    with written_whole(folder / "scenarios.csv") as temporary:
-        _as_cells(renamed).to_csv(temporary, index=False, lineterminator="\n", encoding="utf-8")
+    with atomic_write(folder / "scenarios.csv") as temporary:
+        _escape_formulas(renamed).to_csv(temporary, index=False, lineterminator="\n", encoding="utf-8")
 
 
-def names_without_spaces(names: Iterable[str]) -> list[str]:
+def replace_spaces_in_names(names: Iterable[str]) -> list[str]:
     """Replace spaces in column names by underscores, keeping the names distinct."""
     unique: list[str] = []
     for name in names:
@@ -57,13 +57,13 @@ def _require_pyarrow(path: Path) -> None:
         ) from None
 
 
-def _as_cells(table: pd.DataFrame) -> pd.DataFrame:
+def _escape_formulas(table: pd.DataFrame) -> pd.DataFrame:
     """Escape texts that a spreadsheet would take for formulas."""
     cells = table.copy()
     for name in table.columns:
         if any(isinstance(value, str) for value in table[name]):
-            cells[name] = table[name].map(lambda value: cell_text(value) if isinstance(value, str) else value)
-    return cells.set_axis([cell_text(str(name)) for name in table.columns], axis="columns")
+            cells[name] = table[name].map(lambda value: escape_csv_cell(value) if isinstance(value, str) else value)
+    return cells.set_axis([escape_csv_cell(str(name)) for name in table.columns], axis="columns")
 
 
 def write_scenarios(
@@ -76,39 +76,39 @@ def write_scenarios(
     """
     if not parquet:
         for number, recording, courses in scenarios:
-            _write_one(folder, number, recording, courses)
+            _write_scenario_csv(folder, number, recording, courses)
         return
     with (
-        _parquet(folder / "recordings.parquet") as add_recording,
-        _parquet(folder / "courses.parquet") as add_courses,
+        _open_parquet_writer(folder / "recordings.parquet") as add_recording,
+        _open_parquet_writer(folder / "courses.parquet") as add_courses,
     ):
         for number, recording, courses in scenarios:
-            _write_one(folder, number, recording, courses)
-            table = recording.table()
+            _write_scenario_csv(folder, number, recording, courses)
+            table = recording.to_dataframe()
             add_recording(
                 {"scenario": np.full(len(table), number)} | {name: table[name].to_numpy() for name in table.columns}
             )
-            names = names_without_spaces(["scenario", "time", *courses])
+            names = replace_spaces_in_names(["scenario", "time", *courses])
             columns = [np.full(len(recording.time), number), recording.time, *courses.values()]
             add_courses(dict(zip(names, columns, strict=True)))
 
 
-def _write_one(folder: Path, number: int, recording: Recording, courses: Mapping[str, FloatArray]) -> None:
-    recording.to_csv(folder / "recordings" / f"{number:05}.csv")
-    write_courses(folder / "courses" / f"{number:05}.csv", recording.time, courses)
+def _write_scenario_csv(folder: Path, scenario_id: int, recording: Recording, courses: Mapping[str, FloatArray]) -> None:
+    recording.to_csv(folder / "recordings" / f"{scenario_id:05}.csv")
+    write_courses(folder / "courses" / f"{scenario_id:05}.csv", recording.time, courses)
 
 
 @contextmanager
-def _parquet(path: Path) -> Iterator[Callable[[Mapping[str, Any]], None]]:
+def _open_parquet_writer(path: Path) -> Iterator[Callable[[Mapping[str, Any]], None]]:
     """Open a Parquet file, and give a function that appends a table, so that only one at a time is in memory."""
     _require_pyarrow(path)
     import pyarrow
     from pyarrow import parquet
 
     writer: Any = None
-    with written_whole(path) as temporary:
+    with atomic_write(path) as temporary:
 
-        def add(columns: Mapping[str, Any]) -> None:
+        def append(columns: Mapping[str, Any]) -> None:
             nonlocal writer
             table = pyarrow.table(dict(columns))
             if writer is None:
@@ -116,7 +116,7 @@ def _parquet(path: Path) -> Iterator[Callable[[Mapping[str, Any]], None]]:
             writer.write_table(table)
 
         try:
-            yield add
+            yield append
         finally:
             if writer is not None:
                 writer.close()

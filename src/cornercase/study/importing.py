@@ -17,23 +17,23 @@ from rich.console import Console
 from rich.progress import track
 
 from cornercase._common import arguments
-from cornercase._common.errors import InputError, SimulationError, is_of_the_machine, suggestion
+from cornercase._common.errors import InputError, SimulationError, is_machine_error, suggest_name
 from cornercase._common.files import read_file
-from cornercase._common.texts import require_commas, text_of_cell
-from cornercase.metrics import EVERYBODY, METRICS, Metric, measured, name_others
+from cornercase._common.texts import check_comma_separated, unescape_csv_cell
+from cornercase.metrics import ALL_OTHERS, METRICS, Metric, evaluate_metrics, resolve_others
 from cornercase.recordings import read_recording
 from cornercase.scenario import Parameter, ParameterSpace, Value
-from cornercase.study._study import Study, begun_study
+from cornercase.study._study import Study, open_or_create_study
 from cornercase.study.meta import StudyMeta
 from cornercase.study.stored_paths import stored_path
-from cornercase.study.table import Row
+from cornercase.study.table import ScenarioRecord
 
-IMPORTED: Final = "imported"
+IMPORTED_SIMULATOR: Final = "imported"
 """Simulator of a study whose recordings come from files."""
 
-TABLE: Final = "parameters.csv"
-_FILE: Final = "file"
-_MOST_CHOICES: Final = 50
+DEFAULT_TABLE_NAME: Final = "parameters.csv"
+_FILE_COLUMN: Final = "file"
+_MAX_CHOICES: Final = 50
 
 
 @dataclass(frozen=True)
@@ -106,32 +106,32 @@ def import_recordings(
     InputError
         The table cannot be used, no recording can be read and measured, or the study belongs to something else.
     """
-    folder, path = arguments.path("folder", folder), arguments.path("study", study)
+    folder, path = arguments.check_path("folder", folder), arguments.check_path("study", study)
     if not folder.is_dir():
         problem = "is a file" if folder.exists() else "there is no such folder"
         raise InputError(f"{folder}: {problem}; name the folder that holds the recordings.")
-    if table is None and not (folder / TABLE).exists():
+    if table is None and not (folder / DEFAULT_TABLE_NAME).exists():
         raise InputError(
-            f"{folder}: has no {TABLE} with the parameter values of each recording; write one, or name it with `table`."
+            f"{folder}: has no {DEFAULT_TABLE_NAME} with the parameter values of each recording; write one, or name it with `table`."
         )
-    table = folder / TABLE if table is None else arguments.path("table", table)
-    files, values = _read_table(folder, table)
-    others = _others(other, ego, [folder / file for file in files])
-    instances = [METRICS.create(name) for name in dict.fromkeys(arguments.texts("metrics", metrics))]
+    table = folder / DEFAULT_TABLE_NAME if table is None else arguments.check_path("table", table)
+    files, values = _read_parameter_table(folder, table)
+    others = _resolve_others(other, ego, [folder / file for file in files])
+    instances = [METRICS.create(name) for name in dict.fromkeys(arguments.check_str_sequence("metrics", metrics))]
     if not instances:
         raise InputError("`metrics`: name at least one.")
-    has_threshold = critical is not None or instances[0].critical is not None
+    has_threshold = critical is not None or instances[0].default_threshold is not None
     meta = StudyMeta(
         scenario=stored_path(folder, path),
-        fingerprint=_fingerprint(table, folder, files),
-        space=_space(values),
+        fingerprint=_hash_inputs(table, folder, files),
+        space=_infer_space(values),
         ego=ego,
         other=others[0] if len(others) == 1 else others,
         metrics=tuple(metric.name for metric in instances),
         optimizer="none",
-        simulator=IMPORTED,
+        simulator=IMPORTED_SIMULATOR,
         settings={"table": stored_path(table, path)},
-        critical=instances[0].find_threshold(critical) if has_threshold else None,
+        critical=instances[0].resolve_threshold(critical) if has_threshold else None,
         budget=len(files),
         batch=len(files),
         files=tuple(files),
@@ -139,24 +139,24 @@ def import_recordings(
     if not path.exists():
         # Check first, since a study with a misspelt name would have to be removed.
         _require_measurable([folder / file for file in files], instances, ego, others)
-    with begun_study(path, meta) as opened:
+    with open_or_create_study(path, meta) as opened:
         # The table may have moved; the fingerprint identifies it.
-        opened.writer.continue_with(replace(meta, settings=opened.meta.settings))
-        rows = opened.rows() or opened.writer.propose(1, meta.space.points(values), values)
+        opened.writer.resume(replace(meta, settings=opened.meta.settings))
+        rows = opened.rows() or opened.writer.add_pending(1, meta.space.points(values), values)
         pending = [row for row in rows if row.state == "pending"]
         bar = track(pending, "Recordings", console=Console(stderr=True), disable=not progress)
         start = time.monotonic()
         for row in bar:
-            _measure(opened, row, folder / files[row.id - 1], instances)
-        opened.writer.add_elapsed("measure", time.monotonic() - start)
-        failed = opened.failed()
-        return ImportResult(path, len(opened.done()), len(failed), failed[0].error or "" if failed else "")
+            _measure_recording(opened, row, folder / files[row.id - 1], instances)
+        opened.writer.add_elapsed_time("measure", time.monotonic() - start)
+        failed = opened.failed_rows()
+        return ImportResult(path, len(opened.finished_rows()), len(failed), failed[0].error or "" if failed else "")
 
 
-def _others(other: object, ego: str, files: Sequence[Path]) -> tuple[str, ...]:
+def _resolve_others(other: object, ego: str, files: Sequence[Path]) -> tuple[str, ...]:
     """Resolve the names of the others; reads recordings if all others are meant."""
-    names = name_others(other, ego, (EVERYBODY,))
-    if len(names) == 1 and EVERYBODY not in names:
+    names = resolve_others(other, ego, (ALL_OTHERS,))
+    if len(names) == 1 and ALL_OTHERS not in names:
         return names
     found_names: dict[str, None] = {}
     for file in files:
@@ -167,9 +167,9 @@ def _others(other: object, ego: str, files: Sequence[Path]) -> tuple[str, ...]:
             break
     # A name that no recording has is misspelt; others may lack it.
     for name in names:
-        if name != EVERYBODY and name not in found_names:
-            raise InputError(f"`other` {name}: none of the recordings has it; {suggestion(name, list(found_names))}")
-    return name_others(other, ego, list(found_names))
+        if name != ALL_OTHERS and name not in found_names:
+            raise InputError(f"`other` {name}: none of the recordings has it; {suggest_name(name, list(found_names))}")
+    return resolve_others(other, ego, list(found_names))
 
 
 def _require_measurable(files: Sequence[Path], metrics: Sequence[Metric], ego: str, others: Sequence[str]) -> None:
@@ -177,33 +177,33 @@ def _require_measurable(files: Sequence[Path], metrics: Sequence[Metric], ego: s
     reasons = []
     for file in files:
         try:
-            measured(metrics, read_recording(file), ego, others)
+            evaluate_metrics(metrics, read_recording(file), ego, others)
         except (InputError, SimulationError) as error:
-            reasons.append(_said_of(file, error))
+            reasons.append(_describe_failure(file, error))
         else:
             return
     raise InputError(f"None of the {len(files)} recordings can be read and measured; the first: {reasons[0]}")
 
 
-def _said_of(file: Path, error: InputError | SimulationError) -> str:
+def _describe_failure(file: Path, error: InputError | SimulationError) -> str:
     """Error message that begins with the file, unless the message names it already."""
     return str(error) if str(file) in str(error) else f"{file}: {error}"
 
 
-def _measure(study: Study, row: Row, file: Path, metrics: Sequence[Metric]) -> None:
+def _measure_recording(study: Study, row: ScenarioRecord, file: Path, metrics: Sequence[Metric]) -> None:
     try:
         recording = read_recording(file)
-        courses = measured(metrics, recording, study.meta.ego, study.meta.others)
+        courses = evaluate_metrics(metrics, recording, study.meta.ego, study.meta.others)
     except (InputError, SimulationError) as error:
         # A disk error is not the recording's fault; the same command can be run again.
-        if is_of_the_machine(error):
+        if is_machine_error(error):
             raise
-        study.writer.fail(row.id, SimulationError(_said_of(file, error)))
+        study.writer.record_failure(row.id, SimulationError(_describe_failure(file, error)))
         return
-    study.writer.finish(row.id, recording, courses)
+    study.writer.record_result(row.id, recording, courses)
 
 
-def _read_table(folder: Path, table: Path) -> tuple[list[str], list[dict[str, Value]]]:
+def _read_parameter_table(folder: Path, table: Path) -> tuple[list[str], list[dict[str, Value]]]:
     """Read the files and the values of their parameters from the CSV table."""
     try:
         reader = csv.DictReader(io.StringIO(read_file(table).decode("utf-8-sig"), newline=""))
@@ -211,9 +211,9 @@ def _read_table(folder: Path, table: Path) -> tuple[list[str], list[dict[str, Va
         rows = [(reader.line_num, row) for row in reader]
     except (UnicodeDecodeError, csv.Error) as error:
         raise InputError(f"{table}: is not a CSV table ({error}).") from error
-    require_commas(table, names)
-    if _FILE not in names or len(names) < 2 or len(set(names)) < len(names):
-        raise InputError(f"{table}: needs a header with '{_FILE}' and each parameter once, not {', '.join(names)}.")
+    check_comma_separated(table, names)
+    if _FILE_COLUMN not in names or len(names) < 2 or len(set(names)) < len(names):
+        raise InputError(f"{table}: needs a header with '{_FILE_COLUMN}' and each parameter once, not {', '.join(names)}.")
     if len(rows) < 2:
         raise InputError(f"{table}: names {len(rows)} recordings; at least 2 are needed.")
     files: list[str] = []
@@ -221,21 +221,21 @@ def _read_table(folder: Path, table: Path) -> tuple[list[str], list[dict[str, Va
     for line, row in rows:
         if None in row or None in row.values() or "" in row.values():
             raise InputError(f"{table}, line {line}: has an extra or an empty field.")
-        if "\0" in row[_FILE] or not (folder / row[_FILE]).is_file():
-            raise InputError(f"{table}, line {line}: there is no file {folder / row[_FILE]}.")
-        if row[_FILE] in files:
-            raise InputError(f"{table}, line {line}: names {row[_FILE]} a second time.")
-        files.append(row[_FILE])
-        values.append({text_of_cell(name): text_of_cell(row[name]) for name in names if name != _FILE})
-    for name in map(text_of_cell, names):
-        numbers = [_number(str(row_values[name])) for row_values in values] if name != _FILE else [None]
+        if "\0" in row[_FILE_COLUMN] or not (folder / row[_FILE_COLUMN]).is_file():
+            raise InputError(f"{table}, line {line}: there is no file {folder / row[_FILE_COLUMN]}.")
+        if row[_FILE_COLUMN] in files:
+            raise InputError(f"{table}, line {line}: names {row[_FILE_COLUMN]} a second time.")
+        files.append(row[_FILE_COLUMN])
+        values.append({unescape_csv_cell(name): unescape_csv_cell(row[name]) for name in names if name != _FILE_COLUMN})
+    for name in map(unescape_csv_cell, names):
+        numbers = [_parse_finite_number(str(row_values[name])) for row_values in values] if name != _FILE_COLUMN else [None]
         if all(number is not None for number in numbers):
             for row_values, number in zip(values, numbers, strict=True):
                 row_values[name] = float(number or 0.0)
     return files, values
 
 
-def _number(text: str) -> float | None:
+def _parse_finite_number(text: str) -> float | None:
     try:
         number = float(text)
     except ValueError:
@@ -243,7 +243,7 @@ def _number(text: str) -> float | None:
     return number if math.isfinite(number) else None
 
 
-def _space(values: Sequence[dict[str, Value]]) -> ParameterSpace:
+def _infer_space(values: Sequence[dict[str, Value]]) -> ParameterSpace:
     parameters = []
     for name in values[0]:
         column = [text[name] for text in values]
@@ -253,13 +253,13 @@ def _space(values: Sequence[dict[str, Value]]) -> ParameterSpace:
             parameters.append(Parameter(name, low, high, None if low < high else 1.0))
             continue
         choices = tuple(sorted({str(text) for text in column}))
-        if len(choices) > _MOST_CHOICES:
+        if len(choices) > _MAX_CHOICES:
             raise InputError(f"The parameter '{name}' has {len(choices)} different texts; leave it out.")
         parameters.append(Parameter(name, 0.0, float(len(choices) - 1), None, choices))
     return ParameterSpace(parameters)
 
 
-def _fingerprint(table: Path, folder: Path, files: Sequence[str]) -> str:
+def _hash_inputs(table: Path, folder: Path, files: Sequence[str]) -> str:
     """SHA-256 of the table and all recordings."""
     digest = hashlib.sha256(read_file(table))
     for file in files:

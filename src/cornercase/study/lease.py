@@ -29,14 +29,14 @@ from typing import Any, Final
 from cornercase._common.errors import InputError, StudyLostError
 
 # Time in s between renewals, and after which a lease expires that was not renewed.
-_BEAT: Final = 30.0
-_LONGEST: Final = 120.0
+_RENEWAL_INTERVAL: Final = 30.0
+_EXPIRY_TIME: Final = 120.0
 # Tolerance in s for the start time of a process, which depends on the clock on some systems.
-_ALIKE: Final = 5.0
-_PATIENCE: Final = 5.0
+_START_TIME_TOLERANCE: Final = 5.0
+_LOCK_TIMEOUT: Final = 5.0
 
 # Tokens of the leases that this process holds.
-_held: set[tuple[int, str]] = set()
+_held_tokens: set[tuple[int, str]] = set()
 
 
 @dataclass(frozen=True)
@@ -45,77 +45,77 @@ class Lease:
 
     path: Path
     token: str
-    ended: threading.Event
+    released: threading.Event
 
     @classmethod
-    def take(cls, path: Path, connection: sqlite3.Connection) -> Lease:
+    def acquire(cls, path: Path, connection: sqlite3.Connection) -> Lease:
         """Acquire the lease of a study; raises `InputError` if another process holds it."""
         token = secrets.token_hex(16)
         connection.execute("BEGIN IMMEDIATE")
         try:
             require_no_writer(path, connection)
             connection.execute("DELETE FROM lease")
-            row = (token, platform.node(), _machine(), os.getpid(), _began(os.getpid()), time.time())
+            row = (token, platform.node(), _machine_id(), os.getpid(), _process_start_time(os.getpid()), time.time())
             connection.execute("INSERT INTO lease VALUES (?, ?, ?, ?, ?, ?)", row)
             connection.execute("COMMIT")
         except BaseException:
             if connection.in_transaction:
                 connection.execute("ROLLBACK")
             raise
-        _held.add((os.getpid(), token))
+        _held_tokens.add((os.getpid(), token))
         lease = cls(path, token, threading.Event())
-        threading.Thread(target=lease._renew, name="cornercase-lease", daemon=True).start()
+        threading.Thread(target=lease._renew_periodically, name="cornercase-lease", daemon=True).start()
         return lease
 
-    def require(self, connection: sqlite3.Connection) -> None:
+    def require_held(self, connection: sqlite3.Connection) -> None:
         """Raise `StudyLostError` if another process has taken over the study; call it within a transaction."""
-        if not self.stands(connection):
+        if not self.is_held(connection):
             raise StudyLostError(
                 f"{self.path}: another cornercase took over this study, because this one seemed to have ended. What was"
                 " stored until then is kept. Run the same command again when the other one has ended."
             )
 
-    def stands(self, connection: sqlite3.Connection) -> bool:
+    def is_held(self, connection: sqlite3.Connection) -> bool:
         """Tell whether this lease is stored in the file of a connection."""
         return connection.execute("SELECT 1 FROM lease WHERE token = ?", (self.token,)).fetchone() is not None
 
-    def forget(self) -> None:
+    def abandon(self) -> None:
         """Give up the lease without writing to the file, which has been replaced."""
-        self.ended.set()
-        _held.discard((os.getpid(), self.token))
+        self.released.set()
+        _held_tokens.discard((os.getpid(), self.token))
 
-    def give_back(self, connection: sqlite3.Connection | None = None) -> None:
+    def release(self, connection: sqlite3.Connection | None = None) -> None:
         """Release the lease, so that another process can write.
 
         By default it uses a connection of its own, which works from any thread.
         """
-        self.ended.set()
-        if (os.getpid(), self.token) not in _held:
+        self.released.set()
+        if (os.getpid(), self.token) not in _held_tokens:
             return
-        _held.discard((os.getpid(), self.token))
+        _held_tokens.discard((os.getpid(), self.token))
         # If it cannot be deleted, it expires with this process.
         with suppress(sqlite3.Error):
             if connection is not None:
-                _remove(connection, self.token)
+                _delete_lease_row(connection, self.token)
             elif self.path.is_file():
-                with closing(sqlite3.connect(self.path, timeout=_PATIENCE)) as own_connection:
-                    _remove(own_connection, self.token)
+                with closing(sqlite3.connect(self.path, timeout=_LOCK_TIMEOUT)) as own_connection:
+                    _delete_lease_row(own_connection, self.token)
 
-    def _renew(self) -> None:
+    def _renew_periodically(self) -> None:
         """Renew the lease regularly, so that other machines see that this process is alive."""
-        while not self.ended.wait(_BEAT):
+        while not self.released.wait(_RENEWAL_INTERVAL):
             # mode=rw does not create a file that was removed.
             with suppress(sqlite3.Error, OSError):
                 location = f"{self.path.resolve().as_uri()}?mode=rw"
-                with closing(sqlite3.connect(location, uri=True, timeout=_PATIENCE)) as connection, connection:
+                with closing(sqlite3.connect(location, uri=True, timeout=_LOCK_TIMEOUT)) as connection, connection:
                     connection.execute("UPDATE lease SET beat = ? WHERE token = ?", (time.time(), self.token))
 
 
 def require_no_writer(path: Path, connection: sqlite3.Connection) -> None:
     """Raise `InputError` if another process holds the lease of the study."""
     for row in connection.execute("SELECT token, host, machine, pid, began, beat FROM lease").fetchall():
-        if _is_alive(row):
-            is_local = row[2] == _machine()
+        if _is_holder_alive(row):
+            is_local = row[2] == _machine_id()
             place_text = "" if is_local else f" on {str(row[1])[:80]}"
             # From another machine it is unknown whether the process was killed.
             advice = "it has ended" if is_local else "it has ended, or two minutes if it was killed"
@@ -124,27 +124,27 @@ def require_no_writer(path: Path, connection: sqlite3.Connection) -> None:
             )
 
 
-def _remove(connection: sqlite3.Connection, token: str) -> None:
+def _delete_lease_row(connection: sqlite3.Connection, token: str) -> None:
     with connection:
         connection.execute("DELETE FROM lease WHERE token = ?", (token,))
 
 
-def _is_alive(row: tuple[Any, ...]) -> bool:
+def _is_holder_alive(row: tuple[Any, ...]) -> bool:
     """Tell whether the holder of a row of the table ``lease`` is alive."""
     token, host, machine, pid, began, beat = row
     is_valid = all(isinstance(value, str) for value in (token, host, machine)) and isinstance(pid, int)
     if not is_valid or not all(isinstance(value, float) for value in (began, beat)):
         return False
-    if machine != _machine():
-        return abs(time.time() - float(beat)) < _LONGEST
+    if machine != _machine_id():
+        return abs(time.time() - float(beat)) < _EXPIRY_TIME
     if pid == os.getpid():
-        return (pid, token) in _held
-    start = _began(pid)
-    return start is not None and not abs(start - float(began)) >= _ALIKE
+        return (pid, token) in _held_tokens
+    start = _process_start_time(pid)
+    return start is not None and not abs(start - float(began)) >= _START_TIME_TOLERANCE
 
 
 @cache
-def _machine() -> str:
+def _machine_id() -> str:
     """Identify this boot of the machine and its process namespace."""
     try:
         boot = Path("/proc/sys/kernel/random/boot_id").read_text(encoding="ascii").strip()
@@ -153,7 +153,7 @@ def _machine() -> str:
         return f"{platform.node()} {uuid.getnode():x}"
 
 
-def _began(pid: int) -> float | None:
+def _process_start_time(pid: int) -> float | None:
     """Start time of a process by an arbitrary clock; None if there is no such process, NaN if it is unknown."""
     try:
         # The fields follow the name, which may contain anything. Ticks since boot do not change with the clock.

@@ -11,14 +11,14 @@ from pathlib import Path
 from typing import Any, Final
 
 from cornercase._common.errors import InputError
-from cornercase._common.texts import plain_text, shorten
+from cornercase._common.texts import escape_control_characters, shorten
 from cornercase._common.typing import FloatArray
 from cornercase._common.version import __version__
-from cornercase.drivers import driver_changes
-from cornercase.metrics import condition_of
+from cornercase.drivers import iter_driver_changes
+from cornercase.metrics import find_critical_if_condition
 from cornercase.scenario import Parameter, ParameterSpace
 
-_DIFFERENT: Final = {
+_DIFFERENCE_TEXTS: Final = {
     "scenario": "another scenario",
     "fingerprint": "another version of the scenario file",
     "space": "other parameter ranges",
@@ -40,7 +40,7 @@ _DIFFERENT: Final = {
 }
 
 
-_TYPES: Final[dict[str, Any]] = (
+_FIELD_TYPES: Final[dict[str, Any]] = (
     dict.fromkeys(("scenario", "fingerprint", "ego", "optimizer", "simulator", "suite", "origin", "version"), str)
     | dict.fromkeys(("seed", "budget", "batch", "repeats", "most_repeats"), int)
     | dict.fromkeys(("elsewhere", "repeatability", "settings", "weights"), dict)
@@ -48,25 +48,25 @@ _TYPES: Final[dict[str, Any]] = (
     | {"other": (str, list), "critical": (int, float), "audit": (int, float), "pareto": bool, "asynchronous": bool}
 )
 # Largest number of characters of a setting in a message.
-_LONGEST_SETTING: Final = 60
-_DRIVERS: Final = "drivers"
+_MAX_SETTING_LENGTH: Final = 60
+_DRIVERS_KEY: Final = "drivers"
 # Keys that are only written if they are used.
-_LATER: Final = (
+_OPTIONAL_FIELDS: Final = (
     "asynchronous", "elsewhere", "kinds", "most_repeats", "origin", "repeatability", "requirements", "suite",
 )  # fmt: skip
-_YES_OR_NO: Final = ("asynchronous", "pareto")
+_BOOLEAN_FIELDS: Final = ("asynchronous", "pareto")
 
 
-MOST_AUDITS: Final = 0.5
+MAX_AUDIT_FRACTION: Final = 0.5
 """Largest fraction of the scenarios of a study that may be audits."""
 
 
-def count_audits(share: float, scenarios: int) -> int:
+def count_audits(audit_fraction: float, n_scenarios: int) -> int:
     """Number of audits among the first `n_scenarios` of a study, for a given fraction of audits."""
-    return math.floor(share * scenarios + 1e-9)
+    return math.floor(audit_fraction * n_scenarios + 1e-9)
 
 
-def digest_of_scores(points: FloatArray, scores: FloatArray) -> str:
+def hash_points_and_scores(points: FloatArray, scores: FloatArray) -> str:
     """SHA-256 of points, shape (n, d), and their scores, shape (n,)."""
     return hashlib.sha256(points.astype("<f8").tobytes() + scores.astype("<f8").tobytes()).hexdigest()
 
@@ -168,7 +168,7 @@ class StudyMeta:
         return (self.other,) if isinstance(self.other, str) else self.other
 
     @property
-    def searched(self) -> tuple[str, ...]:
+    def objective_metrics(self) -> tuple[str, ...]:
         """Metrics whose scores the optimizer gets; none for imported recordings and suites."""
         if self.optimizer == "none":
             return ()
@@ -177,17 +177,17 @@ class StudyMeta:
         return tuple(name for name in self.metrics if name in self.weights) if self.weights else self.metrics[:1]
 
     @property
-    def runs_of_each(self) -> str:
+    def repeats_text(self) -> str:
         """Number of runs of each scenario, in words."""
         return str(self.repeats) if self.most_repeats is None else f"{self.repeats} to {self.most_repeats}"
 
     @property
     def file_name(self) -> str:
         """Name without folders of the scenario file (for a suite its first one) or of the folder of recordings."""
-        return _last_part(self.files[0] if self.suite and self.files else self.scenario)
+        return _base_name(self.files[0] if self.suite and self.files else self.scenario)
 
     @property
-    def runs_differ(self) -> str:
+    def nondeterminism_text(self) -> str:
         """How two runs of the same scenario differ, in words; empty if they are not known to differ."""
         if self.repeatability.get("same", True):
             return ""
@@ -201,13 +201,13 @@ class StudyMeta:
 
     @property
     def drivers(self) -> dict[str, Any]:
-        """Drivers by entity, in the form of `cornercase.drivers.describe_driver`; empty if none were given."""
-        return dict(self.settings.get(_DRIVERS, {}))
+        """Drivers by entity, in the form of `cornercase.drivers.serialize_driver`; empty if none were given."""
+        return dict(self.settings.get(_DRIVERS_KEY, {}))
 
     @property
     def title(self) -> str:
         """Name of the scenario file or folder without its ending."""
-        return Path(_last_part(self.scenario)).stem
+        return Path(_base_name(self.scenario)).stem
 
     def to_json(self) -> dict[str, Any]:
         """Return plain values.
@@ -256,7 +256,7 @@ class StudyMeta:
         return count_audits(self.audit, scenario) > count_audits(self.audit, scenario - 1)
 
     @classmethod
-    def from_json(cls, plain: Mapping[str, Any]) -> StudyMeta:
+    def from_json(cls, description: Mapping[str, Any]) -> StudyMeta:
         """Make it from the result of `to_json`.
 
         Parameters
@@ -273,15 +273,15 @@ class StudyMeta:
             The values do not describe a study.
         """
         # Empty and default values are stored as None.
-        names = [item.name for item in fields(cls) if item.name in plain or item.name not in _LATER]
-        values = {name: plain[name] for name in names if plain[name] is not None}
+        names = [item.name for item in fields(cls) if item.name in description or item.name not in _OPTIONAL_FIELDS]
+        values = {name: description[name] for name in names if description[name] is not None}
         for name, value in values.items():
-            if name in _TYPES and (
-                not isinstance(value, _TYPES[name]) or isinstance(value, bool) != (name in _YES_OR_NO)
+            if name in _FIELD_TYPES and (
+                not isinstance(value, _FIELD_TYPES[name]) or isinstance(value, bool) != (name in _BOOLEAN_FIELDS)
             ):
                 raise ValueError(f"its {name} is {str(value)[:60]!r}")
         if isinstance(values["other"], list):
-            values["other"] = _several(values["other"])
+            values["other"] = _require_distinct_names(values["other"])
         for name in ("metrics", "files", "kinds", "requirements"):
             if not all(isinstance(item, str) for item in values.get(name, ())):
                 raise ValueError(f"its {name} are not texts")
@@ -295,20 +295,20 @@ class StudyMeta:
         names = values.get("elsewhere", {})
         if names and not all(isinstance(names.get(key), str) for key in ("sha256", "simulator", "study")):
             raise ValueError("its warm start is invalid")
-        if (repeatability := values.get("repeatability")) and not _is_try(repeatability):
+        if (repeatability := values.get("repeatability")) and not _is_repeatability_valid(repeatability):
             raise ValueError("its repeatability is invalid")
         if values.get("most_repeats", math.inf) <= values.get("repeats", 1):
             raise ValueError("its most_repeats is not greater than its repeats")
-        if not 0.0 <= values.get("audit", 0.0) <= MOST_AUDITS:
+        if not 0.0 <= values.get("audit", 0.0) <= MAX_AUDIT_FRACTION:
             raise ValueError("its audit is not a fraction")
         if not isinstance(values.get("settings", {}).get("drivers", {}), dict):
             raise ValueError("its drivers are not a mapping")
         values |= {
             name: tuple(values[name]) for name in ("metrics", "files", "kinds", "requirements") if name in values
         }
-        return cls(**values | {"space": ParameterSpace.from_json(plain["space"])})
+        return cls(**values | {"space": ParameterSpace.from_json(description["space"])})
 
-    def require_same(self, other: StudyMeta, path: Path, *, same_budget: bool = False) -> None:
+    def require_resumable(self, other: StudyMeta, path: Path, *, same_budget: bool = False) -> None:
         """Raise `InputError` unless a study of this description can be continued with another one.
 
         The budget may grow, files and simulator may be in another place, and a threshold may be added if there is none.
@@ -332,23 +332,23 @@ class StudyMeta:
                 f"{path}: has other scenarios than the folder now: files were added, removed or changed since; name"
                 " another study with `study`."
             )
-        for name, description in _DIFFERENT.items():
+        for name, description in _DIFFERENCE_TEXTS.items():
             mine, theirs_value = getattr(self, name), getattr(other, name)
             if name == "scenario" and self.fingerprint == other.fingerprint:
                 continue
             if name == "space":
                 # Its constraints follow from the file.
                 ours, theirs = mine.parameters, theirs_value.parameters
-                mine, theirs_value = _with_units(ours, theirs), _with_units(theirs, ours)
+                mine, theirs_value = _fill_missing_units(ours, theirs), _fill_missing_units(theirs, ours)
             if name == "elsewhere":
                 # The file may have moved; its scores must be the same.
                 mine, theirs_value = mine.get("sha256"), theirs_value.get("sha256")
-            if name == "metrics" and condition_of(mine) != condition_of(theirs_value):
+            if name == "metrics" and find_critical_if_condition(mine) != find_critical_if_condition(theirs_value):
                 description = "another condition of what is critical"
             if mine != theirs_value:
                 if name == "settings":
-                    _require_same_files(mine, theirs_value, path)
-                    description += f" ({_differences(mine, theirs_value)})"
+                    _require_same_driver_files(mine, theirs_value, path)
+                    description += f" ({_describe_setting_differences(mine, theirs_value)})"
                 raise InputError(
                     f"{path}: belongs to {description}; name another study with `study`, or give the same options."
                 )
@@ -368,59 +368,59 @@ class StudyMeta:
             )
 
 
-def _is_try(plain: Mapping[str, Any]) -> bool:
+def _is_repeatability_valid(values: Mapping[str, Any]) -> bool:
     """Tell whether the values are valid as `StudyMeta.repeatability`."""
-    distance, scenario = plain.get("apart"), plain.get("scenario")
+    distance, scenario = values.get("apart"), values.get("scenario")
     return (
-        isinstance(plain.get("same"), bool)
+        isinstance(values.get("same"), bool)
         and isinstance(scenario, int)
         and (distance is None or (isinstance(distance, int | float) and math.isfinite(distance)))
     )
 
 
-def _with_units(parameters: tuple[Parameter, ...], like: tuple[Parameter, ...]) -> tuple[Parameter, ...]:
+def _fill_missing_units(parameters: tuple[Parameter, ...], reference: tuple[Parameter, ...]) -> tuple[Parameter, ...]:
     """Fill missing units from `reference`: a range given as an option has none, and no value depends on it."""
-    units = {parameter.name: parameter.unit for parameter in like}
+    units = {parameter.name: parameter.unit for parameter in reference}
     return tuple(replace(parameter, unit=parameter.unit or units.get(parameter.name, "")) for parameter in parameters)
 
 
-def _several(names: list[Any]) -> tuple[str, ...]:
+def _require_distinct_names(names: list[Any]) -> tuple[str, ...]:
     if len(names) < 2 or not all(isinstance(name, str) for name in names) or len(set(names)) < len(names):
         raise ValueError(f"its other is {str(names)[:60]}")
     return tuple(names)
 
 
-def _last_part(path: str) -> str:
+def _base_name(path: str) -> str:
     # The path may have been written on Windows.
     return re.split(r"[\\/]", path.rstrip("\\/"))[-1]
 
 
-def _require_same_files(mine: Mapping[str, Any], given: Mapping[str, Any], path: Path) -> None:
+def _require_same_driver_files(stored_settings: Mapping[str, Any], new_settings: Mapping[str, Any], path: Path) -> None:
     """Raise `InputError` if the file of a driver has changed: a study holds runs of one version."""
-    if {**mine, _DRIVERS: None} != {**given, _DRIVERS: None}:
+    if {**stored_settings, _DRIVERS_KEY: None} != {**new_settings, _DRIVERS_KEY: None}:
         return
-    changes = list(driver_changes(mine.get(_DRIVERS), given.get(_DRIVERS)))
+    changes = list(iter_driver_changes(stored_settings.get(_DRIVERS_KEY), new_settings.get(_DRIVERS_KEY)))
     for entity, stored, current, only_file in changes:
         if only_file and all(change[-1] for change in changes):
             raise InputError(
-                f"{path}: the file of the driver of {entity} has changed since ({plain_text(stored)} there,"
-                f" {plain_text(current)} here), and a study holds runs of one version; name another study with"
+                f"{path}: the file of the driver of {entity} has changed since ({escape_control_characters(stored)} there,"
+                f" {escape_control_characters(current)} here), and a study holds runs of one version; name another study with"
                 " `study`, or restore the file."
             )
 
 
-def _differences(mine: Mapping[str, Any], given: Mapping[str, Any]) -> str:
+def _describe_setting_differences(stored_settings: Mapping[str, Any], new_settings: Mapping[str, Any]) -> str:
     """Settings that differ, with both values if these are short."""
     texts = []
-    for name in sorted({*mine, *given}):
-        if name == _DRIVERS:
+    for name in sorted({*stored_settings, *new_settings}):
+        if name == _DRIVERS_KEY:
             texts += [
-                f"driver of {entity}: {plain_text(stored)} there, {plain_text(current)} here"
-                for entity, stored, current, _ in driver_changes(mine.get(name), given.get(name))
+                f"driver of {entity}: {escape_control_characters(stored)} there, {escape_control_characters(current)} here"
+                for entity, stored, current, _ in iter_driver_changes(stored_settings.get(name), new_settings.get(name))
             ]
-        elif mine.get(name) != given.get(name):
+        elif stored_settings.get(name) != new_settings.get(name):
             values = [
-                shorten(plain_text(str(settings.get(name, "none"))), _LONGEST_SETTING) for settings in (mine, given)
+                shorten(escape_control_characters(str(settings.get(name, "none"))), _MAX_SETTING_LENGTH) for settings in (stored_settings, new_settings)
             ]
             texts.append(f"{name}: {values[0]} there, {values[1]} here")
     return "; ".join(texts)

@@ -5,16 +5,16 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Final
 
-from cornercase._common.arguments import path, whole_number
+from cornercase._common.arguments import check_path, check_int
 from cornercase._common.errors import InputError
-from cornercase.study.database import written_beside
-from cornercase.study.seals import put, remove
+from cornercase.study.database import open_note_transaction
+from cornercase.study.seals import insert_rows, delete_rows
 
-LONGEST_NOTE: Final = 2000
+MAX_NOTE_LENGTH: Final = 2000
 """Largest number of characters of a note."""
 
 # Largest integer of SQLite.
-_LARGEST_ID: Final = 2**63 - 1
+_MAX_ID: Final = 2**63 - 1
 
 
 def write_note(study: Path | str, scenario: int, note: str) -> None:
@@ -45,24 +45,24 @@ def write_note(study: Path | str, scenario: int, note: str) -> None:
         ...
     cornercase._common.errors.InputError: missing.db: there is no such study; make one with `explore`.
     """
-    file = path("study", study)
-    scenario_id = whole_number("scenario", scenario, most=_LARGEST_ID)
-    text = _checked(note)
-    with written_beside(file) as connection:
+    file = check_path("study", study)
+    scenario_id = check_int("scenario", scenario, maximum=_MAX_ID)
+    text = _check_note(note)
+    with open_note_transaction(file) as connection:
         if not text:
-            remove(connection, "notes", "scenario = ?", scenario_id)
+            delete_rows(connection, "notes", "scenario = ?", scenario_id)
             return
         if connection.execute("SELECT 1 FROM scenarios WHERE id = ?", (scenario_id,)).fetchone() is None:
             raise InputError(f"{file}: holds no scenario {scenario_id}.")
-        put(connection, "notes", [(scenario_id, text)])
+        insert_rows(connection, "notes", [(scenario_id, text)])
 
 
-def _checked(note: object) -> str:
+def _check_note(note: object) -> str:
     if not isinstance(note, str):
         raise InputError(f"`note`: is {type(note).__name__}, not a text.")
     text = note.strip()
-    if len(text) > LONGEST_NOTE:
-        raise InputError(f"`note`: has {len(text)} characters; the limit is {LONGEST_NOTE}.")
+    if len(text) > MAX_NOTE_LENGTH:
+        raise InputError(f"`note`: has {len(text)} characters; the limit is {MAX_NOTE_LENGTH}.")
     try:
         text.encode("utf-8")
     except UnicodeEncodeError:

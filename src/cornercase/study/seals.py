@@ -14,129 +14,129 @@ from typing import Any
 from zlib import crc32
 
 from cornercase.study.damage import DamageError
-from cornercase.study.schema import TABLES, Table
+from cornercase.study.schema import TABLES, StudyTable
 
 
-def checksum_of(table: str, values: Sequence[Any]) -> int:
+def compute_row_checksum(table: str, values: Sequence[Any]) -> int:
     """CRC-32 of a row with the values that SQLite gives back; a blob is replaced by its checksum."""
     # The same on all platforms and versions of Python, and much faster than hashing each value.
     return crc32(ascii((table, *values)).encode("ascii"))
 
 
-def sealed(table: str, row: Sequence[Any]) -> tuple[Any, ...]:
+def with_checksums(table: str, row: Sequence[Any]) -> tuple[Any, ...]:
     """Add the checksums to a row, in the column order of the file."""
     definition = TABLES[table]
     values: list[Any] = [float(value) if isinstance(value, float) else value for value in row]
-    if definition.real is not None:
+    if definition.float_column is not None:
         # SQLite has no negative zero.
-        values[definition.real] = float(values[definition.real]) + 0.0
-    if not definition.blob:
-        return (*values, checksum_of(table, values))
+        values[definition.float_column] = float(values[definition.float_column]) + 0.0
+    if not definition.has_blob:
+        return (*values, compute_row_checksum(table, values))
     blob = values[-1]
     values[-1] = None if blob is None else crc32(blob)
-    return (*values, checksum_of(table, values), blob)
+    return (*values, compute_row_checksum(table, values), blob)
 
 
-def is_sound(table: str, stored: Sequence[Any]) -> bool:
+def is_checksum_valid(table: str, stored_row: Sequence[Any]) -> bool:
     """Tell whether a stored row has valid checksums; its blob may be left out."""
     definition = TABLES[table]
     count = len(definition.columns)
-    if checksum_of(table, stored[:count]) != stored[count]:
+    if compute_row_checksum(table, stored_row[:count]) != stored_row[count]:
         return False
-    if not definition.blob or len(stored) == count + 1:
+    if not definition.has_blob or len(stored_row) == count + 1:
         return True
-    blob = stored[-1]
-    return bool(stored[count - 1] == (crc32(blob) if isinstance(blob, bytes) else None))
+    blob = stored_row[-1]
+    return bool(stored_row[count - 1] == (crc32(blob) if isinstance(blob, bytes) else None))
 
 
-def put(connection: sqlite3.Connection, table: str, rows: Iterable[Sequence[Any]], *, replace: bool = True) -> None:
+def insert_rows(connection: sqlite3.Connection, table: str, rows: Iterable[Sequence[Any]], *, replace: bool = True) -> None:
     """Insert rows within a transaction; `replace` overwrites rows with the same key."""
     definition = TABLES[table]
-    columns = ", ".join(definition.stored)
+    columns = ", ".join(definition.stored_columns)
     insert = (
-        f"INSERT{' OR REPLACE' * replace} INTO {table} ({columns}) VALUES ({', '.join('?' * len(definition.stored))})"
+        f"INSERT{' OR REPLACE' * replace} INTO {table} ({columns}) VALUES ({', '.join('?' * len(definition.stored_columns))})"
     )
-    query = f"SELECT checksum FROM {table} WHERE {_keys(definition)}"
+    query = f"SELECT checksum FROM {table} WHERE {_key_condition(definition)}"
     added, sums = 0, 0
     for row in rows:
-        stored = sealed(table, row)
+        stored = with_checksums(table, row)
         previous = (
-            connection.execute(query, stored[: definition.key]).fetchone() if replace and definition.key else None
+            connection.execute(query, stored[: definition.n_key_columns]).fetchone() if replace and definition.n_key_columns else None
         )
         connection.execute(insert, stored)
         added += previous is None
-        sums ^= stored[len(definition.columns)] ^ (0 if previous is None else _number(table, previous[0]))
-    _tally(connection, table, added, sums)
+        sums ^= stored[len(definition.columns)] ^ (0 if previous is None else _require_int_checksum(table, previous[0]))
+    _update_checksum_totals(connection, table, added, sums)
 
 
-def remove(connection: sqlite3.Connection, table: str, where: str = "1", *values: Any) -> None:
+def delete_rows(connection: sqlite3.Connection, table: str, condition: str = "1", *values: Any) -> None:
     """Delete rows within a transaction; all of them without a condition."""
-    checksums = connection.execute(f"SELECT checksum FROM {table} WHERE {where}", values).fetchall()
+    checksums = connection.execute(f"SELECT checksum FROM {table} WHERE {condition}", values).fetchall()
     if checksums:
-        connection.execute(f"DELETE FROM {table} WHERE {where}", values)
-        _tally(connection, table, -len(checksums), reduce(xor, (_number(table, checksum) for (checksum,) in checksums)))
+        connection.execute(f"DELETE FROM {table} WHERE {condition}", values)
+        _update_checksum_totals(connection, table, -len(checksums), reduce(xor, (_require_int_checksum(table, checksum) for (checksum,) in checksums)))
 
 
-def _number(table: str, checksum: Any) -> int:
+def _require_int_checksum(table: str, checksum: Any) -> int:
     if not isinstance(checksum, int):
         raise DamageError(f"its table {table} has a row without a checksum")
     return checksum
 
 
 def read_rows(
-    connection: sqlite3.Connection, table: str, where: str = "1", *values: Any, blob: bool = False
+    connection: sqlite3.Connection, table: str, condition: str = "1", *values: Any, with_blob: bool = False
 ) -> Iterator[tuple[Any, ...]]:
     """Yield rows without checksums in the order of their keys; raises `DamageError` at an invalid checksum."""
     definition = TABLES[table]
-    columns = definition.stored if blob or not definition.blob else definition.stored[:-1]
-    order = ", ".join(definition.columns[: definition.key]) or "rowid"
-    count = len(definition.light)
-    query = f"SELECT {', '.join(columns)} FROM {table} WHERE {where} ORDER BY {order}"
+    columns = definition.stored_columns if with_blob or not definition.has_blob else definition.stored_columns[:-1]
+    order = ", ".join(definition.columns[: definition.n_key_columns]) or "rowid"
+    count = len(definition.columns_without_blob)
+    query = f"SELECT {', '.join(columns)} FROM {table} WHERE {condition} ORDER BY {order}"
     for stored in connection.execute(query, values):
-        if not is_sound(table, stored):
-            raise DamageError(f"its table {table} has a wrong checksum for {name_of(table, stored)}")
-        yield (*stored[:count], stored[-1]) if blob and definition.blob else stored[:count]
+        if not is_checksum_valid(table, stored):
+            raise DamageError(f"its table {table} has a wrong checksum for {describe_row_key(table, stored)}")
+        yield (*stored[:count], stored[-1]) if with_blob and definition.has_blob else stored[:count]
 
 
-def require_tally(connection: sqlite3.Connection, table: str) -> None:
+def require_checksum_totals(connection: sqlite3.Connection, table: str) -> None:
     """Raise `DamageError` if row count or XOR of checksums of a table differ from what is stored."""
-    if not TABLES[table].tallied:
+    if not TABLES[table].has_totals:
         return
     checksums = [checksum for (checksum,) in connection.execute(f"SELECT checksum FROM {table}")]
-    if not all(isinstance(checksum, int) for checksum in checksums) or _come_to(checksums) != known_tally(
+    if not all(isinstance(checksum, int) for checksum in checksums) or _compute_totals(checksums) != read_checksum_totals(
         connection, table
     ):
         raise DamageError(f"its table {table} has missing or extra rows")
 
 
-def _come_to(checksums: Sequence[int]) -> tuple[int, int]:
+def _compute_totals(checksums: Sequence[int]) -> tuple[int, int]:
     return len(checksums), reduce(xor, checksums, 0)
 
 
-def known_tally(connection: sqlite3.Connection, table: str) -> tuple[int, int]:
+def read_checksum_totals(connection: sqlite3.Connection, table: str) -> tuple[int, int]:
     """Stored row count and XOR of checksums of a table; raises `DamageError` if they are damaged."""
     row = connection.execute("SELECT * FROM tallies WHERE name = ?", (table,)).fetchone()
     if row is None:
         return 0, 0
-    if not is_sound("tallies", row):
+    if not is_checksum_valid("tallies", row):
         raise DamageError(f"the row count of its table {table} has a wrong checksum")
     return int(row[1]), int(row[2])
 
 
-def name_of(table: str, stored: Sequence[Any]) -> str:
+def describe_row_key(table: str, stored_row: Sequence[Any]) -> str:
     """Key columns and values of a row, in words."""
     definition = TABLES[table]
-    keys = zip(definition.columns[: definition.key], stored, strict=False)
+    keys = zip(definition.columns[: definition.n_key_columns], stored_row, strict=False)
     return ", ".join(f"{name} {str(value)[:60]!r}" for name, value in keys) or "a row"
 
 
-def _tally(connection: sqlite3.Connection, table: str, added: int, sums: int) -> None:
-    if not TABLES[table].tallied or not (added or sums):
+def _update_checksum_totals(connection: sqlite3.Connection, table: str, n_added: int, checksum_xor: int) -> None:
+    if not TABLES[table].has_totals or not (n_added or checksum_xor):
         return
-    rows, checksums = known_tally(connection, table)
-    stored = sealed("tallies", (table, rows + added, checksums ^ sums))
+    rows, checksums = read_checksum_totals(connection, table)
+    stored = with_checksums("tallies", (table, rows + n_added, checksums ^ checksum_xor))
     connection.execute("INSERT OR REPLACE INTO tallies VALUES (?, ?, ?, ?)", stored)
 
 
-def _keys(about: Table) -> str:
-    return " AND ".join(f"{name} = ?" for name in about.columns[: about.key])
+def _key_condition(definition: StudyTable) -> str:
+    return " AND ".join(f"{name} = ?" for name in definition.columns[: definition.n_key_columns])

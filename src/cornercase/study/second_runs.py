@@ -10,29 +10,29 @@ import numpy as np
 
 from cornercase.drivers import ReferenceOutcome
 from cornercase.study.codec import pack_arrays, unpack_arrays
-from cornercase.study.damage import require
-from cornercase.study.seals import put
+from cornercase.study.damage import require_value
+from cornercase.study.seals import insert_rows
 
 # Outcome (whether it collides, if known) by stored score.
-_CODES: Final = {0.0: False, 1.0: True, -1.0: None}
-_NUMBERS: Final = {collides: code for code, collides in _CODES.items()}
+_OUTCOME_BY_SCORE: Final = {0.0: False, 1.0: True, -1.0: None}
+_SCORE_BY_OUTCOME: Final = {collides: code for code, collides in _OUTCOME_BY_SCORE.items()}
 
 
-def row_name(driver: str) -> str:
+def reference_metric_name(driver: str) -> str:
     """Name that the outcome of a reference driver has in the column `metric`."""
     return f"reference:{driver}"
 
 
-def write_references(connection: Connection, scenario: int, outcomes: Mapping[str, ReferenceOutcome]) -> None:
+def write_reference_outcomes(connection: Connection, scenario: int, outcomes: Mapping[str, ReferenceOutcome]) -> None:
     """Store the outcomes of a scenario with reference drivers, by driver; call it within a transaction."""
-    put(
+    insert_rows(
         connection,
         "courses",
         [
             (
                 scenario,
-                row_name(name),
-                _NUMBERS[outcome.collides],
+                reference_metric_name(name),
+                _SCORE_BY_OUTCOME[outcome.collides],
                 pack_arrays({"course": np.array([] if outcome.time is None else [outcome.time], dtype=np.float64)}),
             )
             for name, outcome in outcomes.items()
@@ -40,8 +40,8 @@ def write_references(connection: Connection, scenario: int, outcomes: Mapping[st
     )
 
 
-def read_reference(score: float, packed: bytes) -> ReferenceOutcome:
+def decode_reference_outcome(score: float, packed: bytes) -> ReferenceOutcome:
     """Decode the stored outcome of a run with a reference driver."""
     times = np.asarray(unpack_arrays(packed)["course"])
-    require(score in _CODES and times.ndim == 1 and len(times) <= 1, "the outcome of a reference")
-    return ReferenceOutcome(_CODES[score], float(times[0]) if len(times) else None)
+    require_value(score in _OUTCOME_BY_SCORE and times.ndim == 1 and len(times) <= 1, "the outcome of a reference")
+    return ReferenceOutcome(_OUTCOME_BY_SCORE[score], float(times[0]) if len(times) else None)

@@ -7,10 +7,10 @@ import re
 from pathlib import Path, PurePosixPath
 from typing import Final
 
-from cornercase._common.files import LARGEST
+from cornercase._common.files import MAX_FILE_SIZE
 
 # Largest number of `..` in a stored path.
-_HIGHEST: Final = 3
+_MAX_PARENT_STEPS: Final = 3
 
 
 def stored_path(file: Path, study: Path) -> str:
@@ -37,12 +37,12 @@ def stored_path(file: Path, study: Path) -> str:
     below = relative.parts[n_up:]
     if n_up:
         common = Path(os.path.commonpath([folder, start]))
-        if n_up > _HIGHEST or (below and (common.parent == common or _is_home_or_above(common))):
+        if n_up > _MAX_PARENT_STEPS or (below and (common.parent == common or _contains_home(common))):
             return name
     return (PurePosixPath(*relative.parts) / name).as_posix()
 
 
-def file_named(stored: str, study: Path) -> Path | None:
+def resolve_stored_path(stored: str, study: Path) -> Path | None:
     """Find the scenario file at a path that `stored_path` gave; None if there is none.
 
     The study may come from anywhere: only paths that `stored_path` can give are followed, and only to OpenSCENARIO
@@ -51,7 +51,7 @@ def file_named(stored: str, study: Path) -> Path | None:
     parts = stored.split("/")
     n_up = parts.count("..")
     is_plain = all(part not in ("", ".") and not re.search(r"[\\:\x00-\x1f]", part) for part in parts)
-    if not is_plain or n_up > _HIGHEST or ".." in parts[n_up:] or not stored.lower().endswith(".xosc"):
+    if not is_plain or n_up > _MAX_PARENT_STEPS or ".." in parts[n_up:] or not stored.lower().endswith(".xosc"):
         return None
     folders = (study.parent.resolve() / study.name).parents
     if n_up >= len(folders):
@@ -59,12 +59,12 @@ def file_named(stored: str, study: Path) -> Path | None:
     file = folders[n_up].joinpath(*parts[n_up:])
     try:
         # Virtual files of the system have size 0.
-        return file if file.is_file() and 0 < file.stat().st_size <= LARGEST else None
+        return file if file.is_file() and 0 < file.stat().st_size <= MAX_FILE_SIZE else None
     except OSError:
         return None
 
 
-def _is_home_or_above(folder: Path) -> bool:
+def _contains_home(folder: Path) -> bool:
     try:
         return Path.home().resolve().is_relative_to(folder)
     except (RuntimeError, OSError):

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True, eq=False)
-class Row:
+class ScenarioRecord:
     """One concrete scenario of a study.
 
     Attributes
@@ -41,16 +41,16 @@ class Row:
     error: str | None
 
 
-def scenario_table(
-    rows: Sequence[Row],
+def build_scenario_table(
+    rows: Sequence[ScenarioRecord],
     space: ParameterSpace,
     scores: Mapping[str, FloatArray],
     clusters: Mapping[str, tuple[IntArray, IntArray]],
     outcomes: Mapping[int, str],
     audits: Sequence[bool] | None = None,
     notes: Mapping[int, str] | None = None,
-    against: Mapping[str, Mapping[int, str | None]] | None = None,
-    runs: Mapping[int, int] | None = None,
+    score_sources: Mapping[str, Mapping[int, str | None]] | None = None,
+    run_counts: Mapping[int, int] | None = None,
 ) -> pd.DataFrame:
     """Build the table of `Study.table`, with one row per scenario.
 
@@ -66,9 +66,9 @@ def scenario_table(
     for name, values in scores.items():
         columns[name] = np.full(len(rows), np.nan)
         columns[name][done] = values
-    if runs is not None:
-        columns["runs"] = pd.array([runs.get(row.id) for row in rows], dtype="Int64")
-    for name, sources in (against or {}).items():
+    if run_counts is not None:
+        columns["runs"] = pd.array([run_counts.get(row.id) for row in rows], dtype="Int64")
+    for name, sources in (score_sources or {}).items():
         columns[f"other by {name}"] = pd.Series([sources.get(row.id) for row in rows], dtype=object)
     for name, (members, labels) in clusters.items():
         column = pd.Series(pd.NA, index=ids, dtype="Int64")
@@ -84,7 +84,7 @@ def scenario_table(
     leading["state"] = [row.state for row in rows]
     if audits is not None:
         leading["audit"] = list(audits)
-    varied = {parameter.name: [parameter.read(row.values) for row in rows] for parameter in space.parameters}
+    varied = {parameter.name: [parameter.extract_value(row.values) for row in rows] for parameter in space.parameters}
     # A parameter may have the same name as another column.
     varied = {
         f"parameter {name}" if name in leading or name in columns else name: values_ for name, values_ in varied.items()

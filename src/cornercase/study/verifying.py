@@ -13,22 +13,22 @@ from cornercase._common import arguments
 from cornercase._common.errors import InputError
 from cornercase.study._study import Study
 from cornercase.study.connecting import (
-    connected,
-    is_unreachable,
-    require_file,
-    require_plain,
-    require_study,
-    schema_version,
-    sentences,
-    told_by_sqlite,
+    open_connection,
+    is_unreachable_error,
+    require_study_file,
+    require_known_tables,
+    require_current_schema,
+    read_schema_version,
+    reraise_sqlite_errors,
+    iter_sqlite_problems,
 )
 from cornercase.study.damage import DamageError
-from cornercase.study.salvaging import holds_rows
-from cornercase.study.schema import APPLICATION, SCHEMA_VERSION, TABLES
-from cornercase.study.seals import is_sound, name_of, require_tally
+from cornercase.study.salvaging import has_intact_rows
+from cornercase.study.schema import APPLICATION_ID, SCHEMA_VERSION, TABLES
+from cornercase.study.seals import is_checksum_valid, describe_row_key, require_checksum_totals
 
 # Largest number of listed problems, from SQLite and per table.
-_MOST: Final = 20
+_MAX_LISTED: Final = 20
 
 
 @dataclass(frozen=True)
@@ -49,7 +49,7 @@ class Verification:
     checked: bool = True
 
     @property
-    def sound(self) -> bool:
+    def is_sound(self) -> bool:
         """Whether there is no problem."""
         return not self.problems
 
@@ -79,38 +79,38 @@ def verify(study: Path | str) -> Verification:
         ...
     cornercase._common.errors.InputError: missing.db: there is no such study; make one with `explore`.
     """
-    path = arguments.path("study", study)
-    require_file(path)
-    _require_own(path)
-    problems = list(dict.fromkeys(_problems(path)))
+    path = arguments.check_path("study", study)
+    require_study_file(path)
+    _require_study(path)
+    problems = list(dict.fromkeys(_iter_problems(path)))
     return Verification(path, tuple(problems))
 
 
-def _require_own(path: Path) -> None:
+def _require_study(path: Path) -> None:
     """Raise `InputError` unless the file is a study, damaged or not."""
     try:
-        with closing(connected(path)) as connection:
+        with closing(open_connection(path)) as connection:
             connection.execute("SELECT count(*) FROM sqlite_master").fetchone()
             (application,) = connection.execute("PRAGMA application_id").fetchone()
-            version = schema_version(connection)
-            if application not in (0, APPLICATION) or (application == APPLICATION and version > SCHEMA_VERSION):
+            version = read_schema_version(connection)
+            if application not in (0, APPLICATION_ID) or (application == APPLICATION_ID and version > SCHEMA_VERSION):
                 # It is unknown whether this number itself is damaged.
-                require_study(path, connection)
-            if application == APPLICATION:
+                require_current_schema(path, connection)
+            if application == APPLICATION_ID:
                 return
     except (sqlite3.Error, UnicodeDecodeError) as error:
-        _require_reached(path, error)
+        _raise_if_unreachable(path, error)
     try:
-        has_rows = holds_rows(path)
+        has_rows = has_intact_rows(path)
     except OSError as error:
         raise InputError(f"{path}: cannot be read ({error.strerror}).") from error
     if not has_rows:
         raise InputError(f"{path}: is not a cornercase study, or nothing is left of one.")
 
 
-def _problems(path: Path) -> Iterator[str]:
+def _iter_problems(path: Path) -> Iterator[str]:
     is_damaged = False
-    for problem in _of_file(path):
+    for problem in _iter_file_problems(path):
         is_damaged = True
         yield problem
     if is_damaged:
@@ -118,65 +118,65 @@ def _problems(path: Path) -> Iterator[str]:
     # All checksums are valid. Reading the content shows whether it is that of a study.
     try:
         with Study.open(path) as opened:
-            for _ in opened.recorded():
+            for _ in opened.iter_recordings():
                 pass
             opened.table()
-            opened.results()
-            opened.elapsed()
-            opened.elsewhere()
-            for name in opened.analyses():
-                opened.analysis(name)
-            opened.reduction(), opened.estimate()
+            opened.result_order()
+            opened.elapsed_by_stage()
+            opened.warm_start_data()
+            for name in opened.analyzed_aspects():
+                opened.read_analysis(name)
+            opened.read_reduction(), opened.read_estimate()
             for row in opened.rows():
-                opened.scores_of(row.id), opened.against_of(row.id)
+                opened.scenario_scores(row.id), opened.scenario_score_sources(row.id)
     except InputError as error:
-        _require_reached(path, error.__cause__)
+        _raise_if_unreachable(path, error.__cause__)
         yield str(error).removeprefix(f"{path}: ")
 
 
-def _of_file(path: Path) -> Iterator[str]:
+def _iter_file_problems(path: Path) -> Iterator[str]:
     try:
-        with closing(connected(path)) as connection:
+        with closing(open_connection(path)) as connection:
             connection.execute("PRAGMA trusted_schema = OFF")
             connection.execute("PRAGMA cell_size_check = ON")
-            require_study(path, connection)
-            for line in told_by_sqlite(connection, _MOST):
+            require_current_schema(path, connection)
+            for line in iter_sqlite_problems(connection, _MAX_LISTED):
                 yield f"SQLite says: {line}"
-            require_plain(path, connection)
+            require_known_tables(path, connection)
     except (sqlite3.Error, UnicodeDecodeError, InputError) as error:
-        yield _words(path, error)
+        yield _describe_error(path, error)
         return
-    with closing(connected(path)) as connection:
+    with closing(open_connection(path)) as connection:
         tables = {name for (name,) in connection.execute("SELECT name FROM sqlite_master WHERE type = 'table'")}
         for table in (name for name in TABLES if name in tables):
-            yield from _of_table(path, connection, table)
+            yield from _iter_table_problems(path, connection, table)
 
 
-def _of_table(path: Path, connection: sqlite3.Connection, table: str) -> Iterator[str]:
+def _iter_table_problems(path: Path, connection: sqlite3.Connection, table: str) -> Iterator[str]:
     definition = TABLES[table]
     count = 0
     try:
-        for stored in connection.execute(f"SELECT {', '.join(definition.stored)} FROM {table}"):
-            if not is_sound(table, stored):
+        for stored in connection.execute(f"SELECT {', '.join(definition.stored_columns)} FROM {table}"):
+            if not is_checksum_valid(table, stored):
                 count += 1
-                if count <= _MOST:
-                    yield f"its table {table} has a wrong checksum for {name_of(table, stored)}"
-        if count > _MOST:
-            yield f"its table {table} has {count - _MOST} more such rows"
-        require_tally(connection, table)
+                if count <= _MAX_LISTED:
+                    yield f"its table {table} has a wrong checksum for {describe_row_key(table, stored)}"
+        if count > _MAX_LISTED:
+            yield f"its table {table} has {count - _MAX_LISTED} more such rows"
+        require_checksum_totals(connection, table)
     except (sqlite3.Error, UnicodeDecodeError, DamageError) as error:
-        yield _words(path, error)
+        yield _describe_error(path, error)
 
 
-def _require_reached(path: Path, error: BaseException | None) -> None:
+def _raise_if_unreachable(path: Path, error: BaseException | None) -> None:
     """Raise an error that says nothing about the content: the file is locked or cannot be opened."""
-    if error is not None and is_unreachable(error):
-        with sentences(path):
+    if error is not None and is_unreachable_error(error):
+        with reraise_sqlite_errors(path):
             raise error
 
 
-def _words(path: Path, error: Exception) -> str:
-    _require_reached(path, error)
+def _describe_error(path: Path, error: Exception) -> str:
+    _raise_if_unreachable(path, error)
     if isinstance(error, UnicodeDecodeError):
         return "SQLite says: damaged text"
     if isinstance(error, sqlite3.Error):

@@ -10,24 +10,24 @@ from typing import Any, Final
 
 import numpy as np
 
-from cornercase._common.arguments import texts
+from cornercase._common.arguments import check_str_sequence
 from cornercase._common.errors import InputError
-from cornercase.clustering import join_kinds, read_analyses
-from cornercase.drivers import DRIVERS, driver_command, driver_text
+from cornercase.clustering import assign_to_clusters, read_analyses
+from cornercase.drivers import DRIVERS, driver_command_option, format_driver
 from cornercase.metrics import METRICS
 from cornercase.simulators import SIMULATORS
 from cornercase.study import Study, StudyMeta, open_study
-from cornercase.suite.comparing_pairs import Side, deciding_metrics, read_pairs, require_comparable, sample_of
-from cornercase.suite.comparing_results import LEVEL, ChangeTest, Comparison, KindChange, Pair, ScoreChange
-from cornercase.suite.comparing_space import find_space_change
-from cornercase.suite.comparing_telling import choose_telling
-from cornercase.suite.comparing_tests import FEWEST, correct, moved_by, tests_of_pairs, tests_of_samples
-from cornercase.suite.comparing_verdict import find_tolerances, find_verdict, judge_version
-from cornercase.suite.judging import verdicts_of
+from cornercase.suite.comparing_pairs import StudySide, criticality_metrics, match_pairs, choose_compared_metrics, space_filling_scores
+from cornercase.suite.comparing_results import ALPHA, ChangeTest, Comparison, ClusterChange, ScenarioPair, ScoreChange
+from cornercase.suite.comparing_space import estimate_space_change
+from cornercase.suite.comparing_telling import choose_examples
+from cornercase.suite.comparing_tests import MIN_SAMPLE_SIZE, holm_correct, score_difference, test_pairs, test_unpaired_samples
+from cornercase.suite.comparing_verdict import resolve_tolerances, find_findings, decide_verdict
+from cornercase.suite.judging import judge_study
 
-_DRIVER: Final = "drivers "
+_DRIVER_PREFIX: Final = "drivers "
 # Fields listed as differences; seed and optimizer only determine which scenarios were run.
-_NAMED: Final = {"simulator": "simulator", "version": "version of cornercase", "runs_of_each": "runs of each scenario"}
+_SETTING_LABELS: Final = {"simulator": "simulator", "version": "version of cornercase", "runs_of_each": "runs of each scenario"}
 
 
 def compare(
@@ -83,48 +83,48 @@ def compare(
         open_study(old, readonly=True, critical=critical) as before,
         open_study(new, readonly=True, critical=critical) as after,
     ):
-        compared = require_comparable(before, after, None if metrics is None else texts("metrics", metrics))
+        compared = choose_compared_metrics(before, after, None if metrics is None else check_str_sequence("metrics", metrics))
         for study in (before, after):
-            _require_finished(study)
+            _require_complete_suite(study)
         shared = set(before.meta.requirements) & set(after.meta.requirements)
-        measured = tuple(dict.fromkeys((*compared, *(deciding_metrics(before) if deciding_metrics(after) else ()))))
-        limits = find_tolerances(measured, sorted(shared), tolerances)
-        sides = [Side.of(study, measured, verdicts_of(study)) for study in (before, after)]
-        pairs = read_pairs(sides[0], sides[1], compared)
-        deterministic = all(_repeats_itself(study.meta) for study in (before, after))
-        tests = _tests(sides[0], sides[1], pairs, compared, deterministic)
-        changed, reason = _judged(pairs, tests, deterministic)
-        worse, better, within = find_verdict(pairs, tests, limits, deterministic)
-        verdict, verdict_reason = judge_version((worse, better), pairs, tests, (changed, reason), deterministic)
+        measured = tuple(dict.fromkeys((*compared, *(criticality_metrics(before) if criticality_metrics(after) else ()))))
+        limits = resolve_tolerances(measured, sorted(shared), tolerances)
+        sides = [StudySide.from_study(study, measured, judge_study(study)) for study in (before, after)]
+        pairs = match_pairs(sides[0], sides[1], compared)
+        deterministic = all(_is_deterministic(study.meta) for study in (before, after))
+        tests = _run_tests(sides[0], sides[1], pairs, compared, deterministic)
+        changed, reason = _decide_whether_changed(pairs, tests, deterministic)
+        worse, better, within = find_findings(pairs, tests, limits, deterministic)
+        verdict, verdict_reason = decide_verdict((worse, better), pairs, tests, (changed, reason), deterministic)
         return Comparison(
             names=(before.path.name, after.path.name),
             title=before.meta.title,
-            differences=(*_differences(before.meta, after.meta), *_differing_runs(before, after)),
+            differences=(*_describe_setting_differences(before.meta, after.meta), *_describe_nondeterminism(before, after)),
             changed=changed,
             reason=reason,
             verdict=verdict,
             verdict_reason=verdict_reason,
             worse=worse,
             better=better,
-            within=within,
+            within_tolerance=within,
             tolerances=limits,
-            certain=deterministic,
+            is_deterministic=deterministic,
             pairs=pairs,
-            alone=(len(sides[0].rows) - len(pairs), len(sides[1].rows) - len(pairs)),
-            scores=tuple(_score_change(pairs, name) for name in compared if any(pair.ran for pair in pairs)),
+            n_unmatched=(len(sides[0].rows) - len(pairs), len(sides[1].rows) - len(pairs)),
+            scores=tuple(_compute_score_change(pairs, name) for name in compared if any(pair.both_ran for pair in pairs)),
             tests=tests,
-            outcomes=Counter(pair.outcomes for pair in pairs if pair.ran),
+            outcomes=Counter(pair.outcomes for pair in pairs if pair.both_ran),
             verdicts=Counter(
                 (a.requirement, a.state, b.state) for pair in pairs for a, b in zip(*pair.verdicts, strict=True)
             ),
-            kinds=_kinds(before, after, pairs),
-            space=find_space_change(sides[0], sides[1], pairs),
-            telling=choose_telling(pairs, compared, _searched(before.meta, compared)),
+            clusters=_count_cluster_changes(before, after, pairs),
+            space=estimate_space_change(sides[0], sides[1], pairs),
+            examples=choose_examples(pairs, compared, _objective_metric(before.meta, compared)),
             critical=critical,
         )
 
 
-def _require_finished(study: Study) -> None:
+def _require_complete_suite(study: Study) -> None:
     """Raise `InputError` if a suite was interrupted, since a few unchanged scenarios would look like all."""
     n_pending = sum(row.state == "pending" for row in study.rows())
     if study.meta.suite and n_pending:
@@ -134,55 +134,55 @@ def _require_finished(study: Study) -> None:
         )
 
 
-def _searched(meta: StudyMeta, metrics: Sequence[str]) -> str:
+def _objective_metric(meta: StudyMeta, metrics: Sequence[str]) -> str:
     """The metric that defines criticality; empty for a weighted sum, a Pareto front, or if it is not compared."""
     return "" if meta.weights or meta.pareto or meta.metrics[0] not in metrics else meta.metrics[0]
 
 
-def _repeats_itself(meta: StudyMeta) -> bool:
+def _is_deterministic(meta: StudyMeta) -> bool:
     """Tell whether runs of a study are deterministic: as was tried, or as cornercase's own parts declare."""
     declared: bool | None = None
     is_own_code = False
     with suppress(InputError):
-        simulator = SIMULATORS.class_of(meta.simulator)
-        declared = simulator.repeats_itself
-        is_own_code = simulator.__module__.startswith("cornercase.") and not any(map(_is_own, meta.drivers.values()))
+        simulator = SIMULATORS.get_class(meta.simulator)
+        declared = simulator.deterministic
+        is_own_code = simulator.__module__.startswith("cornercase.") and not any(map(_is_custom_driver, meta.drivers.values()))
     observed = meta.repeatability.get("same")
     return declared is not False and bool(observed) if observed is not None else is_own_code and declared is True
 
 
-def _tests(
-    old: Side, new: Side, pairs: Sequence[Pair], metrics: Sequence[str], certain: bool
+def _run_tests(
+    old: StudySide, new: StudySide, pairs: Sequence[ScenarioPair], metrics: Sequence[str], deterministic: bool
 ) -> tuple[ChangeTest, ...]:
     """Test the pairs that were chosen independently of scores, or both initial designs if these pairs are too few."""
-    tested = [pair for pair in pairs if certain or pair.unselected]
-    tests_ = tests_of_pairs(tested, metrics) if any(pair.run != "in neither" for pair in tested) else []
-    n_filling = len(old.filling()), len(new.filling())
+    tested = [pair for pair in pairs if deterministic or pair.is_score_independent]
+    tests_ = test_pairs(tested, metrics) if any(pair.run != "in neither" for pair in tested) else []
+    n_filling = len(old.space_filling_ids()), len(new.space_filling_ids())
     # If both designs are mostly the same scenarios, pairs are more powerful.
-    if sum(pair.unselected for pair in pairs) < FEWEST <= min(n_filling):
-        (old_scores, old_facts), (new_scores, new_facts) = sample_of(old, metrics), sample_of(new, metrics)
+    if sum(pair.is_score_independent for pair in pairs) < MIN_SAMPLE_SIZE <= min(n_filling):
+        (old_scores, old_facts), (new_scores, new_facts) = space_filling_scores(old, metrics), space_filling_scores(new, metrics)
         shared = {name: fact for name, fact in old_facts.items() if name in new_facts}
-        tests_ += tests_of_samples((old_scores, new_scores), (shared, new_facts))
+        tests_ += test_unpaired_samples((old_scores, new_scores), (shared, new_facts))
     if not tests_ and all(pair.run == "in neither" for pair in pairs):
         raise InputError(
             f"{old.study.path} and {new.study.path}: no scenario was run with both, and only {n_filling[0]} and"
-            f" {n_filling[1]} scenarios were chosen without looking at scores, where {FEWEST} are needed; explore"
+            f" {n_filling[1]} scenarios were chosen without looking at scores, where {MIN_SAMPLE_SIZE} are needed; explore"
             " both with the same `seed`, or with `audit`."
         )
-    return correct(tests_)
+    return holm_correct(tests_)
 
 
-def _judged(pairs: Sequence[Pair], tests: Sequence[ChangeTest], certain: bool) -> tuple[bool, str]:
+def _decide_whether_changed(pairs: Sequence[ScenarioPair], tests: Sequence[ChangeTest], deterministic: bool) -> tuple[bool, str]:
     """Tell whether the versions differ, and why."""
     runs = Counter(test.run for test in pairs)
-    n_ran = sum(test.ran for test in pairs)
-    significant = [test for test in tests if test.corrected <= LEVEL]
-    if n_different := certain and runs["otherwise"]:
+    n_ran = sum(test.both_ran for test in pairs)
+    significant = [test for test in tests if test.corrected <= ALPHA]
+    if n_different := deterministic and runs["otherwise"]:
         return (
             True,
             f"{n_different} of {n_ran} scenarios that ran with both differ, and both simulators are deterministic",
         )
-    if certain and runs["not in one"]:
+    if deterministic and runs["not in one"]:
         return True, f"{runs['not in one']} of {len(pairs)} scenarios could be run with one version only"
     if significant:
         first = min(significant, key=lambda test: test.corrected)
@@ -192,23 +192,23 @@ def _judged(pairs: Sequence[Pair], tests: Sequence[ChangeTest], certain: bool) -
         )
     if n_ran and runs["the same"] == len(pairs) - runs["in neither"]:
         return False, f"all {n_ran} scenarios that both ran are the same bytes"
-    if certain and n_ran:
+    if deterministic and n_ran:
         return False, f"the {n_ran} scenarios that both ran are the same up to rounding"
     if not tests:
         return False, "none of the scenarios that both ran can be tested: a search chose them by their scores"
-    return False, f"none of {len(tests)} tests shows a change, at {LEVEL:.0%} over all of them"
+    return False, f"none of {len(tests)} tests shows a change, at {ALPHA:.0%} over all of them"
 
 
-def _score_change(pairs: Sequence[Pair], name: str) -> ScoreChange:
-    metric = METRICS.create(name)
-    both_ran = [pair for pair in pairs if pair.ran]
-    scores = np.array([pair.scores[name] for pair in both_ran])
-    changes = moved_by(scores[:, 0], scores[:, 1])
+def _compute_score_change(pairs: Sequence[ScenarioPair], metric_name: str) -> ScoreChange:
+    metric = METRICS.create(metric_name)
+    both_ran = [pair for pair in pairs if pair.both_ran]
+    scores = np.array([pair.scores[metric_name] for pair in both_ran])
+    changes = score_difference(scores[:, 0], scores[:, 1])
     moved = changes[changes != 0.0]
-    worse = int((np.asarray(metric.oriented(moved)) < 0.0).sum())
+    worse = int((np.asarray(metric.to_minimize(moved)) < 0.0).sum())
     k = int(np.abs(changes).argmax())
     return ScoreChange(
-        metric=name,
+        metric=metric_name,
         unit=metric.unit,
         pairs=len(both_ran),
         moved=len(moved),
@@ -220,76 +220,76 @@ def _score_change(pairs: Sequence[Pair], name: str) -> ScoreChange:
     )
 
 
-def _differences(old: StudyMeta, new: StudyMeta) -> Iterator[str]:
+def _describe_setting_differences(old: StudyMeta, new: StudyMeta) -> Iterator[str]:
     """Yield differences between the settings of both studies, in words."""
     if bool(old.suite) != bool(new.suite):
         yield f"scenarios: {' → '.join('of a suite' if meta.suite else 'explored' for meta in (old, new))}"
-    for name, label in _NAMED.items():
+    for name, label in _SETTING_LABELS.items():
         if getattr(old, name) != getattr(new, name):
             yield f"{label}: {getattr(old, name)} → {getattr(new, name)}"
-    yield from _unlike("", old.settings, new.settings)
+    yield from _describe_value_difference("", old.settings, new.settings)
 
 
-def _differing_runs(*studies: Study) -> Iterator[str]:
+def _describe_nondeterminism(*studies: Study) -> Iterator[str]:
     """Yield which of the studies are not deterministic, in words."""
     for study in studies:
-        if study.meta.runs_differ:
-            yield f"runs of {study.path.name} differ: {study.meta.runs_differ}"
+        if study.meta.nondeterminism_text:
+            yield f"runs of {study.path.name} differ: {study.meta.nondeterminism_text}"
 
 
-def _unlike(name: str, old: Any, new: Any) -> Iterator[str]:
+def _describe_value_difference(name: str, old: Any, new: Any) -> Iterator[str]:
     """Yield differences between two values of a setting, in words."""
     if old == new:
         return
-    if name.startswith(_DRIVER) and (_is_own(old) or _is_own(new)):
-        texts = driver_text(old), driver_text(new)
+    if name.startswith(_DRIVER_PREFIX) and (_is_custom_driver(old) or _is_custom_driver(new)):
+        texts = format_driver(old), format_driver(new)
         if texts[0] != texts[1]:
-            yield f"driver {name.removeprefix(_DRIVER)}: {texts[0]} → {texts[1]}"
+            yield f"driver {name.removeprefix(_DRIVER_PREFIX)}: {texts[0]} → {texts[1]}"
             return
     if isinstance(old, str) != isinstance(new, str):
-        old, new = _spelt(old), _spelt(new)
+        old, new = _expand_driver_name(old), _expand_driver_name(new)
     if isinstance(old, Mapping) and isinstance(new, Mapping) and old.get("driver") == new.get("driver"):
         for key in [*old, *(key_ for key_ in new if key_ not in old)]:
-            yield from _unlike(f"{name} {key}".lstrip(), old.get(key), new.get(key))
+            yield from _describe_value_difference(f"{name} {key}".lstrip(), old.get(key), new.get(key))
     else:
-        yield f"{name.replace('_', ' ')}: {_plain(old)} → {_plain(new)}"
+        yield f"{name.replace('_', ' ')}: {_format_setting(old)} → {_format_setting(new)}"
 
 
-def _is_own(driver: Any) -> bool:
+def _is_custom_driver(driver: Any) -> bool:
     """Tell whether a driver is neither registered nor described by parameters alone."""
     if not isinstance(driver, Mapping):
         return False
-    return driver_command(driver) is None or not {"options", "sha256", "settings"}.isdisjoint(driver)
+    return driver_command_option(driver) is None or not {"options", "sha256", "settings"}.isdisjoint(driver)
 
 
-def _spelt(driver: Any) -> Any:
+def _expand_driver_name(driver: Any) -> Any:
     """Settings of a driver that is stored by its name."""
     return DRIVERS.create(driver).settings if isinstance(driver, str) and driver in DRIVERS else driver
 
 
-def _plain(value: Any) -> str:
+def _format_setting(value: Any) -> str:
     if isinstance(value, Mapping):
         return str(value.get("driver", "others"))
     return "as the file says" if value is None else f"{value:g}" if isinstance(value, float) else str(value)
 
 
-def _kinds(old: Study, new: Study, pairs: Sequence[Pair]) -> dict[str, tuple[KindChange, ...]]:
+def _count_cluster_changes(old: Study, new: Study, pairs: Sequence[ScenarioPair]) -> dict[str, tuple[ClusterChange, ...]]:
     """Count the pairs in each cluster of the old study, with each version; new scenarios are assigned to them."""
     clusters = {}
     for by, analysis in read_analyses(old).items():
         if by in old.meta.metrics and by not in new.meta.metrics:
             continue
         label_of = dict(zip(analysis.ids.tolist(), analysis.labels.tolist(), strict=True))
-        ran = [pair for pair in pairs if pair.ran and pair.ids[0] in label_of]
+        ran = [pair for pair in pairs if pair.both_ran and pair.ids[0] in label_of]
         # Unchanged scenarios keep their cluster, also at its edge.
         changed = [pair for pair in ran if pair.run != "the same"]
-        assigned = join_kinds(old, analysis, new, [pair.ids[1] for pair in changed]).tolist()
+        assigned = assign_to_clusters(old, analysis, new, [pair.ids[1] for pair in changed]).tolist()
         after = {pair.ids: label_of[pair.ids[0]] for pair in ran}
         after |= {pair.ids: cluster for pair, cluster in zip(changed, assigned, strict=True)}
         names = {pair.cluster: pair.label for pair in analysis.profiles} | {-1: "noise"}
         counts = Counter(label_of[pair.ids[0]] for pair in ran), Counter(after.values())
         clusters[by] = tuple(
-            KindChange(
+            ClusterChange(
                 cluster,
                 "noise" if cluster < 0 else names.get(cluster, f"cluster {cluster}"),
                 counts[0][cluster],

@@ -10,20 +10,20 @@ import numpy as np
 from cornercase._common.errors import InputError
 from cornercase._common.typing import BoolArray, FloatArray
 from cornercase.clustering import find_outcome
-from cornercase.exploration import Objective, chosen_blindly
-from cornercase.recordings import ARRAYS, Recording, same_bytes
-from cornercase.study import IMPORTED, Row, Study, StudyMeta
-from cornercase.suite.comparing_results import Pair, Run
-from cornercase.suite.judging import find_margin
+from cornercase.exploration import Objective, is_score_independent
+from cornercase.recordings import NUMERIC_ARRAYS, Recording, are_bitwise_equal
+from cornercase.study import IMPORTED_SIMULATOR, ScenarioRecord, Study, StudyMeta
+from cornercase.suite.comparing_results import ScenarioPair, RunComparison
+from cornercase.suite.judging import compute_margin
 from cornercase.suite.requirement import Requirement
 from cornercase.suite.verdict import Verdict
 
 # Tolerance in m, s, rad, m/s and m/s² for differences between processors and compilers.
-_ROUNDING = 1e-6
+_ROUNDING_TOLERANCE = 1e-6
 
 
 @dataclass(frozen=True, eq=False)
-class Side:
+class StudySide:
     """One of the two studies of a comparison; mappings are by id.
 
     `rows` have ended, the first of those with the same values. `fills` tells whether a scenario fills the space
@@ -32,26 +32,26 @@ class Side:
     """
 
     study: Study
-    rows: tuple[Row, ...]
-    fills: Mapping[int, bool]
-    searched: bool
+    rows: tuple[ScenarioRecord, ...]
+    fills_space: Mapping[int, bool]
+    is_explored: bool
     scores: Mapping[int, Mapping[str, float]]
-    critical: Mapping[int, bool]
+    is_critical: Mapping[int, bool]
     verdicts: Mapping[int, Sequence[Verdict]]
 
     @classmethod
-    def of(cls, study: Study, metrics: Sequence[str], verdicts: Mapping[int, Sequence[Verdict]]) -> Side:
+    def from_study(cls, study: Study, metrics: Sequence[str], verdicts: Mapping[int, Sequence[Verdict]]) -> StudySide:
         """Read everything about the scenarios of an open study except their recordings."""
-        rows, done = study.rows(), [row.id for row in study.done()]
-        first_rows: dict[tuple[object, ...], Row] = {}
+        rows, done = study.rows(), [row.id for row in study.finished_rows()]
+        first_rows: dict[tuple[object, ...], ScenarioRecord] = {}
         for row in rows:
             if row.state != "pending":
-                first_rows.setdefault(key_of(study, row), row)
+                first_rows.setdefault(scenario_key(study, row), row)
         columns = {name: study.scores(name).tolist() for name in metrics}
         scores = {scenario: {name: columns[name][k] for name in metrics} for k, scenario in enumerate(done)}
-        is_known = knows_critical(study)
+        is_known = has_threshold(study)
         critical = (
-            dict(zip(done, Objective.of_study(study.meta).critical_of(study).tolist(), strict=True)) if is_known else {}
+            dict(zip(done, Objective.from_study_meta(study.meta).is_critical_in_study(study).tolist(), strict=True)) if is_known else {}
         )
         searched = study.meta.optimizer.partition(":")[0] != "none"
         fills = dict.fromkeys((row.id for row in rows), False)
@@ -59,93 +59,93 @@ class Side:
             fills = {row.id: study.meta.is_audit(row.id) for row in rows}
             searched_rows = [row for row in rows if not fills[row.id]]
             points = np.array([row.point for row in searched_rows]).reshape(-1, study.space.dimension)
-            is_independent = chosen_blindly(study.meta.optimizer, study.space, study.meta.seed, points)
+            is_independent = is_score_independent(study.meta.optimizer, study.space, study.meta.seed, points)
             fills |= {
                 row.id: bool(scenario) for row, scenario in zip(searched_rows, is_independent, strict=True) if scenario
             }
         return cls(study, tuple(first_rows.values()), fills, searched, scores, critical, verdicts)
 
-    def unselected(self, scenario: int) -> bool:
+    def is_score_independent(self, scenario: int) -> bool:
         """Tell whether a scenario was chosen independently of scores."""
-        return not self.searched or self.fills[scenario]
+        return not self.is_explored or self.fills_space[scenario]
 
-    def filling(self) -> list[int]:
+    def space_filling_ids(self) -> list[int]:
         """Ids of the scenarios that ran and fill the space independently of scores."""
-        return [row.id for row in self.rows if row.state == "done" and self.fills[row.id]]
+        return [row.id for row in self.rows if row.state == "done" and self.fills_space[row.id]]
 
 
-def knows_critical(study: Study) -> bool:
+def has_threshold(study: Study) -> bool:
     """Tell whether the study has a threshold of a single score."""
     return study.critical is not None and not study.meta.pareto
 
 
-def key_of(study: Study, row: Row) -> tuple[object, ...]:
+def scenario_key(study: Study, row: ScenarioRecord) -> tuple[object, ...]:
     """Parameter values of a scenario, by which its partner is found: a number, or the text of a choice, for each."""
     return tuple(
         str(value) if parameter.choices else float(value)
         for parameter in study.space.parameters
-        for value in (parameter.read(row.values),)
+        for value in (parameter.extract_value(row.values),)
     )
 
 
-def deciding_metrics(study: Study) -> tuple[str, ...]:
+def criticality_metrics(study: Study) -> tuple[str, ...]:
     """Names of the metrics whose scores define criticality in a study; empty without a threshold."""
-    if not knows_critical(study):
+    if not has_threshold(study):
         return ()
     return tuple(study.meta.weights) or study.meta.metrics[:1]
 
 
-def read_pairs(old: Side, new: Side, metrics: Sequence[str]) -> tuple[Pair, ...]:
+def match_pairs(old: StudySide, new: StudySide, metrics: Sequence[str]) -> tuple[ScenarioPair, ...]:
     """Match the scenarios that ended in both studies, and compare their results, in the order of the old study."""
-    other = old.study.main_other()
-    partners = {key_of(new.study, row): row for row in new.rows}
+    other = old.study.primary_other()
+    partners = {scenario_key(new.study, row): row for row in new.rows}
     pairs = []
     for row in old.rows:
-        partner = partners.get(key_of(old.study, row))
+        partner = partners.get(scenario_key(old.study, row))
         if partner is not None:
-            pairs.append(_pair(old, new, row, partner, other, metrics))
+            pairs.append(_build_pair(old, new, row, partner, other, metrics))
     return tuple(pairs)
 
 
-def _pair(old: Side, new: Side, before: Row, after: Row, other: str, metrics: Sequence[str]) -> Pair:
-    ids = before.id, after.id
-    unselected = old.unselected(before.id) and new.unselected(after.id)
-    point = tuple(before.point.tolist())
-    ran = [row.state == "done" for row in (before, after)]
+def _build_pair(old: StudySide, new: StudySide, old_row: ScenarioRecord, new_row: ScenarioRecord, other: str, metrics: Sequence[str]) -> ScenarioPair:
+    ids = old_row.id, new_row.id
+    unselected = old.is_score_independent(old_row.id) and new.is_score_independent(new_row.id)
+    point = tuple(old_row.point.tolist())
+    ran = [row.state == "done" for row in (old_row, new_row)]
     if not all(ran):
-        run: Run = "not in one" if any(ran) else "in neither"
-        return Pair(ids, before.values, point, run, unselected, (before.error, after.error))
-    recordings = old.study.recordings_beside(before.id, new.study, after.id)
+        run: RunComparison = "not in one" if any(ran) else "in neither"
+        return ScenarioPair(ids, old_row.values, point, run, unselected, (old_row.error, new_row.error))
+    recordings = old.study.read_recording_pair(old_row.id, new.study, new_row.id)
     run = compare_recordings(*recordings)
     ego, others = old.study.meta.ego, old.study.meta.others
     # Encounters with entities other than `other` do not affect the outcome.
-    old_ending = find_outcome(recordings[0].with_absent(others), ego, other, others=False)
+    old_ending = find_outcome(recordings[0].with_absent_entities(others), ego, other, others=False)
     new_ending = (
-        old_ending if run == "the same" else find_outcome(recordings[1].with_absent(others), ego, other, others=False)
+        old_ending if run == "the same" else find_outcome(recordings[1].with_absent_entities(others), ego, other, others=False)
     )
-    verdicts = _on_the_same(old.verdicts.get(before.id, ()), new.verdicts.get(after.id, ()))
-    has_criticality = bool(old.critical and new.critical)
-    return Pair(
+    verdicts = _match_verdicts(old.verdicts.get(old_row.id, ()), new.verdicts.get(new_row.id, ()))
+    has_criticality = bool(old.is_critical and new.is_critical)
+    return ScenarioPair(
         ids,
-        before.values,
+        old_row.values,
         point,
         run,
         unselected,
-        scores=_scores(old, new, ids, metrics),
+        scores=_pair_scores(old, new, ids, metrics),
         outcomes=(old_ending.text, new_ending.text),
         collides=(bool(old_ending.impacts), bool(new_ending.impacts)),
-        critical=(old.critical[before.id], new.critical[after.id]) if has_criticality else None,
+        is_critical=(old.is_critical[old_row.id], new.is_critical[new_row.id]) if has_criticality else None,
         verdicts=verdicts,
-        margins=_margins(verdicts, recordings, ego, others),
-        deciding=_scores(old, new, ids, deciding_metrics(old.study) if has_criticality else ()),
+        margins=_changed_margins(verdicts, recordings, ego, others),
+        criticality_scores=_pair_scores(old, new, ids, criticality_metrics(old.study) if has_criticality else ()),
     )
 
 
-def _scores(old: Side, new: Side, ids: tuple[int, int], metrics: Sequence[str]) -> dict[str, tuple[float, float]]:
+def _pair_scores(old: StudySide, new: StudySide, ids: tuple[int, int], metrics: Sequence[str]) -> dict[str, tuple[float, float]]:
     return {name: (old.scores[ids[0]][name], new.scores[ids[1]][name]) for name in metrics}
 
 
-def _margins(
+def _changed_margins(
     verdicts: tuple[tuple[Verdict, ...], tuple[Verdict, ...]],
     recordings: Sequence[Recording],
     ego: str,
@@ -156,37 +156,37 @@ def _margins(
     for before, after in zip(*verdicts, strict=True):
         if {before.state, after.state} == {"passed", "failed"}:
             requirement = Requirement.parse(before.requirement)
-            old, new = (find_margin(requirement, recording, ego, others) for recording in recordings)
+            old, new = (compute_margin(requirement, recording, ego, others) for recording in recordings)
             if old is not None and new is not None:
                 margins[requirement.text] = old, new
     return margins
 
 
-def compare_recordings(old: Recording, new: Recording) -> Run:
+def compare_recordings(old: Recording, new: Recording) -> RunComparison:
     """Tell whether two recordings have the same entities, collisions and motion."""
-    if old.names != new.names or old.kinds != new.kinds or old.time.shape != new.time.shape:
+    if old.names != new.names or old.object_types != new.object_types or old.time.shape != new.time.shape:
         return "otherwise"
-    if same_bytes(old, new):
+    if are_bitwise_equal(old, new):
         return "the same"
-    arrays = [(getattr(old, name), getattr(new, name)) for name in ARRAYS]
-    is_close = all(np.allclose(a, b, rtol=0.0, atol=_ROUNDING, equal_nan=True) for a, b in arrays)
+    arrays = [(getattr(old, name), getattr(new, name)) for name in NUMERIC_ARRAYS]
+    is_close = all(np.allclose(a, b, rtol=0.0, atol=_ROUNDING_TOLERANCE, equal_nan=True) for a, b in arrays)
     collisions = [[collision.entities for collision in recording.collisions] for recording in (old, new)]
     return "within rounding" if is_close and collisions[0] == collisions[1] else "otherwise"
 
 
-def _on_the_same(old: Sequence[Verdict], new: Sequence[Verdict]) -> tuple[tuple[Verdict, ...], tuple[Verdict, ...]]:
+def _match_verdicts(old: Sequence[Verdict], new: Sequence[Verdict]) -> tuple[tuple[Verdict, ...], tuple[Verdict, ...]]:
     """Verdicts on the requirements that both have, in the order of the old ones."""
     new_by_text = {verdict.requirement: verdict for verdict in new}
     matched = [(verdict, new_by_text[verdict.requirement]) for verdict in old if verdict.requirement in new_by_text]
     return tuple(verdict for verdict, _ in matched), tuple(other for _, other in matched)
 
 
-def require_comparable(old: Study, new: Study, metrics: Sequence[str] | None) -> tuple[str, ...]:
+def choose_compared_metrics(old: Study, new: Study, metrics: Sequence[str] | None) -> tuple[str, ...]:
     """Choose the metrics to compare; raise `InputError` if the studies are not comparable."""
     pair = f"{old.path} and {new.path}"
     a, b = old.meta, new.meta
     # The fingerprint of an import is that of its recordings.
-    if not _of_the_same(a, b) and IMPORTED not in (a.simulator, b.simulator):
+    if not _have_same_scenarios(a, b) and IMPORTED_SIMULATOR not in (a.simulator, b.simulator):
         subject = "suites" if a.suite and b.suite else "scenarios"
         versions = (
             f"different versions of the same {subject[:-1]}" if a.file_name == b.file_name else f"other {subject}"
@@ -218,38 +218,38 @@ def require_comparable(old: Study, new: Study, metrics: Sequence[str] | None) ->
         for name in compared:
             if name not in shared:
                 raise InputError(f"`metrics` {name}: is not in both studies; both have {', '.join(shared) or 'none'}.")
-    if knows_critical(old) and knows_critical(new) and _criterion(old) != _criterion(new):
+    if has_threshold(old) and has_threshold(new) and _criticality_key(old) != _criticality_key(new):
         raise InputError(
             f"{pair}: have different thresholds ({a.critical:g}, {b.critical:g}); give one for both with `critical`."
         )
     return compared
 
 
-def _of_the_same(a: StudyMeta, b: StudyMeta) -> bool:
+def _have_same_scenarios(old: StudyMeta, new: StudyMeta) -> bool:
     """Tell whether two studies have the same files, or one is of a suite reduced from what the other explored."""
-    if bool(a.suite) == bool(b.suite):
-        return (a.fingerprint, a.suite) == (b.fingerprint, b.suite)
-    suite, explored = (a, b) if a.suite else (b, a)
+    if bool(old.suite) == bool(new.suite):
+        return (old.fingerprint, old.suite) == (new.fingerprint, new.suite)
+    suite, explored = (old, new) if old.suite else (new, old)
     return suite.origin == explored.fingerprint
 
 
-def _criterion(study: Study) -> tuple[object, ...]:
+def _criticality_key(study: Study) -> tuple[object, ...]:
     meta = study.meta
     return study.critical, dict(meta.weights), meta.metrics[0] if not meta.weights else None
 
 
-def sample_of(side: Side, metrics: Sequence[str]) -> tuple[dict[str, FloatArray], dict[str, BoolArray]]:
+def space_filling_scores(side: StudySide, metrics: Sequence[str]) -> tuple[dict[str, FloatArray], dict[str, BoolArray]]:
     """Scores by metric, and facts (`"collision"`, `"critical"` if known), of the scenarios that fill the space.
 
     Used if these are not the same scenarios in both studies; arrays have shape (n,).
     """
-    ids, meta = side.filling(), side.study.meta
+    ids, meta = side.space_filling_ids(), side.study.meta
     scores = {name: np.array([side.scores[scenario][name] for scenario in ids]) for name in metrics}
     hits = [
         any(meta.ego in collision.entities for collision in side.study.recording(scenario).collisions)
         for scenario in ids
     ]
     facts = {"collision": np.array(hits, dtype=np.bool_)}
-    if side.critical:
-        facts["critical"] = np.array([side.critical[scenario] for scenario in ids], dtype=np.bool_)
+    if side.is_critical:
+        facts["critical"] = np.array([side.is_critical[scenario] for scenario in ids], dtype=np.bool_)
     return scores, facts

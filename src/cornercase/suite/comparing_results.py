@@ -10,24 +10,24 @@ from cornercase.evidence import Estimate, SetDifference
 from cornercase.scenario import Value
 from cornercase.suite.verdict import Verdict
 
-LEVEL: Final = 0.05
+ALPHA: Final = 0.05
 """Significance level: the probability that any test finds a difference between two runs of one version."""
 
-Run = Literal["the same", "within rounding", "otherwise", "not in one", "in neither"]
+RunComparison = Literal["the same", "within rounding", "otherwise", "not in one", "in neither"]
 
-Answer = Literal["better", "worse", "mixed", "the same", "cannot say"]
+ComparisonVerdict = Literal["better", "worse", "mixed", "the same", "cannot say"]
 """Verdict of a comparison."""
 
-Direction = Literal["worse", "better"]
+ChangeDirection = Literal["worse", "better"]
 """Direction of a change."""
 
 # Limits of scenarios named in a finding, and of findings in a sentence.
-_NAMED: Final = 5
-_TOLD: Final = 4
+_MAX_NAMED_SCENARIOS: Final = 5
+_MAX_LISTED_FINDINGS: Final = 4
 
 
 @dataclass(frozen=True)
-class Pair:
+class ScenarioPair:
     """One concrete scenario that ran with both versions; in each pair of values the old one comes first.
 
     Attributes
@@ -65,24 +65,24 @@ class Pair:
     ids: tuple[int, int]
     values: Mapping[str, Value]
     point: tuple[float, ...]
-    run: Run
-    unselected: bool
+    run: RunComparison
+    is_score_independent: bool
     errors: tuple[str | None, str | None] = (None, None)
     scores: Mapping[str, tuple[float, float]] = field(default_factory=dict)
     outcomes: tuple[str, str] = ("", "")
     collides: tuple[bool, bool] = (False, False)
-    critical: tuple[bool, bool] | None = None
+    is_critical: tuple[bool, bool] | None = None
     verdicts: tuple[tuple[Verdict, ...], tuple[Verdict, ...]] = ((), ())
     margins: Mapping[str, tuple[float, float]] = field(default_factory=dict)
-    deciding: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+    criticality_scores: Mapping[str, tuple[float, float]] = field(default_factory=dict)
 
     @property
-    def ran(self) -> bool:
+    def both_ran(self) -> bool:
         """Whether it ran in both studies."""
         return bool(self.scores)
 
     @property
-    def turned(self) -> tuple[tuple[Verdict, Verdict], ...]:
+    def changed_verdicts(self) -> tuple[tuple[Verdict, Verdict], ...]:
         """Verdicts whose state changed, old and new."""
         return tuple(
             (before, after) for before, after in zip(*self.verdicts, strict=True) if before.state != after.state
@@ -149,7 +149,7 @@ class ChangeTest:
     differ: int | None
     p: float
     corrected: float
-    direction: Direction | None
+    direction: ChangeDirection | None
     shift: float
 
 
@@ -177,19 +177,19 @@ class Finding:
 
     kind: Literal["collision", "requirement", "run", "critical", "score"]
     about: str
-    direction: Direction
+    direction: ChangeDirection
     ids: tuple[tuple[int, int], ...]
-    against: int = 0
-    largest: float | None = None
+    n_opposite: int = 0
+    largest_change: float | None = None
     unit: str = ""
     test: ChangeTest | None = None
 
     @property
-    def what(self) -> str:
+    def change_text(self) -> str:
         """The change in words, with the number of scenarios."""
         count, worse = len(self.ids), self.direction == "worse"
         if self.test is not None and not self.ids:
-            return f"{self._trend(worse)} among the space-filling scenarios"
+            return f"{self._describe_trend(worse)} among the space-filling scenarios"
         scenarios = f"{count} scenario{'' if count == 1 else 's'}"
         if self.kind == "collision":
             collisions = f"collision{'' if count == 1 else 's'}"
@@ -201,17 +201,17 @@ class Finding:
         if self.kind == "requirement":
             requirement = f"'{self.about}'" if self.about else "a requirement"
             return f"{scenarios} {'newly' if worse else 'no longer'} fail{'s' if count == 1 else ''} {requirement}"
-        size = "" if self.largest is None else f", by up to {abs(self.largest):.3g}"
+        size = "" if self.largest_change is None else f", by up to {abs(self.largest_change):.3g}"
         unit = f" {self.unit}" if size and self.unit not in ("", "1") else ""
         return f"{scenarios} {'more' if worse else 'less'} critical by {self.about}{size}{unit}"
 
-    def _trend(self, worse: bool) -> str:
+    def _describe_trend(self, is_worse: bool) -> str:
         if self.kind == "score":
-            return f"scores by {self.about} {'more' if worse else 'less'} critical"
+            return f"scores by {self.about} {'more' if is_worse else 'less'} critical"
         subject = {"collision": "collisions", "critical": "critical scenarios"}[self.kind]
-        return f"{'more' if worse else 'fewer'} {subject}"
+        return f"{'more' if is_worse else 'fewer'} {subject}"
 
-    def name_scenarios(self, most: int = _NAMED) -> str:
+    def format_scenario_ids(self, limit: int = _MAX_NAMED_SCENARIOS) -> str:
         """Name the scenarios.
 
         Parameters
@@ -224,10 +224,10 @@ class Finding:
         str
             ``"4, 9 and 3 more"``; a scenario with another id in the new study as ``"4→7"``.
         """
-        n_more = len(self.ids) - most
-        return ", ".join(map(name_pair, self.ids[:most])) + (f" and {n_more} more" if n_more > 0 else "")
+        n_more = len(self.ids) - limit
+        return ", ".join(map(format_pair_ids, self.ids[:limit])) + (f" and {n_more} more" if n_more > 0 else "")
 
-    def tell_test(self) -> str:
+    def describe_test(self) -> str:
         """Describe the test that found it, and how many scenarios have the opposite change.
 
         Returns
@@ -237,18 +237,18 @@ class Finding:
         """
         if self.test is None:
             return ""
-        opposing = f"{self.against} the other way, " if self.ids else ""
+        opposing = f"{self.n_opposite} the other way, " if self.ids else ""
         return f"{opposing}{self.test.method}, p = {self.test.corrected:.2g} corrected"
 
     @property
     def text(self) -> str:
         """The change in words, with the ids of the first scenarios."""
-        details = "; ".join(filter(None, (self.name_scenarios(), self.tell_test())))
-        return f"{self.what} ({details})" if details else self.what
+        details = "; ".join(filter(None, (self.format_scenario_ids(), self.describe_test())))
+        return f"{self.change_text} ({details})" if details else self.change_text
 
 
 @dataclass(frozen=True)
-class KindChange:
+class ClusterChange:
     """How many pairs belong to one cluster with each version.
 
     Attributes
@@ -299,7 +299,7 @@ class SpaceChange:
 
 
 @dataclass(frozen=True)
-class Telling:
+class Example:
     """An example scenario that shows a change.
 
     Attributes
@@ -309,8 +309,8 @@ class Telling:
         What changed, in one sentence without a period.
     """
 
-    pair: Pair
-    why: str
+    pair: ScenarioPair
+    reason: str
 
 
 @dataclass(frozen=True)
@@ -367,22 +367,22 @@ class Comparison:
     differences: tuple[str, ...]
     changed: bool
     reason: str
-    verdict: Answer
+    verdict: ComparisonVerdict
     verdict_reason: str
     worse: tuple[Finding, ...]
     better: tuple[Finding, ...]
-    within: tuple[Finding, ...]
+    within_tolerance: tuple[Finding, ...]
     tolerances: Mapping[str, float]
-    certain: bool
-    pairs: tuple[Pair, ...]
-    alone: tuple[int, int]
+    is_deterministic: bool
+    pairs: tuple[ScenarioPair, ...]
+    n_unmatched: tuple[int, int]
     scores: tuple[ScoreChange, ...]
     tests: tuple[ChangeTest, ...]
     outcomes: Mapping[tuple[str, str], int]
     verdicts: Mapping[tuple[str, str, str], int]
-    kinds: Mapping[str, tuple[KindChange, ...]]
+    clusters: Mapping[str, tuple[ClusterChange, ...]]
     space: SpaceChange | None
-    telling: tuple[Telling, ...]
+    examples: tuple[Example, ...]
     critical: float | None = None
 
     def __bool__(self) -> bool:
@@ -396,7 +396,7 @@ class Comparison:
         """The verdict and its reason, without a period."""
         return f"{self.verdict.capitalize()}{'.' if self.verdict == 'mixed' else ':'} {self.verdict_reason}"
 
-    def count(self, run: Run) -> int:
+    def count_pairs(self, run_comparison: RunComparison) -> int:
         """Count pairs by `Pair.run`.
 
         Parameters
@@ -407,7 +407,7 @@ class Comparison:
         -------
         int
         """
-        return sum(pair.run == run for pair in self.pairs)
+        return sum(pair.run == run_comparison for pair in self.pairs)
 
     def to_json(self) -> dict[str, Any]:
         """Return plain values.
@@ -425,25 +425,25 @@ class Comparison:
             "scenario": self.title,
             "verdict": self.verdict,
             "verdict_reason": self.verdict_reason,
-            "worse": [_plain_finding(item) for item in self.worse],
-            "better": [_plain_finding(item) for item in self.better],
-            "within_tolerance": [_plain_finding(item) for item in self.within],
+            "worse": [_finding_to_json(item) for item in self.worse],
+            "better": [_finding_to_json(item) for item in self.better],
+            "within_tolerance": [_finding_to_json(item) for item in self.within_tolerance],
             "tolerances": dict(self.tolerances),
             "changed": self.changed,
             "reason": self.reason,
-            "level": LEVEL,
-            "repeatable": self.certain,
+            "level": ALPHA,
+            "repeatable": self.is_deterministic,
             "differences": list(self.differences),
             "critical": self.critical,
             "pairs": {
                 "count": len(self.pairs),
-                "same": self.count("the same"),
-                "within_rounding": self.count("within rounding"),
-                "otherwise": self.count("otherwise"),
-                "not_in_one": self.count("not in one"),
-                "in_neither": self.count("in neither"),
-                "old_alone": self.alone[0],
-                "new_alone": self.alone[1],
+                "same": self.count_pairs("the same"),
+                "within_rounding": self.count_pairs("within rounding"),
+                "otherwise": self.count_pairs("otherwise"),
+                "not_in_one": self.count_pairs("not in one"),
+                "in_neither": self.count_pairs("in neither"),
+                "old_alone": self.n_unmatched[0],
+                "new_alone": self.n_unmatched[1],
             },
             "scores": [asdict(item) for item in self.scores],
             "tests": [asdict(item) for item in self.tests],
@@ -452,38 +452,38 @@ class Comparison:
                 {"requirement": name, "old": a, "new": b, "count": n}
                 for (name, a, b), n in sorted(self.verdicts.items())
             ],
-            "kinds": {by: [asdict(item) for item in kinds] for by, kinds in self.kinds.items()},
+            "kinds": {by: [asdict(item) for item in kinds] for by, kinds in self.clusters.items()},
             "space": None if space is None else asdict(space),
-            "telling": [_plain_pair(item.pair) | {"why": item.why} for item in self.telling],
-            "changed_pairs": [_plain_pair(item) for item in self.pairs if item.run != "the same"],
+            "telling": [_pair_to_json(item.pair) | {"why": item.reason} for item in self.examples],
+            "changed_pairs": [_pair_to_json(item) for item in self.pairs if item.run != "the same"],
         }
 
 
-def name_pair(ids: tuple[int, int]) -> str:
+def format_pair_ids(ids: tuple[int, int]) -> str:
     """Name a scenario by its ids in both studies: `"4"`, or `"4→7"` if they differ."""
     return str(ids[0]) if ids[0] == ids[1] else f"{ids[0]}→{ids[1]}"
 
 
-def tell_findings(findings: Sequence[Finding]) -> str:
+def describe_findings(findings: Sequence[Finding]) -> str:
     """Describe the first four findings in one line; the others are counted."""
-    n_more = len(findings) - _TOLD
-    return ", ".join(finding.text for finding in findings[:_TOLD]) + (f", and {n_more} more" if n_more > 0 else "")
+    n_more = len(findings) - _MAX_LISTED_FINDINGS
+    return ", ".join(finding.text for finding in findings[:_MAX_LISTED_FINDINGS]) + (f", and {n_more} more" if n_more > 0 else "")
 
 
-def _plain_finding(finding: Finding) -> dict[str, Any]:
+def _finding_to_json(finding: Finding) -> dict[str, Any]:
     return {
         "kind": finding.kind,
         "about": finding.about,
         "direction": finding.direction,
         "count": len(finding.ids),
-        "against": finding.against,
-        "largest": finding.largest,
+        "against": finding.n_opposite,
+        "largest": finding.largest_change,
         "text": finding.text,
         "pairs": [list(ids) for ids in finding.ids],
     }
 
 
-def _plain_pair(pair: Pair) -> dict[str, Any]:
+def _pair_to_json(pair: ScenarioPair) -> dict[str, Any]:
     return {
         "old": pair.ids[0],
         "new": pair.ids[1],
@@ -491,7 +491,7 @@ def _plain_pair(pair: Pair) -> dict[str, Any]:
         "run": pair.run,
         "scores": {name: list(values) for name, values in pair.scores.items()},
         "outcomes": list(pair.outcomes),
-        "critical": None if pair.critical is None else list(pair.critical),
-        "verdicts": [[old.requirement, old.state, new.state] for old, new in pair.turned],
+        "critical": None if pair.is_critical is None else list(pair.is_critical),
+        "verdicts": [[old.requirement, old.state, new.state] for old, new in pair.changed_verdicts],
         "errors": list(pair.errors),
     }

@@ -9,21 +9,21 @@ import numpy as np
 
 from cornercase._common.typing import FloatArray
 from cornercase.metrics import METRICS
-from cornercase.suite.comparing_results import Pair, Telling
-from cornercase.suite.comparing_tests import moved_by
+from cornercase.suite.comparing_results import ScenarioPair, Example
+from cornercase.suite.comparing_tests import score_difference
 
-MOST: Final = 5
+MAX_EXAMPLES: Final = 5
 """Largest number of example scenarios."""
 
 # Smallest change of a score that is considered, relative to the largest one of its tier.
-_CLOSE: Final = 0.5
+_MIN_RELATIVE_SIZE: Final = 0.5
 # RMS difference of the parameters in the unit cube, below which an example would be redundant.
-_NEAR: Final = 0.05
+_MIN_DISTANCE: Final = 0.05
 # Importance of a change, 0 is most important, and whether it is for the better.
-_Tier: TypeAlias = tuple[int, bool]
+_ChangeTier: TypeAlias = tuple[int, bool]
 
 
-def choose_telling(pairs: Sequence[Pair], metrics: Sequence[str], searched: str = "") -> tuple[Telling, ...]:
+def choose_examples(pairs: Sequence[ScenarioPair], metrics: Sequence[str], objective_metric: str = "") -> tuple[Example, ...]:
     """Choose at most `MAX_EXAMPLES` scenarios that show what changed, spread over the space.
 
     In this order: another verdict, or a run that failed with one version only; a collision with one version only;
@@ -32,42 +32,42 @@ def choose_telling(pairs: Sequence[Pair], metrics: Sequence[str], searched: str 
     chosen so far, among those at least half as large. `searched` is the metric that defines criticality; empty if
     several do.
     """
-    spreads = _spreads(pairs, metrics)
-    tiers: dict[_Tier, list[tuple[float, Pair, str]]] = {}
+    spreads = _score_spreads(pairs, metrics)
+    tiers: dict[_ChangeTier, list[tuple[float, ScenarioPair, str]]] = {}
     for pair in pairs:
-        tier, size, reason = _change(pair, spreads, searched)
+        tier, size, reason = _classify_change(pair, spreads, objective_metric)
         if reason:
             tiers.setdefault(tier, []).append((size, pair, reason))
-    chosen: list[Telling] = []
+    chosen: list[Example] = []
     for tier in sorted(tiers):
         candidates = sorted(tiers[tier], key=lambda item: (-item[0], item[1].ids))
-        candidates = [candidate for candidate in candidates if candidate[0] >= _CLOSE * candidates[0][0]]
-        while candidates and len(chosen) < MOST:
-            distances = [_distance(candidate[1], chosen) for candidate in candidates]
+        candidates = [candidate for candidate in candidates if candidate[0] >= _MIN_RELATIVE_SIZE * candidates[0][0]]
+        while candidates and len(chosen) < MAX_EXAMPLES:
+            distances = [_distance_to_chosen(candidate[1], chosen) for candidate in candidates]
             # The first of a tier is its largest change, unless that is redundant.
             index = (
                 0
-                if not chosen or (candidates[0][0] > 0.0 and _first(tier, tiers, chosen))
+                if not chosen or (candidates[0][0] > 0.0 and _is_first_of_tier(tier, tiers, chosen))
                 else int(np.argmax(distances))
             )
-            if chosen and distances[index] < _NEAR:
+            if chosen and distances[index] < _MIN_DISTANCE:
                 index = int(np.argmax(distances))
-                if distances[index] < _NEAR:
+                if distances[index] < _MIN_DISTANCE:
                     break
             _, pair, reason = candidates.pop(index)
-            chosen.append(Telling(pair, reason))
-        if len(chosen) >= MOST:
+            chosen.append(Example(pair, reason))
+        if len(chosen) >= MAX_EXAMPLES:
             break
     return tuple(chosen)
 
 
-def _first(tier: _Tier, tiers: Mapping[_Tier, list[tuple[float, Pair, str]]], chosen: Sequence[Telling]) -> bool:
+def _is_first_of_tier(tier: _ChangeTier, tiers: Mapping[_ChangeTier, list[tuple[float, ScenarioPair, str]]], chosen: Sequence[Example]) -> bool:
     """Tell whether no example of this tier was chosen yet."""
     of_tier = {id(pair) for _, pair, _ in tiers[tier]}
     return not any(id(example.pair) in of_tier for example in chosen)
 
 
-def _distance(pair: Pair, chosen: Sequence[Telling]) -> float:
+def _distance_to_chosen(pair: ScenarioPair, chosen: Sequence[Example]) -> float:
     """RMS difference of parameters, in the unit cube, to the nearest chosen example."""
     point = np.array(pair.point)
     return min(
@@ -75,9 +75,9 @@ def _distance(pair: Pair, chosen: Sequence[Telling]) -> float:
     )
 
 
-def _spreads(pairs: Sequence[Pair], metrics: Sequence[str]) -> dict[str, float]:
+def _score_spreads(pairs: Sequence[ScenarioPair], metrics: Sequence[str]) -> dict[str, float]:
     """Half the range of the middle 90 % of the old scores; their whole range if that is 0."""
-    both_ran = [pair for pair in pairs if pair.ran]
+    both_ran = [pair for pair in pairs if pair.both_ran]
     spreads = {}
     for name in metrics if both_ran else ():
         scores: FloatArray = np.array([pair.scores[name][0] for pair in both_ran])
@@ -87,42 +87,42 @@ def _spreads(pairs: Sequence[Pair], metrics: Sequence[str]) -> dict[str, float]:
     return spreads
 
 
-def _change(pair: Pair, spreads: Mapping[str, float], searched: str) -> tuple[_Tier, float, str]:
+def _classify_change(pair: ScenarioPair, spreads: Mapping[str, float], objective_metric: str) -> tuple[_ChangeTier, float, str]:
     """Tier, size and description of the change of a pair; no description if nothing changed."""
     if pair.run == "not in one":
         failing = "old" if pair.errors[0] is not None else "new"
         return (0, failing == "old"), 0.0, f"failed with the {failing} version"
-    if not pair.ran:
+    if not pair.both_ran:
         return (9, True), 0.0, ""
-    size, description, worse = _largest(pair, spreads)
-    if pair.turned:
+    size, description, worse = _largest_score_change(pair, spreads)
+    if pair.changed_verdicts:
         # Prefer one that newly fails.
-        old, new = min(pair.turned, key=lambda verdicts: verdicts[1].state != "failed")
+        old, new = min(pair.changed_verdicts, key=lambda verdicts: verdicts[1].state != "failed")
         return (0, new.state != "failed"), size, f"{old.requirement}: {old.state}, now {new.state}"
     ending = f"{pair.outcomes[0]}; now {pair.outcomes[1]}"
     if pair.collides[0] != pair.collides[1]:
         return (1, pair.collides[0]), size, ending
     if pair.outcomes[0] != pair.outcomes[1]:
         return (2, not worse), size, ending
-    if pair.critical is not None and pair.critical[0] != pair.critical[1]:
-        reason = _moved(searched, *pair.scores[searched]) if searched else description
-        return (3, pair.critical[0]), size, f"{'critical now' if pair.critical[1] else 'no longer critical'}, {reason}"
+    if pair.is_critical is not None and pair.is_critical[0] != pair.is_critical[1]:
+        reason = _describe_score_change(objective_metric, *pair.scores[objective_metric]) if objective_metric else description
+        return (3, pair.is_critical[0]), size, f"{'critical now' if pair.is_critical[1] else 'no longer critical'}, {reason}"
     return (4, not worse), size, description
 
 
-def _largest(pair: Pair, spreads: Mapping[str, float]) -> tuple[float, str, bool]:
+def _largest_score_change(pair: ScenarioPair, spreads: Mapping[str, float]) -> tuple[float, str, bool]:
     """Largest change of a score in units of its spread, its description, and whether it is for the worse."""
     largest, description, worse = 0.0, "", False
     for name, spread in spreads.items():
         old, new = pair.scores[name]
-        (change,) = np.abs(moved_by(np.array([old]), np.array([new]))).tolist()
+        (change,) = np.abs(score_difference(np.array([old]), np.array([new]))).tolist()
         if change / spread > largest:
-            largest, description = change / spread, _moved(name, old, new)
+            largest, description = change / spread, _describe_score_change(name, old, new)
             metric = METRICS.create(name)
-            worse = metric.oriented(new) < metric.oriented(old)
+            worse = metric.to_minimize(new) < metric.to_minimize(old)
     return largest, description, worse
 
 
-def _moved(name: str, old: float, new: float) -> str:
+def _describe_score_change(name: str, old: float, new: float) -> str:
     unit = METRICS.create(name).unit
     return f"{name} {old:.4g} → {new:.4g} {'' if unit == '1' else unit}".rstrip()

@@ -9,14 +9,14 @@ from typing import Final
 
 from cornercase.evidence import Estimate
 from cornercase.metrics import METRICS
-from cornercase.suite.comparing_results import LEVEL, Comparison, Pair, SpaceChange, tell_findings
+from cornercase.suite.comparing_results import ALPHA, Comparison, ScenarioPair, SpaceChange, describe_findings
 
-NAMED: Final = 40
+MAX_TABLE_SCENARIOS: Final = 40
 """Largest number of scenarios that a finding names in a table."""
 
 
 @dataclass(frozen=True)
-class Section:
+class ComparisonSection:
     """A section of a comparison report; `header` is empty without a table.
 
     `key` is ``"answer"``, ``"findings"``, ``"pairs"``, ``"scores"``, ``"outcomes"``, ``"verdicts"``, ``"tests"``,
@@ -30,74 +30,74 @@ class Section:
     rows: tuple[tuple[str, ...], ...] = ()
 
 
-def tell_comparison(found: Comparison) -> tuple[Section, ...]:
+def describe_comparison(comparison: Comparison) -> tuple[ComparisonSection, ...]:
     """Describe a comparison in sections, the answer first; empty sections are left out."""
-    return tuple(_sections(found))
+    return tuple(_iter_sections(comparison))
 
 
-def _sections(found: Comparison) -> Iterator[Section]:
-    yield _answer(found)
-    if found.worse or found.better:
-        yield _findings(found)
-    yield from _pairs(found)
-    if found.tests:
-        yield _tests(found)
-    if found.space is not None:
-        yield _space(found.space)
-    yield from _kinds(found)
-    if found.telling:
-        rows = tuple((_both(example.pair.ids), _values(example.pair), example.why) for example in found.telling)
-        yield Section("telling", "Example scenarios", header=("old, new", "parameters", "why"), rows=rows)
+def _iter_sections(comparison: Comparison) -> Iterator[ComparisonSection]:
+    yield _answer_section(comparison)
+    if comparison.worse or comparison.better:
+        yield _findings_section(comparison)
+    yield from _pair_sections(comparison)
+    if comparison.tests:
+        yield _tests_section(comparison)
+    if comparison.space is not None:
+        yield _space_section(comparison.space)
+    yield from _cluster_sections(comparison)
+    if comparison.examples:
+        rows = tuple((_format_ids(example.pair.ids), _format_parameters(example.pair), example.reason) for example in comparison.examples)
+        yield ComparisonSection("telling", "Example scenarios", header=("old, new", "parameters", "why"), rows=rows)
 
 
-def _answer(found: Comparison) -> Section:
-    differences = found.differences or ("The studies were made with the same settings.",)
+def _answer_section(comparison: Comparison) -> ComparisonSection:
+    differences = comparison.differences or ("The studies were made with the same settings.",)
     sentences = list(differences)
-    if not found.verdict_reason.startswith(found.reason):
-        sentences.append(f"{'Changed' if found.changed else 'No change'}: {found.reason}")
-    if found.within:
-        sentences.append(f"Within the tolerances, so it does not count: {tell_findings(found.within)}")
-    sentences.append(f"Tolerances: {', '.join(_tolerances(found))}")
-    if found.critical is not None:
-        sentences.append(f"Threshold of criticality: {found.critical:g}.")
-    return Section("answer", found.headline, tuple(sentences))
+    if not comparison.verdict_reason.startswith(comparison.reason):
+        sentences.append(f"{'Changed' if comparison.changed else 'No change'}: {comparison.reason}")
+    if comparison.within_tolerance:
+        sentences.append(f"Within the tolerances, so it does not count: {describe_findings(comparison.within_tolerance)}")
+    sentences.append(f"Tolerances: {', '.join(_format_tolerances(comparison))}")
+    if comparison.critical is not None:
+        sentences.append(f"Threshold of criticality: {comparison.critical:g}.")
+    return ComparisonSection("answer", comparison.headline, tuple(sentences))
 
 
-def _tolerances(found: Comparison) -> Iterator[str]:
-    for name, value in found.tolerances.items():
+def _format_tolerances(comparison: Comparison) -> Iterator[str]:
+    for name, value in comparison.tolerances.items():
         unit = METRICS.create(name).unit
         yield f"{name} {value:g}" if unit == "1" else f"{name} {value:g} {unit}"
 
 
-def _findings(found: Comparison) -> Section:
-    findings = (*found.worse, *found.better)
+def _findings_section(comparison: Comparison) -> ComparisonSection:
+    findings = (*comparison.worse, *comparison.better)
     tests = ("test",) if any(finding.test for finding in findings) else ()
     rows = tuple(
-        (finding.direction, finding.what, finding.name_scenarios(NAMED), *([finding.tell_test()] if tests else []))
+        (finding.direction, finding.change_text, finding.format_scenario_ids(MAX_TABLE_SCENARIOS), *([finding.describe_test()] if tests else []))
         for finding in findings
     )
-    return Section("findings", "Worse and better", header=("", "what", "scenarios", *tests), rows=rows)
+    return ComparisonSection("findings", "Worse and better", header=("", "what", "scenarios", *tests), rows=rows)
 
 
-def _pairs(found: Comparison) -> Iterator[Section]:
-    old, new = found.names
+def _pair_sections(comparison: Comparison) -> Iterator[ComparisonSection]:
+    old, new = comparison.names
     runs = {
-        "the same bytes": found.count("the same"),
-        "the same up to rounding": found.count("within rounding"),
-        "different": found.count("otherwise"),
-        "with one version only": found.count("not in one"),
-        "with neither": found.count("in neither"),
+        "the same bytes": comparison.count_pairs("the same"),
+        "the same up to rounding": comparison.count_pairs("within rounding"),
+        "different": comparison.count_pairs("otherwise"),
+        "with one version only": comparison.count_pairs("not in one"),
+        "with neither": comparison.count_pairs("in neither"),
     }
     counts = ", ".join(f"{count} {label}" for label, count in runs.items() if count)
-    sentences = [f"{len(found.pairs)} scenarios with the same parameters" + (f": {counts}" if counts else "")]
-    if any(found.alone):
-        sentences.append(f"without a partner: {found.alone[0]} of {old}, {found.alone[1]} of {new}")
-    if not found.certain and found.pairs:
-        n_independent = sum(item.unselected for item in found.pairs)
+    sentences = [f"{len(comparison.pairs)} scenarios with the same parameters" + (f": {counts}" if counts else "")]
+    if any(comparison.n_unmatched):
+        sentences.append(f"without a partner: {comparison.n_unmatched[0]} of {old}, {comparison.n_unmatched[1]} of {new}")
+    if not comparison.is_deterministic and comparison.pairs:
+        n_independent = sum(item.is_score_independent for item in comparison.pairs)
         sentences.append(f"{n_independent} of them were chosen independently of scores; only those are tested")
-    yield Section("pairs", "Pairs", tuple(sentences))
-    if any(item.moved for item in found.scores):
-        yield Section(
+    yield ComparisonSection("pairs", "Pairs", tuple(sentences))
+    if any(item.moved for item in comparison.scores):
+        yield ComparisonSection(
             "scores",
             "Scores",
             header=("metric", "moved", "more critical", "less critical", "median change", "largest", "in (old, new)"),
@@ -107,62 +107,62 @@ def _pairs(found: Comparison) -> Iterator[Section]:
                     f"{item.moved} of {item.pairs}",
                     str(item.worse),
                     str(item.better),
-                    _signed(item.median, item.unit),
-                    _signed(item.largest, item.unit),
-                    "" if item.ids is None else _both(item.ids),
+                    _format_signed(item.median, item.unit),
+                    _format_signed(item.largest, item.unit),
+                    "" if item.ids is None else _format_ids(item.ids),
                 )
-                for item in found.scores
+                for item in comparison.scores
             ),
         )
     changed = sorted(
-        (pair for pair in found.outcomes.items() if pair[0][0] != pair[0][1]), key=lambda item: (-item[1], item[0])
+        (pair for pair in comparison.outcomes.items() if pair[0][0] != pair[0][1]), key=lambda item: (-item[1], item[0])
     )
     if changed:
         rows = tuple((before, after, str(count)) for (before, after), count in changed)
-        yield Section("outcomes", "Outcomes that changed", header=("old", "new", "scenarios"), rows=rows)
-    if found.verdicts:
-        changed_verdicts = sorted((item, count) for item, count in found.verdicts.items() if item[1] != item[2])
+        yield ComparisonSection("outcomes", "Outcomes that changed", header=("old", "new", "scenarios"), rows=rows)
+    if comparison.verdicts:
+        changed_verdicts = sorted((item, count) for item, count in comparison.verdicts.items() if item[1] != item[2])
         verdicts = tuple((*item, str(count)) for item, count in changed_verdicts)
-        n_same = sum(count for item, count in found.verdicts.items() if item[1] == item[2])
+        n_same = sum(count for item, count in comparison.verdicts.items() if item[1] == item[2])
         header = ("requirement", "old", "new", "scenarios") if verdicts else ()
-        yield Section("verdicts", "Verdicts", (f"{n_same} are the same",), header, verdicts)
+        yield ComparisonSection("verdicts", "Verdicts", (f"{n_same} are the same",), header, verdicts)
 
 
-def _tests(found: Comparison) -> Section:
+def _tests_section(comparison: Comparison) -> ComparisonSection:
     rows = []
-    for test in found.tests:
+    for test in comparison.tests:
         if test.differ is None:
             about = f"{test.old} and {test.new} scenarios"
         else:
             about = f"{test.differ} of {test.old} pairs differ"
-        claim = "differs" if test.corrected <= LEVEL else "–"
+        claim = "differs" if test.corrected <= ALPHA else "–"
         rows.append((test.about, test.method, about, f"{test.p:.2g}", f"{test.corrected:.2g}", claim))
-    level = f"the false positive rate over all tests is at most {LEVEL:.0%} (Holm)"
-    return Section("tests", "Tests", (level,), ("of", "test", "looked at", "p", "corrected", ""), tuple(rows))
+    level = f"the false positive rate over all tests is at most {ALPHA:.0%} (Holm)"
+    return ComparisonSection("tests", "Tests", (level,), ("of", "test", "looked at", "p", "corrected", ""), tuple(rows))
 
 
-def _space(space: SpaceChange) -> Section:
+def _space_section(space: SpaceChange) -> ComparisonSection:
     sentences: list[str] = []
     if space.gained is not None and space.lost is not None:
         sentences.append(
             f"by {space.pairs} space-filling scenarios that ran with both: critical only now"
-            f" {_share(space.gained)}, no longer {_share(space.lost)} (90 %, Clopper and Pearson)"
+            f" {_format_percentage(space.gained)}, no longer {_format_percentage(space.lost)} (90 %, Clopper and Pearson)"
         )
     else:
         sentences.append(f"no interval from pairs: {space.pairs_doubt}")
     if space.sets is None:
         sentences.append(f"no interval from all scenarios: {space.sets_doubt}")
-        return Section("space", "The critical part of the space", tuple(sentences))
+        return ComparisonSection("space", "The critical part of the space", tuple(sentences))
     sets = space.sets
     rows: list[tuple[str, ...]] = [
-        ("critical share", _share(sets.old), _share(sets.new), _share(sets.change)),
-        ("critical only now", "", _share(sets.gained), ""),
-        ("no longer critical", _share(sets.lost), "", ""),
+        ("critical share", _format_percentage(sets.old), _format_percentage(sets.new), _format_percentage(sets.change)),
+        ("critical only now", "", _format_percentage(sets.gained), ""),
+        ("no longer critical", _format_percentage(sets.lost), "", ""),
     ]
     for name, unit, middle in zip(space.parameters, space.units, sets.middles, strict=True):
         if middle is not None:
-            rows.append((f"middle in {name}", *(_estimate(value, unit) for value in middle)))
-    return Section(
+            rows.append((f"middle in {name}", *(_format_estimate(value, unit) for value in middle)))
+    return ComparisonSection(
         "space",
         "The critical part of the space",
         (*sentences, "from all scenarios of both, with 90 % intervals:"),
@@ -171,45 +171,45 @@ def _space(space: SpaceChange) -> Section:
     )
 
 
-def _kinds(found: Comparison) -> Iterator[Section]:
-    for by, kinds in found.kinds.items():
+def _cluster_sections(comparison: Comparison) -> Iterator[ComparisonSection]:
+    for by, kinds in comparison.clusters.items():
         if any(cluster.old != cluster.new for cluster in kinds):
             rows = tuple(
-                (cluster.label, str(cluster.old), str(cluster.new), _fate(cluster.old, cluster.new))
+                (cluster.label, str(cluster.old), str(cluster.new), _describe_size_change(cluster.old, cluster.new))
                 for cluster in kinds
             )
-            yield Section("kinds", f"Kinds by {by}, among the pairs", header=("kind", "old", "new", ""), rows=rows)
+            yield ComparisonSection("kinds", f"Kinds by {by}, among the pairs", header=("kind", "old", "new", ""), rows=rows)
 
 
-def _fate(old: int, new: int) -> str:
+def _describe_size_change(old: int, new: int) -> str:
     if old == new:
         return ""
     return "vanished" if not new else "appeared" if not old else "grew" if new > old else "shrank"
 
 
-def _both(ids: tuple[int, int]) -> str:
+def _format_ids(ids: tuple[int, int]) -> str:
     return f"{ids[0]}, {ids[1]}"
 
 
-def _values(pair: Pair) -> str:
+def _format_parameters(pair: ScenarioPair) -> str:
     return ", ".join(
         f"{name} {value:.6g}" if isinstance(value, float) else f"{name} {value}" for name, value in pair.values.items()
     )
 
 
-def _signed(value: float, unit: str) -> str:
+def _format_signed(value: float, unit: str) -> str:
     return f"{value:+.3g} {'' if unit == '1' else unit}".rstrip() if value else "0"
 
 
-def _share(one: Estimate) -> str:
-    value, low, high = (f"{round(number, 3) + 0.0:.1%}" for number in (one.value, one.low, one.high))
+def _format_percentage(estimate: Estimate) -> str:
+    value, low, high = (f"{round(number, 3) + 0.0:.1%}" for number in (estimate.value, estimate.low, estimate.high))
     return f"{value} ({low} to {high})"
 
 
-def _estimate(one: Estimate, unit: str) -> str:
+def _format_estimate(estimate: Estimate, unit: str) -> str:
     # Only digits that the interval supports.
-    digits = max(0, 2 - math.ceil(math.log10(max(one.high - one.low, 1e-9))))
+    digits = max(0, 2 - math.ceil(math.log10(max(estimate.high - estimate.low, 1e-9))))
     value, low, high = (
-        f"{number + 0.0:.{digits}f}" for number in (round(x, digits) for x in (one.value, one.low, one.high))
+        f"{number + 0.0:.{digits}f}" for number in (round(x, digits) for x in (estimate.value, estimate.low, estimate.high))
     )
     return f"{value} ({low} to {high}) {'' if unit == '1' else unit}".rstrip()

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from cornercase._common.errors import InputError
-from cornercase.scenario import ConcreteScenario, ParameterSpace, Scenario, Value
+from cornercase.scenario import ConcreteScenario, ParameterSpace, ScenarioFile, Value
 
 
 @dataclass(frozen=True)
@@ -21,17 +21,17 @@ class SuiteScenario:
     the id in the study it was selected from. `wrong` says why its file cannot be run, empty if it can.
     """
 
-    file: str
-    scenario: Scenario
+    file_name: str
+    scenario: ScenarioFile
     values: Mapping[str, Value]
-    kind: str = ""
+    cluster_name: str = ""
     role: str = ""
-    why: str = ""
-    origin: int | None = None
-    wrong: str = ""
+    selection_reason: str = ""
+    source_id: int | None = None
+    error: str = ""
 
     @property
-    def concrete(self) -> ConcreteScenario:
+    def concrete_scenario(self) -> ConcreteScenario:
         """The scenario for a simulator: the file without changes."""
         return ConcreteScenario(self.scenario.path, {}, self.scenario)
 
@@ -39,7 +39,7 @@ class SuiteScenario:
     def files(self) -> tuple[Path, ...]:
         """The file and all files that it uses; only itself if it cannot be read."""
         try:
-            return self.scenario.files()
+            return self.scenario.all_paths()
         except InputError:
             return (self.scenario.path,)
 
@@ -55,15 +55,15 @@ class SuiteScenario:
 
 
 @dataclass(frozen=True)
-class SuiteContents:
+class Suite:
     """The scenarios of a suite and the settings they were run with; settings are empty if unknown.
 
     `place` is the manifest or the folder; `study` and `fingerprint` identify the study that the scenarios were selected
-    from. `lost_drivers` maps entities that a custom driver drove to the name of that driver in a command, since no file
+    from. `custom_drivers` maps entities that a custom driver drove to the name of that driver in a command, since no file
     can make such a driver drive.
     """
 
-    place: Path
+    path: Path
     scenarios: tuple[SuiteScenario, ...]
     space: ParameterSpace
     ego: str = ""
@@ -72,30 +72,30 @@ class SuiteContents:
     critical: float | None = None
     simulator: str = ""
     settings: Mapping[str, Any] = field(default_factory=dict)
-    lost_drivers: Mapping[str, str] = field(default_factory=dict)
+    custom_drivers: Mapping[str, str] = field(default_factory=dict)
     study: str = ""
     fingerprint: str = ""
 
     @property
-    def usable(self) -> tuple[SuiteScenario, ...]:
+    def runnable_scenarios(self) -> tuple[SuiteScenario, ...]:
         """Scenarios whose files can be run."""
-        return tuple(scenario for scenario in self.scenarios if not scenario.wrong)
+        return tuple(scenario for scenario in self.scenarios if not scenario.error)
 
     @property
     def folder(self) -> Path:
         """Folder of the files."""
-        return self.place if self.place.is_dir() else self.place.parent
+        return self.path if self.path.is_dir() else self.path.parent
 
     @property
     def files(self) -> list[Path]:
         """The manifest, if there is one, and all files of the scenarios."""
         scenario_files = [file for scenario in self.scenarios for file in scenario.files]
-        return scenario_files if self.place.is_dir() else [self.place, *scenario_files]
+        return scenario_files if self.path.is_dir() else [self.path, *scenario_files]
 
     @property
-    def digest(self) -> str:
+    def content_hash(self) -> str:
         """SHA-256 of all files, and of those that they use."""
         digest = hashlib.sha256()
         for scenario in self.scenarios:
-            digest.update(f"{scenario.file}\0{scenario.fingerprint}\0".encode())
+            digest.update(f"{scenario.file_name}\0{scenario.fingerprint}\0".encode())
         return digest.hexdigest()

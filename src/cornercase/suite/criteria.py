@@ -6,60 +6,60 @@ from collections.abc import Callable
 from typing import Final
 
 from cornercase._common.errors import InputError
-from cornercase._common.ledger import warn
-from cornercase.scenario import Criterion, Scope, criteria_in
-from cornercase.suite.contents import SuiteContents, SuiteScenario
-from cornercase.suite.requirement import Requirement, prefix_for
+from cornercase._common.ledger import issue_notice_warning
+from cornercase.scenario import RunnerCriterion, Scope, read_runner_criteria
+from cornercase.suite.contents import Suite, SuiteScenario
+from cornercase.suite.requirement import Requirement, requirement_prefix
 
 # Criteria that a recording can answer; others need lanes, signals or routes of CARLA's map.
-_MEANINGS: Final[dict[str, Callable[[float | None], str | None]]] = {
+_REQUIREMENT_TEMPLATES: Final[dict[str, Callable[[float | None], str | None]]] = {
     "CollisionTest": lambda _: "no collision",
     "DrivenDistanceTest": lambda least: None if least is None else f"drive {least:.15g}",
     "MaxVelocityTest": lambda most: None if most is None else f"ego.speed <= {most:.15g} m/s",
 }
 
 
-def required_by_files(suite: SuiteContents) -> list[Requirement]:
+def requirements_from_files(suite: Suite) -> list[Requirement]:
     """Make requirements from the criteria in a suite's files; one that not all files have applies to those files.
 
     Raises `InputError` if there is none; warns about criteria that a recording cannot answer.
     """
     files_of: dict[str, list[str]] = {}
     ignored: dict[str, None] = {}
-    for scenario in suite.usable:
-        for criterion in _criteria(scenario):
-            template = _MEANINGS.get(criterion.name)
-            meaning = None if template is None else template(criterion.value)
+    for scenario in suite.runnable_scenarios:
+        for criterion in _read_criteria(scenario):
+            template = _REQUIREMENT_TEMPLATES.get(criterion.name)
+            meaning = None if template is None else template(criterion.threshold)
             if meaning is None:
                 ignored[criterion.name] = None
-            elif scenario.file not in files_of.setdefault(meaning, []):
-                files_of[meaning].append(scenario.file)
+            elif scenario.file_name not in files_of.setdefault(meaning, []):
+                files_of[meaning].append(scenario.file_name)
     reason = "a recording cannot answer them, or they lack a bound"
     if not files_of:
         note = f" (not used: {', '.join(ignored)}; {reason})" if ignored else ""
         raise InputError(
             f"`require_from_file`: {suite.folder} has none of ScenarioRunner's criteria that can be used as"
-            f" requirements, which are {', '.join(_MEANINGS)}{note}; specify requirements yourself."
+            f" requirements, which are {', '.join(_REQUIREMENT_TEMPLATES)}{note}; specify requirements yourself."
         )
     if ignored:
-        warn(f"not used as requirements from {_sources(suite)}: {', '.join(ignored)}; {reason}")
+        issue_notice_warning(f"not used as requirements from {_describe_sources(suite)}: {', '.join(ignored)}; {reason}")
     texts = []
     for meaning, files in files_of.items():
-        if len(files) == len(suite.usable):
+        if len(files) == len(suite.runnable_scenarios):
             texts.append(meaning)
         else:
-            texts += [f"{prefix_for(file)}{meaning}" for file in files]
-    return [_parsed(text, suite) for text in texts]
+            texts += [f"{requirement_prefix(file)}{meaning}" for file in files]
+    return [_parse_requirement(text, suite) for text in texts]
 
 
-def _sources(suite: SuiteContents) -> str:
+def _describe_sources(suite: Suite) -> str:
     """Name the file or folder of the criteria."""
-    if len(suite.usable) == 1:
-        return suite.usable[0].file
+    if len(suite.runnable_scenarios) == 1:
+        return suite.runnable_scenarios[0].file_name
     return f"the scenarios of {suite.folder.resolve().name}"
 
 
-def _parsed(text: str, suite: SuiteContents) -> Requirement:
+def _parse_requirement(text: str, suite: Suite) -> Requirement:
     try:
         return Requirement.parse(text)
     except InputError as error:
@@ -67,6 +67,6 @@ def _parsed(text: str, suite: SuiteContents) -> Requirement:
         raise InputError(f"`require_from_file`: a criterion in {suite.folder} requires {reason}") from error
 
 
-def _criteria(one: SuiteScenario) -> tuple[Criterion, ...]:
-    root = one.scenario.root
-    return criteria_in(root, Scope.of_file(str(one.scenario.path), root, [{}], one.scenario.catalog_entry))
+def _read_criteria(scenario: SuiteScenario) -> tuple[RunnerCriterion, ...]:
+    root = scenario.scenario.root
+    return read_runner_criteria(root, Scope.from_file(str(scenario.scenario.path), root, [{}], scenario.scenario.find_catalog_entry))

@@ -9,14 +9,14 @@ from typing import Final
 import numpy as np
 
 from cornercase._common.typing import FloatArray
-from cornercase.recordings import Recording, same_bytes
+from cornercase.recordings import Recording, are_bitwise_equal
 
-NOTICED: Final = 1e-6
+DISTANCE_TOLERANCE: Final = 1e-6
 """Smallest distance in m that counts as a difference."""
 
 
 @dataclass(frozen=True)
-class Difference:
+class RecordingDifference:
     """Difference between a recording and an earlier one of the same scenario.
 
     Attributes
@@ -51,27 +51,27 @@ class Difference:
         return f"up to {self.distance:.3g} m elsewhere{since}"
 
 
-def find_difference(
-    before: Recording, now: Recording, ego: str, scores: Mapping[str, tuple[float, float]] | None = None
-) -> Difference:
+def compare_recording_pair(
+    earlier: Recording, later: Recording, ego: str, scores: Mapping[str, tuple[float, float]] | None = None
+) -> RecordingDifference:
     """Compare two recordings of one scenario; the earlier path of the ego is interpolated if the times differ."""
-    distances = _distances(before, now, ego)
+    distances = _ego_distances(earlier, later, ego)
     is_known = np.isfinite(distances)
-    exceeding = np.flatnonzero(is_known & (distances > NOTICED))
-    return Difference(
-        same=same_bytes(before, now),
+    exceeding = np.flatnonzero(is_known & (distances > DISTANCE_TOLERANCE))
+    return RecordingDifference(
+        same=are_bitwise_equal(earlier, later),
         distance=float(distances[is_known].max()) if is_known.any() else None,
-        time=float(now.time[exceeding[0]]) if len(exceeding) else None,
-        duration=(float(before.time[-1] - before.time[0]), float(now.time[-1] - now.time[0])),
+        time=float(later.time[exceeding[0]]) if len(exceeding) else None,
+        duration=(float(earlier.time[-1] - earlier.time[0]), float(later.time[-1] - later.time[0])),
         scores=dict(scores or {}),
     )
 
 
-def _distances(before: Recording, now: Recording, ego: str) -> FloatArray:
+def _ego_distances(earlier: Recording, later: Recording, ego: str) -> FloatArray:
     """Distances of the ego in m at the times of the second recording, NaN if it is absent in one, shape (T,)."""
-    i, j = before.index(ego), now.index(ego)
+    i, j = earlier.entity_index(ego), later.entity_index(ego)
     # NaN beyond its ends, and between a time with the ego and one without.
     x, y = (
-        np.interp(now.time, before.time, values, left=np.nan, right=np.nan) for values in (before.x[i], before.y[i])
+        np.interp(later.time, earlier.time, values, left=np.nan, right=np.nan) for values in (earlier.x[i], earlier.y[i])
     )
-    return np.asarray(np.hypot(now.x[j] - x, now.y[j] - y))
+    return np.asarray(np.hypot(later.x[j] - x, later.y[j] - y))

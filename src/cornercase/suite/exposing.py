@@ -8,46 +8,46 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
-from cornercase._common.arguments import flag, texts, whole_number
-from cornercase._common.dask_client import connected
+from cornercase._common.arguments import check_bool, check_str_sequence, check_int
+from cornercase._common.dask_client import open_connection
 from cornercase._common.errors import InputError
-from cornercase._common.interrupts import noted_interrupts
+from cornercase._common.interrupts import collect_interrupts
 from cornercase._common.progress import ProgressBar
 from cornercase._common.typing import BoolArray
-from cornercase.drivers import Driver, Mutant, driver_text, mutants_of, name_driver
+from cornercase.drivers import Driver, Mutant, format_driver, generate_mutants, nearest_preset_name
 from cornercase.recordings import Recording
-from cornercase.reduction import Exposure
-from cornercase.scenario import ConcreteScenario, Scenario
-from cornercase.simulators import Simulator, outcomes_of, start_simulator
-from cornercase.study import Study, explored_scenario, open_study
-from cornercase.suite.contents import SuiteContents
+from cornercase.reduction import KillMatrix
+from cornercase.scenario import ConcreteScenario, ScenarioFile
+from cornercase.simulators import Simulator, run_scenarios, create_simulator
+from cornercase.study import Study, find_explored_scenario, open_study
+from cornercase.suite.contents import Suite
 from cornercase.suite.judging import judge
 from cornercase.suite.requirement import Requirement
 
 if TYPE_CHECKING:
     from distributed import Client
 
-MOST_CANDIDATES: Final = 2000
+MAX_CANDIDATES: Final = 2000
 """Largest number of scenarios of a study that are run with mutants."""
 
-NO_COLLISION: Final = "no collision"
+DEFAULT_REQUIREMENT: Final = "no collision"
 """Requirement that a killed mutant violates by default."""
 
 _BUILTIN: Final = "builtin"
 _OPTIONS: Final = ("time_step", "duration", "on_collision")
 
 
-def find_exposure(
+def analyze_mutants(
     study: Study | Path | str,
     mutants: int,
     *,
     require: Sequence[str] = (),
     seed: int = 0,
-    scenario: Path | str | Scenario | None = None,
+    scenario: Path | str | ScenarioFile | None = None,
     workers: int = 1,
     cluster: str | Client | None = None,
     progress: bool = False,
-) -> Exposure:
+) -> KillMatrix:
     """Find which scenarios of a study kill which mutants of the ego's driver.
 
     If there are more than 2,000 scenarios, 2,000 of them are run with the mutants, at equal intervals.
@@ -62,7 +62,7 @@ def find_exposure(
         Requirements, at least one of which a killed mutant violates, as `cornercase.suite.Requirement.parse` reads
         them; by default ``"no collision"``.
     seed : int, default 0
-        The same seed gives the same mutants; see `cornercase.drivers.mutants_of`.
+        The same seed gives the same mutants; see `cornercase.drivers.generate_mutants`.
     scenario : path or Scenario, optional
         File that was explored; by default it is looked for at the path stored in the study, beside the study and in the
         current folder.
@@ -85,8 +85,8 @@ def find_exposure(
         The ego has no driver that can be mutated, the study was not run with the builtin simulator, or an argument is
         invalid.
     """
-    n_mutants = whole_number("mutants", mutants, 1)
-    parsed = _requirements(texts("require", require))
+    n_mutants = check_int("mutants", mutants, 1)
+    parsed = _parse_requirements(check_str_sequence("require", require))
     _require_no_reference(parsed)
     for item in parsed:
         if item.pattern:
@@ -94,42 +94,42 @@ def find_exposure(
                 f"`require` {item}: applies to some files or clusters only; give requirements for all scenarios."
             )
     with open_study(study) as opened:
-        logical = explored_scenario(opened, scenario, where_named=True)
+        logical = find_explored_scenario(opened, scenario, search_stored_path=True)
         meta = opened.meta
-        require_builtin(meta.simulator)
+        require_builtin_simulator(meta.simulator)
         if logical is None or meta.suite:
             raise InputError(f"{opened.path}: was not explored from a logical scenario, so mutants cannot be run.")
-        rows = opened.done()
-        if len(rows) > MOST_CANDIDATES:
-            indices = np.linspace(0, len(rows) - 1, MOST_CANDIDATES).round().astype(int)
+        rows = opened.finished_rows()
+        if len(rows) > MAX_CANDIDATES:
+            indices = np.linspace(0, len(rows) - 1, MAX_CANDIDATES).round().astype(int)
             rows = [rows[i] for i in indices.tolist()]
         concretes = [ConcreteScenario(logical.path, dict(row.values), logical) for row in rows]
         ids, settings, entities = [row.id for row in rows], dict(meta.settings), (meta.ego, meta.others)
     drivers: dict[str, Any] = dict(settings.get("drivers", {}))
-    driver = driver_of_ego(entities[0], drivers, [logical])
-    mutants_ = mutants_of(driver, 2 * n_mutants, seed)
+    driver = find_ego_driver(entities[0], drivers, [logical])
+    mutants_ = generate_mutants(driver, 2 * n_mutants, seed)
     options: dict[str, Any] = {name: settings[name] for name in _OPTIONS if name in settings}
     options["drivers"] = {name: item for name, item in drivers.items() if name != entities[0]}
     for name, item in options["drivers"].items():
         if not isinstance(item, str):
             raise InputError(
-                f"Mutants cannot be run: {driver_text(item)} drove {name}, and code from a study is not run."
+                f"Mutants cannot be run: {format_driver(item)} drove {name}, and code from a study is not run."
             )
-    with connected(cluster, workers, else_none=True) as client:
+    with open_connection(cluster, workers, else_none=True) as client:
         failed, killed = run_mutants(
             concretes, entities, (driver, mutants_), [parsed] * len(rows), options, client=client, progress=progress
         )
     choosing, judging = slice(0, n_mutants), slice(n_mutants, None)
 
-    def part(which: slice, held_out: Exposure | None) -> Exposure:
+    def build_kill_matrix(mutant_slice: slice, held_out: KillMatrix | None) -> KillMatrix:
         required = tuple(requirement.text for requirement in parsed)
-        return Exposure(driver, required, tuple(ids), failed, mutants_[which], killed[:, which], held_out)
+        return KillMatrix(driver, required, tuple(ids), failed, mutants_[mutant_slice], killed[:, mutant_slice], held_out)
 
-    return part(choosing, part(judging, None))
+    return build_kill_matrix(choosing, build_kill_matrix(judging, None))
 
 
 def draw_mutants(
-    suite: SuiteContents,
+    suite: Suite,
     ego: str,
     drivers: Mapping[str, Any],
     requirements: Sequence[Requirement],
@@ -142,56 +142,56 @@ def draw_mutants(
     not the same in all files, or if a requirement needs a reference driver.
     """
     _require_no_reference(requirements)
-    driver = driver_of_ego(ego, drivers, [scenario.scenario for scenario in suite.usable])
-    return driver, mutants_of(driver, whole_number("mutants", count, 1), seed)
+    driver = find_ego_driver(ego, drivers, [scenario.scenario for scenario in suite.runnable_scenarios])
+    return driver, generate_mutants(driver, check_int("mutants", count, 1), seed)
 
 
-def expose_suite(
-    suite: SuiteContents,
-    who: tuple[str, Sequence[str]],
-    drivers: tuple[str, tuple[Mutant, ...]],
+def analyze_suite_mutants(
+    suite: Suite,
+    entities: tuple[str, Sequence[str]],
+    driver_and_mutants: tuple[str, tuple[Mutant, ...]],
     requirements: Sequence[Requirement],
     options: Mapping[str, Any],
     *,
     client: Client | None = None,
     progress: bool = False,
-) -> Exposure:
+) -> KillMatrix:
     """Find which scenarios of a suite kill which mutants of the ego's driver.
 
     `who` are the names of the ego and the others, `drivers` the ego's driver and its mutants; `options` are those of
     the builtin simulator. Without requirements it is ``"no collision"``. Ids are numbers of scenarios in the suite,
     from 1 on.
     """
-    parsed = list(requirements) or _requirements(())
+    parsed = list(requirements) or _parse_requirements(())
     failed, killed = run_mutants(
-        [scenario.concrete for scenario in suite.usable],
-        who,
-        drivers,
+        [scenario.concrete_scenario for scenario in suite.runnable_scenarios],
+        entities,
+        driver_and_mutants,
         [
-            [requirement for requirement in parsed if requirement.concerns(scenario.file, scenario.kind)]
-            for scenario in suite.usable
+            [requirement for requirement in parsed if requirement.applies_to(scenario.file_name, scenario.cluster_name)]
+            for scenario in suite.runnable_scenarios
         ],
         options,
         client=client,
         progress=progress,
     )
-    ids = tuple(k for k, scenario in enumerate(suite.scenarios, start=1) if not scenario.wrong)
-    return Exposure(drivers[0], tuple(scenario.text for scenario in parsed), ids, failed, drivers[1], killed)
+    ids = tuple(k for k, scenario in enumerate(suite.scenarios, start=1) if not scenario.error)
+    return KillMatrix(driver_and_mutants[0], tuple(scenario.text for scenario in parsed), ids, failed, driver_and_mutants[1], killed)
 
 
-def require_builtin(simulator: str) -> None:
+def require_builtin_simulator(simulator: str) -> None:
     """Raise `InputError` unless it is the builtin simulator: others do not run drivers of cornercase."""
     if simulator.partition(":")[0] != _BUILTIN:
         raise InputError(f"Mutants need the builtin simulator, not '{simulator}'.")
 
 
-def driver_of_ego(ego: str, drivers: Mapping[str, Any], scenarios: Sequence[Scenario]) -> str:
+def find_ego_driver(ego: str, drivers: Mapping[str, Any], scenarios: Sequence[ScenarioFile]) -> str:
     """Name of the ego's driver, which can be mutated; `drivers` override those in the files, by entity.
 
     Raises `InputError` if there is none, if the files have different ones, or if it cannot be mutated.
     """
     if ego in drivers:
-        return name_driver(drivers[ego])
+        return nearest_preset_name(drivers[ego])
     drivers_in_files = {scenario.drivers.get(ego) for scenario in scenarios}
     if drivers_in_files == {None}:
         raise InputError(f"Mutants need a driver of {ego}; name one with `drivers`.")
@@ -202,13 +202,13 @@ def driver_of_ego(ego: str, drivers: Mapping[str, Any], scenarios: Sequence[Scen
         )
     (driver,) = drivers_in_files
     assert driver is not None
-    return name_driver(driver)
+    return nearest_preset_name(driver)
 
 
 def run_mutants(
-    concretes: Sequence[ConcreteScenario],
-    who: tuple[str, Sequence[str]],
-    drivers: tuple[str, Sequence[Mutant]],
+    scenarios: Sequence[ConcreteScenario],
+    entities: tuple[str, Sequence[str]],
+    driver_and_mutants: tuple[str, Sequence[Mutant]],
     requirements: Sequence[Sequence[Requirement]],
     options: Mapping[str, Any],
     *,
@@ -220,17 +220,17 @@ def run_mutants(
     `requirements` are those of each scenario. Returns a mask (n,) of scenarios in which the original violates a
     requirement or could not run, and a mask (n, m) of those in which it does not and the mutant violates one.
     """
-    original, mutants = drivers
+    original, mutants = driver_and_mutants
     names = [original, *(mutant.driver for mutant in mutants)]
-    failed = np.zeros((len(names), len(concretes)), dtype=np.bool_)
+    failed = np.zeros((len(names), len(scenarios)), dtype=np.bool_)
     broken = np.zeros_like(failed)
-    bar = ProgressBar(len(names), "mutants", "drivers") if flag("progress", progress) else None
+    bar = ProgressBar(len(names), "mutants", "drivers") if check_bool("progress", progress) else None
     try:
-        with noted_interrupts() as raise_interrupt:
+        with collect_interrupts() as raise_interrupt:
             for k, name in enumerate(names):
-                assigned: dict[str, str | Driver] = {**options["drivers"], who[0]: name}
-                with start_simulator(_BUILTIN, {**options, "drivers": assigned}, cluster=client) as simulator:
-                    for i, verdict in enumerate(_failures(simulator, concretes, who, requirements)):
+                assigned: dict[str, str | Driver] = {**options["drivers"], entities[0]: name}
+                with create_simulator(_BUILTIN, {**options, "drivers": assigned}, cluster=client) as simulator:
+                    for i, verdict in enumerate(_iter_violations(simulator, scenarios, entities, requirements)):
                         broken[k, i], failed[k, i] = verdict is None, verdict is True
                 raise_interrupt()
                 if bar is not None:
@@ -242,18 +242,18 @@ def run_mutants(
     return unusable, (failed[1:] & ~unusable).T
 
 
-def _failures(
+def _iter_violations(
     simulator: Simulator,
-    concretes: Sequence[ConcreteScenario],
-    who: tuple[str, Sequence[str]],
+    scenarios: Sequence[ConcreteScenario],
+    entities: tuple[str, Sequence[str]],
     requirements: Sequence[Sequence[Requirement]],
 ) -> Iterator[bool | None]:
     """Yield whether each scenario violates a requirement; None if it could not be run."""
-    for applicable, outcome in zip(requirements, outcomes_of(simulator, concretes), strict=True):
+    for applicable, outcome in zip(requirements, run_scenarios(simulator, scenarios), strict=True):
         if not isinstance(outcome, Recording):
             yield None
         else:
-            yield any(judge(requirement, outcome, *who).state == "failed" for requirement in applicable)
+            yield any(judge(requirement, outcome, *entities).state == "failed" for requirement in applicable)
 
 
 def _require_no_reference(requirements: Sequence[Requirement]) -> None:
@@ -265,5 +265,5 @@ def _require_no_reference(requirements: Sequence[Requirement]) -> None:
             )
 
 
-def _requirements(given: Sequence[str]) -> list[Requirement]:
-    return [Requirement.parse(text) for text in dict.fromkeys(given or (NO_COLLISION,))]
+def _parse_requirements(texts: Sequence[str]) -> list[Requirement]:
+    return [Requirement.parse(text) for text in dict.fromkeys(texts or (DEFAULT_REQUIREMENT,))]

@@ -6,11 +6,11 @@ from typing import Final
 
 import numpy as np
 
-from cornercase._common.geometry import box_axes, box_corners, project
+from cornercase._common.geometry import box_axes, box_corners, project_on_axes
 from cornercase._common.typing import FloatArray
 from cornercase.recordings import Collision, Recording
 
-MOVING: Final = 0.1
+MIN_CLOSING_SPEED: Final = 0.1
 """Smallest closing speed of the ego in m/s at which it is at fault."""
 
 
@@ -23,26 +23,26 @@ def is_at_fault(recording: Recording, ego: str, collision: Collision) -> bool:
     fault too. Right of way is not considered, since a recording does not contain it.
     """
     (other,) = (name for name in collision.entities if name != ego)
-    i, j = recording.index(ego), recording.index(other)
+    i, j = recording.entity_index(ego), recording.entity_index(other)
     # The last sample before the contact, and the first one of it.
     index = int(np.abs(recording.time - collision.time).argmin())
     before, at_contact = max(index - 1, 0), index
-    direction = _direction(recording, i, j, before, at_contact)
+    direction = _contact_direction(recording, i, j, before, at_contact)
     speed = recording.speed[i, [before, at_contact]]
     heading = recording.heading[i, [before, at_contact]]
     closing_speed = speed * (direction[0] * np.cos(heading) + direction[1] * np.sin(heading))
     if not np.isfinite(closing_speed).any():
         return True
-    return bool(np.nanmax(closing_speed) >= MOVING)
+    return bool(np.nanmax(closing_speed) >= MIN_CLOSING_SPEED)
 
 
-def _direction(recording: Recording, i: int, j: int, before: int, now: int) -> FloatArray:
+def _contact_direction(recording: Recording, ego_index: int, other_index: int, earlier_index: int, contact_index: int) -> FloatArray:
     """Unit vector from the ego to the other along which they come into contact, shape (2,)."""
-    boxes_before, boxes_now = (tuple(_corners(recording, k, at) for k in (i, j)) for at in (before, now))
+    boxes_before, boxes_now = (tuple(_entity_box_corners(recording, k, at) for k in (ego_index, other_index)) for at in (earlier_index, contact_index))
     axes = np.concatenate([box_axes(boxes_now[0]), box_axes(boxes_now[1])])
     # In both directions, as the other may be on either side.
     axes = np.concatenate([axes, -axes])
-    gap_before, gap_now = (_gaps(axes, *boxes) for boxes in (boxes_before, boxes_now))
+    gap_before, gap_now = (_gaps_along_axes(axes, *boxes) for boxes in (boxes_before, boxes_now))
     closing = gap_before - gap_now
     is_closing = (gap_before > 0.0) & (closing > 0.0)
     if is_closing.any():
@@ -53,14 +53,14 @@ def _direction(recording: Recording, i: int, j: int, before: int, now: int) -> F
     return np.asarray(axes[int(gap_now.argmax())])
 
 
-def _gaps(axes: FloatArray, ego: FloatArray, other: FloatArray) -> FloatArray:
+def _gaps_along_axes(axes: FloatArray, ego: FloatArray, other: FloatArray) -> FloatArray:
     """Gap along each axis in m, negative if the boxes overlap, shape (n,)."""
-    return np.asarray(project(axes, other).min(-1) - project(axes, ego).max(-1))
+    return np.asarray(project_on_axes(axes, other).min(-1) - project_on_axes(axes, ego).max(-1))
 
 
-def _corners(recording: Recording, row: int, at: int) -> FloatArray:
-    heading = recording.heading[row, at]
-    offset = recording.center_x[row]
-    x = recording.x[row, at] + offset * np.cos(heading)
-    y = recording.y[row, at] + offset * np.sin(heading)
-    return box_corners(x, y, heading, recording.length[row], recording.width[row])
+def _entity_box_corners(recording: Recording, entity_index: int, time_index: int) -> FloatArray:
+    heading = recording.heading[entity_index, time_index]
+    offset = recording.center_x[entity_index]
+    x = recording.x[entity_index, time_index] + offset * np.cos(heading)
+    y = recording.y[entity_index, time_index] + offset * np.sin(heading)
+    return box_corners(x, y, heading, recording.length[entity_index], recording.width[entity_index])

@@ -7,15 +7,15 @@ from pathlib import Path
 from typing import Final
 
 from cornercase._common.errors import InputError
-from cornercase.study import Row, Study, damage_told
-from cornercase.suite.contents import SuiteContents
-from cornercase.suite.difference import Difference, find_difference
+from cornercase.study import ScenarioRecord, Study, reraise_as_damage
+from cornercase.suite.contents import Suite
+from cornercase.suite.difference import RecordingDifference, compare_recording_pair
 
 # Largest number of bytes of a file name.
-_LONGEST: Final = 255
+_MAX_NAME_BYTES: Final = 255
 
 
-def find_origin(suite: SuiteContents, against: Path | None) -> tuple[Path | None, str]:
+def find_baseline_study(suite: Suite, against: Path | None) -> tuple[Path | None, str]:
     """Find the study to compare the recordings of a suite with.
 
     By default it is looked for by name beside the manifest and in the folder above, and recognized by its fingerprint.
@@ -23,8 +23,8 @@ def find_origin(suite: SuiteContents, against: Path | None) -> tuple[Path | None
     `against` is of something else, or cannot be used.
     """
     if against is not None:
-        with Study.open(against, readonly=True) as study, damage_told(against):
-            _read(suite, study)
+        with Study.open(against, readonly=True) as study, reraise_as_damage(against):
+            _read_baseline(suite, study)
         return against, ""
     if not suite.study:
         return None, "the study that the files were made from is unknown"
@@ -32,61 +32,61 @@ def find_origin(suite: SuiteContents, against: Path | None) -> tuple[Path | None
     name = Path(suite.study.replace("\\", "/")).name
     for folder in (suite.folder, suite.folder.resolve().parent):
         path = folder / name
-        if name and len(name.encode(errors="replace")) <= _LONGEST and path.is_file():
+        if name and len(name.encode(errors="replace")) <= _MAX_NAME_BYTES and path.is_file():
             try:
-                with Study.open(path, readonly=True) as study, damage_told(path):
-                    _read(suite, study)
+                with Study.open(path, readonly=True) as study, reraise_as_damage(path):
+                    _read_baseline(suite, study)
             except InputError:
                 continue
             return path, ""
     return None, f"{name} was not found unchanged and readable beside the manifest or in the folder above"
 
 
-def find_differences(suite: SuiteContents, origin: Path, study: Study) -> dict[int, Difference]:
+def compare_with_baseline(suite: Suite, baseline: Path, study: Study) -> dict[int, RecordingDifference]:
     """Compare the recordings of a suite with those of an earlier study, by id of each scenario that ran in both."""
-    with Study.open(origin, readonly=True) as earlier, damage_told(origin):
-        sources = _sources(suite, earlier)
+    with Study.open(baseline, readonly=True) as earlier, reraise_as_damage(baseline):
+        sources = _match_baseline_rows(suite, earlier)
         differences = {}
-        for row in study.done():
+        for row in study.finished_rows():
             earlier_row = sources.get(row.id)
             if earlier_row is not None and earlier_row.state == "done":
-                scores_now, scores_before = study.scores_of(row.id), earlier.scores_of(earlier_row.id)
+                scores_now, scores_before = study.scenario_scores(row.id), earlier.scenario_scores(earlier_row.id)
                 scores = {name: (scores_before[name], scores_now[name]) for name in scores_now if name in scores_before}
-                differences[row.id] = find_difference(
+                differences[row.id] = compare_recording_pair(
                     earlier.recording(earlier_row.id), study.recording(row.id), study.meta.ego, scores
                 )
         return differences
 
 
-def _read(suite: SuiteContents, study: Study) -> None:
+def _read_baseline(suite: Suite, study: Study) -> None:
     """Read everything that is compared later, so that damage is reported before anything is run."""
-    for row in _sources(suite, study).values():
+    for row in _match_baseline_rows(suite, study).values():
         if row.state == "done":
             study.recording(row.id)
-            study.scores_of(row.id)
+            study.scenario_scores(row.id)
 
 
-def _sources(suite: SuiteContents, study: Study) -> Mapping[int, Row]:
+def _match_baseline_rows(suite: Suite, study: Study) -> Mapping[int, ScenarioRecord]:
     """Scenario of the earlier study, by the id in that of the suite."""
     rows = {row.id: row for row in study.rows()}
     if study.meta.suite:
         id_of = {file: k for k, file in enumerate(study.meta.files, start=1)}
-        matches = {k: id_of.get(scenario.file) for k, scenario in enumerate(suite.scenarios, start=1)}
+        matches = {k: id_of.get(scenario.file_name) for k, scenario in enumerate(suite.scenarios, start=1)}
         sources = {k: rows[source] for k, source in matches.items() if source in rows}
         if not sources:
-            raise InputError(f"`against` {study.path}: has none of the files of {suite.place}; name another study.")
+            raise InputError(f"`against` {study.path}: has none of the files of {suite.path}; name another study.")
         return sources
     if study.meta.fingerprint != suite.fingerprint:
         raise InputError(
-            f"`against` {study.path}: is not the study that {suite.place} was made from; name the one that was reduced,"
+            f"`against` {study.path}: is not the study that {suite.path} was made from; name the one that was reduced,"
             " or an earlier run of the suite."
         )
     sources = {}
     for k, scenario in enumerate(suite.scenarios, start=1):
-        row = rows.get(scenario.origin or 0)
+        row = rows.get(scenario.source_id or 0)
         if row is None or dict(row.values) != dict(scenario.values):
             raise InputError(
-                f"`against` {study.path}: has another scenario {scenario.origin} than {suite.place} was made from; name"
+                f"`against` {study.path}: has another scenario {scenario.source_id} than {suite.path} was made from; name"
                 " the study that was reduced."
             )
         sources[k] = row

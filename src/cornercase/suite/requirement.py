@@ -8,32 +8,32 @@ from dataclasses import dataclass, replace
 from fnmatch import fnmatchcase
 from typing import Final, Literal
 
-from cornercase._common.arguments import text
+from cornercase._common.arguments import check_str
 from cornercase._common.errors import InputError
-from cornercase._common.texts import loaded_json, require_whole
+from cornercase._common.texts import parse_json, check_no_surrogates
 from cornercase.metrics import Formula
 
-Kind = Literal[
+RequirementKind = Literal[
     "no collision", "no collision with", "no collision at fault", "no collision unless", "reach", "drive", "formula"
 ]
 
-REACHED: Final = 2.0
+DEFAULT_RADIUS: Final = 2.0
 """Default radius in m around a position that the ego has to reach."""
 
-_NUMBER: Final = r"([+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d{1,3})?)"
-_FOR: Final = re.compile(r'\s*for\s+(kind\s+)?("(?:[^"\\]|\\.)*"|\S+?)\s*:\s+(.+)', re.DOTALL)
+_NUMBER_PATTERN: Final = r"([+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d{1,3})?)"
+_PREFIX_PATTERN: Final = re.compile(r'\s*for\s+(kind\s+)?("(?:[^"\\]|\\.)*"|\S+?)\s*:\s+(.+)', re.DOTALL)
 # A pattern that needs no quotes.
-_PLAIN: Final = re.compile(r'[^\s"]+')
-_REACH: Final = re.compile(
-    rf"reach\s+{_NUMBER}\s*,\s*{_NUMBER}(?:\s*,\s*{_NUMBER})?\s+within\s+{_NUMBER}\s*(\S*)", re.DOTALL
+_UNQUOTED_PATTERN: Final = re.compile(r'[^\s"]+')
+_REACH_PATTERN: Final = re.compile(
+    rf"reach\s+{_NUMBER_PATTERN}\s*,\s*{_NUMBER_PATTERN}(?:\s*,\s*{_NUMBER_PATTERN})?\s+within\s+{_NUMBER_PATTERN}\s*(\S*)", re.DOTALL
 )
-_DRIVE: Final = re.compile(rf"drive\s+{_NUMBER}\s*(\S*)", re.DOTALL)
-_UNLESS: Final = re.compile(r"no collision unless (?:reference:)?(\S+) collides", re.IGNORECASE)
-_FORMS: Final = (
+_DRIVE_PATTERN: Final = re.compile(rf"drive\s+{_NUMBER_PATTERN}\s*(\S*)", re.DOTALL)
+_UNLESS_PATTERN: Final = re.compile(r"no collision unless (?:reference:)?(\S+) collides", re.IGNORECASE)
+_FORMS_TEXT: Final = (
     "'no collision', 'no collision with NAME', 'no collision at fault', 'no collision unless NAME collides', 'reach"
     " X,Y[,R] within T', 'drive D', or a bound such as 'ttc > 1.5'"
 )
-_LARGEST: Final = 1e6
+_MAX_NUMBER: Final = 1e6
 
 
 @dataclass(frozen=True)
@@ -64,13 +64,13 @@ class Requirement:
     """
 
     text: str
-    kind: Kind
+    kind: RequirementKind
     entity: str = ""
-    place: tuple[float, float, float] | None = None
-    within: float = 0.0
+    position: tuple[float, float, float] | None = None
+    time_limit: float = 0.0
     formula: Formula | None = None
     pattern: str = ""
-    by_kind: bool = False
+    is_for_clusters: bool = False
     reference: str = ""
     distance: float = 0.0
 
@@ -106,14 +106,14 @@ class Requirement:
         >>> Requirement.parse("for *-00012.xosc:  reach 60, -1.75 within 20 s").text
         'for *-00012.xosc: reach 60,-1.75,2 within 20'
         """
-        normalized = " ".join(text("require", requirement).split())
+        normalized = " ".join(check_str("require", requirement).split())
         try:
-            require_whole(normalized)
+            check_no_surrogates(normalized)
         except ValueError as error:
             raise InputError(f"`require` {normalized}: {error}.") from error
-        prefix = _FOR.fullmatch(requirement)
+        prefix = _PREFIX_PATTERN.fullmatch(requirement)
         by_kind, pattern, body = (
-            (bool(prefix[1]), _unquoted(prefix[2], normalized), prefix[3]) if prefix else (False, "", normalized)
+            (bool(prefix[1]), _unquote_pattern(prefix[2], normalized), prefix[3]) if prefix else (False, "", normalized)
         )
         body = " ".join(body.split())
         if not prefix and normalized.startswith("for "):
@@ -121,11 +121,11 @@ class Requirement:
                 f"`require` {normalized}: has no pattern; write 'for PATTERN: REQUIREMENT', with a space after the"
                 " colon."
             )
-        parsed = _collision(body) or _place(body) or _distance(body) or _formula(body, normalized)
-        full_text = f"{prefix_for(pattern, by_kind=by_kind)}{parsed.text}" if pattern else parsed.text
-        return replace(parsed, text=full_text, pattern=pattern, by_kind=by_kind)
+        parsed = _parse_collision(body) or _parse_position(body) or _parse_distance(body) or _parse_formula(body, normalized)
+        full_text = f"{requirement_prefix(pattern, is_for_clusters=by_kind)}{parsed.text}" if pattern else parsed.text
+        return replace(parsed, text=full_text, pattern=pattern, is_for_clusters=by_kind)
 
-    def concerns(self, file: str, kind: str = "") -> bool:
+    def applies_to(self, file: str, kind: str = "") -> bool:
         """Tell whether it applies to a scenario.
 
         Parameters
@@ -140,29 +140,29 @@ class Requirement:
         bool
         """
         # Escape brackets, which may occur in names of files and clusters.
-        return not self.pattern or fnmatchcase(kind if self.by_kind else file, self.pattern.replace("[", "[[]"))
+        return not self.pattern or fnmatchcase(kind if self.is_for_clusters else file, self.pattern.replace("[", "[[]"))
 
 
-def prefix_for(pattern: str, *, by_kind: bool = False) -> str:
+def requirement_prefix(pattern: str, *, is_for_clusters: bool = False) -> str:
     """Prefix that limits a requirement to files, or clusters, whose name matches a pattern."""
-    if by_kind or not _PLAIN.fullmatch(pattern):
-        return f"for {'kind ' if by_kind else ''}{json.dumps(pattern, ensure_ascii=False)}: "
+    if is_for_clusters or not _UNQUOTED_PATTERN.fullmatch(pattern):
+        return f"for {'kind ' if is_for_clusters else ''}{json.dumps(pattern, ensure_ascii=False)}: "
     return f"for {pattern}: "
 
 
-def _unquoted(pattern: str, given: str) -> str:
+def _unquote_pattern(pattern: str, requirement: str) -> str:
     if not pattern.startswith('"'):
         return pattern
     try:
-        text_ = str(loaded_json(pattern))
+        text_ = str(parse_json(pattern))
     except ValueError:
         text_ = ""
     if not text_.strip():
-        raise InputError(f"`require` {given}: {pattern} is not a pattern of names; write it as in JSON.")
+        raise InputError(f"`require` {requirement}: {pattern} is not a pattern of names; write it as in JSON.")
     return text_
 
 
-def _collision(body: str) -> Requirement | None:
+def _parse_collision(body: str) -> Requirement | None:
     words = body.split(" ", 3)
     if words[0].lower() != "no":
         return None
@@ -173,40 +173,40 @@ def _collision(body: str) -> Requirement | None:
         return Requirement(lowered, "no collision at fault")
     if lowered.startswith("no collision with ") and len(words) == 4:
         return Requirement(f"no collision with {words[3]}", "no collision with", entity=words[3])
-    if (match_ := _UNLESS.fullmatch(body)) is not None:
+    if (match_ := _UNLESS_PATTERN.fullmatch(body)) is not None:
         return Requirement(f"no collision unless {match_[1]} collides", "no collision unless", reference=match_[1])
-    raise InputError(f"`require` {body}: is not a requirement; write {_FORMS}.")
+    raise InputError(f"`require` {body}: is not a requirement; write {_FORMS_TEXT}.")
 
 
-def _place(body: str) -> Requirement | None:
+def _parse_position(body: str) -> Requirement | None:
     if body.split(" ", 1)[0] != "reach":
         return None
-    match_ = _REACH.fullmatch(body)
+    match_ = _REACH_PATTERN.fullmatch(body)
     if match_ is None:
         raise InputError(f"`require` {body}: is not a position and time; write 'reach X,Y[,R] within T', in m and s.")
-    x, y, radius, within = (float(group) if group else REACHED for group in match_.groups()[:4])
+    x, y, radius, within = (float(group) if group else DEFAULT_RADIUS for group in match_.groups()[:4])
     if match_[5] not in ("", "s"):
         raise InputError(f"`require` {body}: the unit '{match_[5]}' does not fit; give the time in s.")
-    if not (0.0 < radius <= _LARGEST and 0.0 < within <= _LARGEST and max(abs(x), abs(y)) <= _LARGEST):
+    if not (0.0 < radius <= _MAX_NUMBER and 0.0 < within <= _MAX_NUMBER and max(abs(x), abs(y)) <= _MAX_NUMBER):
         raise InputError(f"`require` {body}: give a position within 1000 km, and a positive radius and time.")
     return Requirement(
-        f"reach {x:.15g},{y:.15g},{radius:.15g} within {within:.15g}", "reach", place=(x, y, radius), within=within
+        f"reach {x:.15g},{y:.15g},{radius:.15g} within {within:.15g}", "reach", position=(x, y, radius), time_limit=within
     )
 
 
-def _distance(body: str) -> Requirement | None:
+def _parse_distance(body: str) -> Requirement | None:
     if body.split(" ", 1)[0] != "drive":
         return None
-    match_ = _DRIVE.fullmatch(body)
-    if match_ is None or match_[2] not in ("", "m") or not 0.0 < float(match_[1]) <= _LARGEST:
+    match_ = _DRIVE_PATTERN.fullmatch(body)
+    if match_ is None or match_[2] not in ("", "m") or not 0.0 < float(match_[1]) <= _MAX_NUMBER:
         raise InputError(f"`require` {body}: is not a distance; write 'drive D', above 0 and at most 1000 km, in m.")
     return Requirement(f"drive {float(match_[1]):.15g}", "drive", distance=float(match_[1]))
 
 
-def _formula(body: str, given: str) -> Requirement:
+def _parse_formula(body: str, requirement: str) -> Requirement:
     try:
         formula = Formula.parse(body)
     except InputError as error:
         reason = str(error)
-        raise InputError(reason if body in reason else f"`require` {given}: {reason}") from error
+        raise InputError(reason if body in reason else f"`require` {requirement}: {reason}") from error
     return Requirement(formula.text, "formula", formula=formula)

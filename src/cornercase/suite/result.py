@@ -8,10 +8,10 @@ from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any, Literal
 
-from cornercase.reduction import Exposure
+from cornercase.reduction import KillMatrix
 from cornercase.scenario import Value
-from cornercase.suite.difference import Difference
-from cornercase.suite.verdict import State, Verdict, worst_state
+from cornercase.suite.difference import RecordingDifference
+from cornercase.suite.verdict import VerdictState, Verdict, worst_state
 
 
 @dataclass(frozen=True)
@@ -46,7 +46,7 @@ class ScenarioResult:
 
     id: int
     file: str
-    state: State | Literal["error"]
+    state: VerdictState | Literal["error"]
     values: Mapping[str, Value]
     scores: Mapping[str, float]
     duration: float | None
@@ -55,7 +55,7 @@ class ScenarioResult:
     role: str = ""
     why: str = ""
     origin: int | None = None
-    difference: Difference | None = None
+    difference: RecordingDifference | None = None
     others: Mapping[str, str] = field(default_factory=dict)
 
     @property
@@ -95,11 +95,11 @@ class SuiteResult:
     requirements: tuple[str, ...]
     scenarios: tuple[ScenarioResult, ...]
     against: Path | None = None
-    why_not_compared: str = ""
-    ran_before: int = 0
-    exposure: Exposure | None = None
+    no_comparison_reason: str = ""
+    n_ran_before: int = 0
+    kill_matrix: KillMatrix | None = None
 
-    def count(self, state: str) -> int:
+    def count_scenarios(self, state: str) -> int:
         """Count the scenarios in a state.
 
         Parameters
@@ -128,7 +128,7 @@ class SuiteResult:
         return not any(scenario.state in refused for scenario in self.scenarios)
 
     @property
-    def text(self) -> str:
+    def summary(self) -> str:
         """Summary in a sentence without a period."""
         names = {"error": "not run"}
         counts = Counter(scenario.state for scenario in self.scenarios)
@@ -140,10 +140,10 @@ class SuiteResult:
         return f"{', '.join(parts)} of {len(self.scenarios)} scenario{'' if len(self.scenarios) == 1 else 's'}"
 
     @property
-    def comparison(self) -> str:
+    def comparison_summary(self) -> str:
         """How the recordings compare with the earlier ones, in a sentence without a period."""
         if self.against is None:
-            return f"Not compared: {self.why_not_compared}"
+            return f"Not compared: {self.no_comparison_reason}"
         compared = [item.difference for item in self.scenarios if item.difference is not None]
         n_same = sum(item.same for item in compared)
         distances = [item.distance for item in compared if item.distance is not None and not item.same]
@@ -151,7 +151,7 @@ class SuiteResult:
         return f"{n_same} of {len(compared)} recordings are identical to those in {self.against.name}{note}"
 
     def __repr__(self) -> str:
-        return f"<SuiteResult: {self.text}, in {str(self.study)!r}>"
+        return f"<SuiteResult: {self.summary}, in {str(self.study)!r}>"
 
     def to_json(self) -> dict[str, Any]:
         """Return plain values.
@@ -166,11 +166,11 @@ class SuiteResult:
             "suite": str(self.suite),
             "simulator": self.simulator,
             "requirements": list(self.requirements),
-            "passed": self.count("passed"),
-            "failed": self.count("failed"),
-            "inconclusive": self.count("inconclusive"),
-            "errors": self.count("error"),
-            "ran_before": self.ran_before,
+            "passed": self.count_scenarios("passed"),
+            "failed": self.count_scenarios("failed"),
+            "inconclusive": self.count_scenarios("inconclusive"),
+            "errors": self.count_scenarios("error"),
+            "ran_before": self.n_ran_before,
             "against": None if self.against is None else str(self.against),
             "scenarios": [asdict(scenario) | {"reason": scenario.reason} for scenario in self.scenarios],
-        } | ({} if self.exposure is None else {"mutants": self.exposure.to_json()})
+        } | ({} if self.kill_matrix is None else {"mutants": self.kill_matrix.to_json()})

@@ -6,18 +6,18 @@ import re
 from pathlib import Path
 from typing import Final
 
-from cornercase._common.files import written_whole
-from cornercase._common.texts import plain_text
+from cornercase._common.files import atomic_write
+from cornercase._common.texts import escape_control_characters
 from cornercase.suite.result import SuiteResult
 
 # Characters with a meaning in Markdown.
-_SIGNS: Final = re.compile(r"([\\`*_\[\]<>|#~&$!@])")
+_MARKDOWN_SPECIAL: Final = re.compile(r"([\\`*_\[\]<>|#~&$!@])")
 
-HEADING: Final = b"### "
+HEADING_START: Final = b"### "
 """Start of each file."""
 
 
-def write_summary(result: SuiteResult, path: Path) -> None:
+def write_markdown_summary(result: SuiteResult, path: Path) -> None:
     """Write a table with one row per scenario."""
     head = ["scenario", "kind", "verdict", "why", "recording"]
     rows = [
@@ -32,21 +32,21 @@ def write_summary(result: SuiteResult, path: Path) -> None:
     ]
     used = [k for k in range(len(head)) if any(row[k] for row in rows)]
     lines = [
-        f"{HEADING.decode()}{_text(result.text)}",
+        f"{HEADING_START.decode()}{_escape_markdown(result.summary)}",
         "",
-        _line([head[k] for k in used]),
-        _line(["---"] * len(used)),
-        *(_line([_text(row[k]) for k in used]) for row in rows),
+        _format_row([head[k] for k in used]),
+        _format_row(["---"] * len(used)),
+        *(_format_row([_escape_markdown(row[k]) for k in used]) for row in rows),
         "",
-        f"{_text(result.comparison)}.",
+        f"{_escape_markdown(result.comparison_summary)}.",
     ]
-    with written_whole(path) as temporary:
+    with atomic_write(path) as temporary:
         temporary.write_text("\n".join(lines) + "\n", encoding="utf-8", errors="backslashreplace", newline="\n")
 
 
-def _line(cells: list[str]) -> str:
+def _format_row(cells: list[str]) -> str:
     return f"| {' | '.join(cells)} |"
 
 
-def _text(text: str) -> str:
-    return _SIGNS.sub(r"\\\1", " ".join(plain_text(text).split()))
+def _escape_markdown(text: str) -> str:
+    return _MARKDOWN_SPECIAL.sub(r"\\\1", " ".join(escape_control_characters(text).split()))

@@ -6,11 +6,11 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Final, Literal
 
-State = Literal["passed", "failed", "inconclusive"]
+VerdictState = Literal["passed", "failed", "inconclusive"]
 """State of a verdict."""
 
 # From best to worst.
-_ORDER: Final[tuple[State, ...]] = ("passed", "inconclusive", "failed")
+_STATES_BEST_FIRST: Final[tuple[VerdictState, ...]] = ("passed", "inconclusive", "failed")
 
 
 @dataclass(frozen=True)
@@ -31,13 +31,13 @@ class Verdict:
         Value at that time, in the unit of the requirement; None if there is none.
     """
 
-    state: State
+    state: VerdictState
     requirement: str
     reason: str
     time: float | None = None
     value: float | None = None
 
 
-def worst_state(verdicts: Iterable[Verdict]) -> State:
+def worst_state(verdicts: Iterable[Verdict]) -> VerdictState:
     """The worst state of several verdicts: failed, inconclusive (also without verdicts), or passed."""
-    return max((verdict.state for verdict in verdicts), key=_ORDER.index, default="inconclusive")
+    return max((verdict.state for verdict in verdicts), key=_STATES_BEST_FIRST.index, default="inconclusive")

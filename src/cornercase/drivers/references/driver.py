@@ -6,14 +6,14 @@ from dataclasses import replace
 
 import numpy as np
 
-from cornercase._common.errors import InputError, suggestion
+from cornercase._common.errors import InputError, suggest_name
 from cornercase._common.typing import FloatArray
 from cornercase.drivers.base import Driver, Situation
-from cornercase.drivers.references.models import REFERENCES, Reaction
-from cornercase.drivers.references.surroundings import Surroundings
+from cornercase.drivers.references.models import REFERENCES, BrakingReaction
+from cornercase.drivers.references.surroundings import ReferencePerception
 
 # m/s² towards the scenario's target speed while nothing is unsafe.
-_GAINING, _LOSING = 2.0, 4.0
+_TARGET_SPEED_ACCELERATION, _TARGET_SPEED_DECELERATION = 2.0, 4.0
 
 
 class ReferenceDriver(Driver):
@@ -43,7 +43,7 @@ class ReferenceDriver(Driver):
 
     def __init__(self, name: str, delay: float | None = None) -> None:
         if name not in REFERENCES:
-            raise InputError(f"There is no reference driver '{name}'; {suggestion(name, sorted(REFERENCES))}")
+            raise InputError(f"There is no reference driver '{name}'; {suggest_name(name, sorted(REFERENCES))}")
         reference = REFERENCES[name]
         if delay is not None:
             if not (np.isfinite(delay) and delay >= 0.0):
@@ -57,22 +57,22 @@ class ReferenceDriver(Driver):
 
     def start(self, scenarios: int, others: int) -> None:
         """Reset all state for a batch of N `scenarios` with A `others` in each."""
-        self._reaction = Reaction(self._reference, scenarios)
-        self._surroundings = Surroundings(scenarios, others)
+        self._reaction = BrakingReaction(self._reference, scenarios)
+        self._surroundings = ReferencePerception(scenarios, others)
         self._acceleration = np.zeros(scenarios)
 
     def acceleration(self, situation: Situation) -> FloatArray:
         """Return the acceleration along the path in m/s², shape (N,); 0 in scenarios that are not active."""
         s, dt = situation, situation.time_step
-        assessment = self._reference.judge(self._surroundings.view(s, self._acceleration))
+        assessment = self._reference.assess(self._surroundings.relative_motion(s, self._acceleration))
         is_unsafe = assessment.unsafe & s.active[:, None]
         deceleration = np.where(is_unsafe, assessment.deceleration, 0.0).max(axis=1, initial=0.0)
         unsafe = is_unsafe.any(axis=1)
         reaction = self._reaction.acceleration(unsafe, deceleration, dt)
         # Without a target speed, keep the current one.
         target = np.where(np.isfinite(s.target_speed), s.target_speed, s.speed)
-        max_acceleration = np.where(self._reaction.reacted, 0.0, _GAINING)
-        free = np.clip((target - s.speed) / dt, -_LOSING, max_acceleration)
+        max_acceleration = np.where(self._reaction.reacted, 0.0, _TARGET_SPEED_ACCELERATION)
+        free = np.clip((target - s.speed) / dt, -_TARGET_SPEED_DECELERATION, max_acceleration)
         a = np.maximum(np.where(unsafe, reaction, free), -s.speed / dt)
         self._acceleration[s.active] = a[s.active]
         return np.where(s.active, a, 0.0)

@@ -11,7 +11,7 @@ from cornercase._common.typing import BoolArray, FloatArray
 REACTION_TIME: Final = 0.75
 """s."""
 
-COMFORTABLE, HARD, OF_THE_OTHER = 4.0, 6.0, 7.0
+COMFORTABLE_DECELERATION, HARD_DECELERATION, OTHER_DECELERATION = 4.0, 6.0, 7.0
 """Decelerations in m/s²: comfortable and hard ones of the driver, and of the vehicle ahead."""
 
 SAFETY_MARGIN: Final = 2.0
@@ -28,10 +28,10 @@ def proactive_metric(gap: FloatArray, speed: FloatArray, other_speed: FloatArray
     Prevention 148 (2020) 105794.
     """
     room = gap - SAFETY_MARGIN
-    lead = other_speed**2 / (2.0 * OF_THE_OTHER)
-    safe = speed * REACTION_TIME + speed**2 / (2.0 * COMFORTABLE) - lead + SAFETY_MARGIN
-    unsafe = speed * REACTION_TIME + speed**2 / (2.0 * HARD) - lead
-    return _between(room, safe, unsafe)
+    lead = other_speed**2 / (2.0 * OTHER_DECELERATION)
+    safe = speed * REACTION_TIME + speed**2 / (2.0 * COMFORTABLE_DECELERATION) - lead + SAFETY_MARGIN
+    unsafe = speed * REACTION_TIME + speed**2 / (2.0 * HARD_DECELERATION) - lead
+    return _linear_membership(room, safe, unsafe)
 
 
 def critical_metric(
@@ -42,17 +42,17 @@ def critical_metric(
     0 if comfortable braking after the reaction time is enough, 1 if hard braking is not. The driver keeps its
     acceleration in m/s², but at least -4, during its reaction time.
     """
-    a = np.maximum(acceleration, -COMFORTABLE)
+    a = np.maximum(acceleration, -COMFORTABLE_DECELERATION)
     closing, remaining = speed - other_speed, speed + a * REACTION_TIME - other_speed
     meanwhile = (speed + a * REACTION_TIME / 2.0 - other_speed) * REACTION_TIME
     with np.errstate(divide="ignore", invalid="ignore"):
         is_enough = gap >= closing**2 / np.abs(2.0 * a)
-    braking = _between(gap, meanwhile + remaining**2 / (2.0 * COMFORTABLE), meanwhile + remaining**2 / (2.0 * HARD))
+    braking = _linear_membership(gap, meanwhile + remaining**2 / (2.0 * COMFORTABLE_DECELERATION), meanwhile + remaining**2 / (2.0 * HARD_DECELERATION))
     return np.where(closing <= 0.0, 0.0, np.where(remaining < 0.0, np.where(is_enough, 0.0, 1.0), braking))
 
 
-def passes_clear(
-    gap: FloatArray, lateral_gap: FloatArray, inward: FloatArray, closing: FloatArray, lengths: FloatArray
+def is_laterally_safe(
+    gap: FloatArray, lateral_gap: FloatArray, approach_speed: FloatArray, closing_speed: FloatArray, total_length: FloatArray
 ) -> BoolArray:
     """Lateral safety check: the other is beside, and does not come in before the driver has passed it by 0.1 s.
 
@@ -62,11 +62,11 @@ def passes_clear(
     """
     is_beside = lateral_gap > 0.0
     with np.errstate(divide="ignore", invalid="ignore"):
-        late = lateral_gap / inward > (gap + lengths) / closing + _LATERAL_RESERVE
-    return np.asarray(is_beside & (late | (inward <= 0.0)))
+        late = lateral_gap / approach_speed > (gap + total_length) / closing_speed + _LATERAL_RESERVE
+    return np.asarray(is_beside & (late | (approach_speed <= 0.0)))
 
 
-def _between(value: FloatArray, safe: FloatArray, unsafe: FloatArray) -> FloatArray:
+def _linear_membership(value: FloatArray, safe: FloatArray, unsafe: FloatArray) -> FloatArray:
     """0 from `safe` upwards, 1 below `unsafe`, linear in between."""
     with np.errstate(divide="ignore", invalid="ignore"):
         share = (value - safe) / (unsafe - safe)

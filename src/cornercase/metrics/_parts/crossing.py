@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from cornercase._common.typing import FloatArray
-from cornercase.metrics._parts.crossing_kernel import find_crossings
+from cornercase.metrics._parts.crossing_kernel import find_track_crossings
 from cornercase.recordings import Recording
 
 _REACH = 1e-6
@@ -20,15 +20,15 @@ _PARALLEL = 1e-6
 _INITIAL_CAPACITY = 256
 
 
-def ways_to_crossing(recording: Recording, ego: str, other: str, ahead: float) -> tuple[FloatArray, FloatArray]:
+def distances_to_crossing(recording: Recording, ego: str, other: str, ahead: float) -> tuple[FloatArray, FloatArray]:
     """Distances of ego and other to the crossing of their tracks that lies ahead of both, in m, shape (T,) each.
 
     Of several crossings the one with the smallest sum; NaN if there is none. Each track goes straight on for `ahead` m
     after the recording.
     """
-    tracks = _Track(recording, ego, ahead), _Track(recording, other, ahead)
-    crossings = _crossings(*tracks)
-    to_ego, to_other = (along[:, None] - track.driven for along, track in zip(crossings, tracks, strict=True))
+    tracks = _CenterTrack(recording, ego, ahead), _CenterTrack(recording, other, ahead)
+    crossings = _crossing_distances(*tracks)
+    to_ego, to_other = (along[:, None] - track.distance_at for along, track in zip(crossings, tracks, strict=True))
     is_ahead = (to_ego >= -_REACH) & (to_other >= -_REACH)
     total = np.where(is_ahead, np.maximum(to_ego, 0.0) + np.maximum(to_other, 0.0), np.inf)
     if not len(total):
@@ -42,41 +42,41 @@ def ways_to_crossing(recording: Recording, ego: str, other: str, ahead: float) -
     )
 
 
-class _Track:
+class _CenterTrack:
     """Polyline of an entity's centre, and the distance along it at each instant."""
 
     def __init__(self, recording: Recording, name: str, ahead: float) -> None:
-        center, heading = recording.center(name), recording.heading[recording.index(name)]
+        center, heading = recording.box_center(name), recording.heading[recording.entity_index(name)]
         exists = np.flatnonzero(np.isfinite(center).all(-1))
         points = center[exists]
-        along = np.concatenate([np.zeros(min(len(exists), 1)), _lengths(points).cumsum()])
-        self.driven = np.full(len(center), np.nan)
-        self.driven[exists] = along
+        along = np.concatenate([np.zeros(min(len(exists), 1)), _segment_lengths(points).cumsum()])
+        self.distance_at = np.full(len(center), np.nan)
+        self.distance_at[exists] = along
         if len(exists):
             last = heading[exists[-1]]
             tip = points[-1] + ahead * np.array([np.cos(last), np.sin(last)])
             points, along = np.vstack([points, tip]), np.append(along, along[-1] + ahead)
-        moves = np.flatnonzero(_lengths(points) > _MIN_STEP)
-        self.start, self.step, self.along = points[moves], points[moves + 1] - points[moves], along[moves]
+        moves = np.flatnonzero(_segment_lengths(points) > _MIN_STEP)
+        self.start, self.step, self.piece_distance = points[moves], points[moves + 1] - points[moves], along[moves]
 
-    def pieces(self) -> FloatArray:
+    def pieces_as_array(self) -> FloatArray:
         """Start, direction, length and distance along the track of each piece, (n, 6)."""
         length = np.hypot(*self.step.T)
-        return np.column_stack([self.start, self.step / length[:, None], length, self.along])
+        return np.column_stack([self.start, self.step / length[:, None], length, self.piece_distance])
 
 
-def _lengths(points: FloatArray) -> FloatArray:
+def _segment_lengths(points: FloatArray) -> FloatArray:
     steps = np.diff(points, axis=0)
     return np.hypot(steps[:, 0], steps[:, 1])
 
 
-def _crossings(a: _Track, b: _Track) -> tuple[FloatArray, FloatArray]:
+def _crossing_distances(a: _CenterTrack, b: _CenterTrack) -> tuple[FloatArray, FloatArray]:
     """Distances along each track to their crossings, shape (K,)."""
-    pieces = a.pieces(), b.pieces()
+    pieces = a.pieces_as_array(), b.pieces_as_array()
     capacity = _INITIAL_CAPACITY
     while True:
         distances = np.empty((2, capacity))
-        count = find_crossings(*pieces, _PARALLEL, _REACH, distances)
+        count = find_track_crossings(*pieces, _PARALLEL, _REACH, distances)
         if count <= capacity:
             return distances[0, :count], distances[1, :count]
         capacity = count

@@ -11,7 +11,7 @@ import numpy as np
 from cornercase._common.typing import FloatArray, IntArray
 from cornercase.recordings import Recording
 
-FAR: Final = 100.0
+NEVER_MET_DISTANCE: Final = 100.0
 """Distance in m that stands for two entities that never meet."""
 
 _COARSE: Final = 64
@@ -21,7 +21,7 @@ _METRES_PER_SECOND: Final = 0.1
 """Weight of the time between both against the distance of their paths."""
 
 
-class Meeting:
+class Encounter:
     """A recording, its ego and one other entity, with cached quantities that several features need.
 
     Parameters
@@ -47,8 +47,8 @@ class Meeting:
 
     def __init__(self, recording: Recording, ego: str, other: str) -> None:
         self.recording, self.ego, self.other = recording, ego, other
-        self.ego_row, self.other_row = recording.index(ego), recording.index(other)
-        self.ego_center, self.other_center = recording.center(ego), recording.center(other)
+        self.ego_row, self.other_row = recording.entity_index(ego), recording.entity_index(other)
+        self.ego_center, self.other_center = recording.box_center(ego), recording.box_center(other)
 
     @property
     def duration(self) -> float:
@@ -57,21 +57,21 @@ class Meeting:
         return float(time[-1] - time[0]) if len(time) else 0.0
 
     @cached_property
-    def ego_there(self) -> IntArray:
+    def ego_instants(self) -> IntArray:
         """Instants at which the ego exists, shape (n,)."""
-        return self._there(self.ego_row)
+        return self._instants_of_entity(self.ego_row)
 
     @cached_property
-    def other_there(self) -> IntArray:
+    def other_instants(self) -> IntArray:
         """Instants at which the other exists, shape (n,)."""
-        return self._there(self.other_row)
+        return self._instants_of_entity(self.other_row)
 
     @cached_property
-    def both_there(self) -> IntArray:
+    def common_instants(self) -> IntArray:
         """Instants at which both exist, shape (n,)."""
-        return np.intersect1d(self.ego_there, self.other_there, assume_unique=True)
+        return np.intersect1d(self.ego_instants, self.other_instants, assume_unique=True)
 
-    def since_begin(self, instant: int) -> float:
+    def elapsed_time(self, instant: int) -> float:
         """Time from the start of the recording to an instant.
 
         Parameters
@@ -86,7 +86,7 @@ class Meeting:
         time = self.recording.time
         return float(time[instant] - time[0])
 
-    def _there(self, row: int) -> IntArray:
+    def _instants_of_entity(self, row: int) -> IntArray:
         recording = self.recording
         return np.flatnonzero(
             np.isfinite(recording.x[row])
@@ -96,12 +96,12 @@ class Meeting:
         )
 
     @cached_property
-    def _ways(self) -> FloatArray:
+    def _driven_distances(self) -> FloatArray:
         """Distance that the ego has driven until each instant at which it exists, in m."""
-        steps = np.diff(self.ego_center[self.ego_there], axis=0)
+        steps = np.diff(self.ego_center[self.ego_instants], axis=0)
         return np.append(0.0, np.cumsum(np.hypot(steps[:, 0], steps[:, 1])))
 
-    def way_until(self, instant: int | None) -> float:
+    def distance_driven_until(self, instant: int | None) -> float:
         """Distance that the ego has driven until an instant.
 
         Parameters
@@ -115,34 +115,34 @@ class Meeting:
             m; 0 if it never exists.
         """
         if instant is None:
-            return float(self._ways[-1])
-        return float(self._ways[np.searchsorted(self.ego_there, instant)])
+            return float(self._driven_distances[-1])
+        return float(self._driven_distances[np.searchsorted(self.ego_instants, instant)])
 
     @cached_property
-    def nearest(self) -> tuple[int | None, float]:
+    def closest_instant_and_gap(self) -> tuple[int | None, float]:
         """First instant at which the boxes are nearest, and their gap in m; None and 100 m if they never coexist."""
-        both = self.both_there
+        both = self.common_instants
         if not len(both):
-            return None, FAR
+            return None, NEVER_MET_DISTANCE
         offset = self.other_center[both] - self.ego_center[both]
         distance = np.hypot(offset[:, 0], offset[:, 1])
         recording, pair = self.recording, [self.ego_row, self.other_row]
         # The gap is at most the distance of the centres, and at least that less both half diagonals.
         reach = 0.5 * np.hypot(recording.length[pair], recording.width[pair]).sum()
         candidates = both[distance <= distance.min() + reach]
-        gaps = self._gaps(candidates)
+        gaps = self._box_gaps_at(candidates)
         k = int(np.argmin(gaps))
         return int(candidates[k]), float(gaps[k])
 
-    def _gaps(self, some: IntArray) -> FloatArray:
+    def _box_gaps_at(self, instants: IntArray) -> FloatArray:
         """Gaps between the boxes at `instants`; like `box_distance`, but ten times as fast for two boxes."""
-        recording, offset = self.recording, self.other_center[some] - self.ego_center[some]
+        recording, offset = self.recording, self.other_center[instants] - self.ego_center[instants]
         rows = (self.ego_row, self.other_row)
-        headings = [recording.heading[row, some] for row in rows]
+        headings = [recording.heading[row, instants] for row in rows]
         sizes = [0.5 * np.array([recording.length[row], recording.width[row]]) for row in rows]
         turn = headings[1] - headings[0]
         sides = ((sizes[0], sizes[1], headings[0], turn, 1.0), (sizes[1], sizes[0], headings[1], -turn, -1.0))
-        corner_gap, axis_gap = np.full(len(some), np.inf), np.full(len(some), -np.inf)
+        corner_gap, axis_gap = np.full(len(instants), np.inf), np.full(len(instants), -np.inf)
         for mine, others, heading, angle, sign in sides:
             cos, sin = sign * np.cos(heading), sign * np.sin(heading)
             ahead, left = cos * offset[:, 0] + sin * offset[:, 1], cos * offset[:, 1] - sin * offset[:, 0]
@@ -157,7 +157,7 @@ class Meeting:
             axis_gap = np.maximum(axis_gap, (np.abs(np.stack([ahead, left])) - reach).max(axis=0))
         return np.where(axis_gap <= 0.0, 0.0, corner_gap)
 
-    def other_from(self, instant: int) -> tuple[float, float, float]:
+    def other_relative_to_ego(self, instant: int) -> tuple[float, float, float]:
         """Position of the other in the ego's frame, and its speed.
 
         Parameters
@@ -170,31 +170,31 @@ class Meeting:
         ahead, left, speed : float
             m, m and m/s; 100 m ahead, standing, if the other does not exist then.
         """
-        if instant not in self.other_there:
-            return FAR, 0.0, 0.0
+        if instant not in self.other_instants:
+            return NEVER_MET_DISTANCE, 0.0, 0.0
         heading = self.recording.heading[self.ego_row, instant]
         cos, sin = np.cos(heading), np.sin(heading)
         x, y = self.other_center[instant] - self.ego_center[instant]
         return float(cos * x + sin * y), float(cos * y - sin * x), float(self.recording.speed[self.other_row, instant])
 
     @cached_property
-    def crossing(self) -> tuple[float, float]:
+    def path_distance_and_time_gap(self) -> tuple[float, float]:
         """Distance of both paths where they come nearest in m, and how much later the ego is there in s."""
-        mine, others = self.ego_there, self.other_there
+        mine, others = self.ego_instants, self.other_instants
         if not len(mine) or not len(others):
-            return FAR, 0.0
+            return NEVER_MET_DISTANCE, 0.0
         stride, other_stride = (math.ceil(len(instants) / _COARSE) for instants in (mine, others))
-        i, j, _ = self._least(mine[::stride], others[::other_stride])
+        i, j, _ = self._closest_path_points(mine[::stride], others[::other_stride])
         mine = mine[max(i * stride - stride, 0) : i * stride + stride + 1]
         others = others[max(j * other_stride - other_stride, 0) : j * other_stride + other_stride + 1]
-        i, j, distance = self._least(mine, others)
+        i, j, distance = self._closest_path_points(mine, others)
         time = self.recording.time
         return distance, float(time[mine[i]] - time[others[j]])
 
-    def _least(self, mine: IntArray, others: IntArray) -> tuple[int, int, float]:
+    def _closest_path_points(self, ego_instants: IntArray, other_instants: IntArray) -> tuple[int, int, float]:
         """Indices into the instants of both at which their paths come nearest, and the distance there."""
-        a, b, time = self.ego_center[mine], self.other_center[others], self.recording.time
+        a, b, time = self.ego_center[ego_instants], self.other_center[other_instants], self.recording.time
         distance = np.hypot(a[:, :1] - b[:, 0], a[:, 1:] - b[:, 1])
-        delay = np.abs(time[mine][:, None] - time[others])
+        delay = np.abs(time[ego_instants][:, None] - time[other_instants])
         i, j = np.unravel_index(int(np.argmin(distance + _METRES_PER_SECOND * delay)), distance.shape)
         return int(i), int(j), float(distance[i, j])

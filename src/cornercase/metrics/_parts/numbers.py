@@ -11,14 +11,14 @@ from cornercase._common.errors import InputError
 from cornercase._common.typing import FloatArray
 
 
-def checked(name: str, **numbers: float) -> None:
+def check_nonnegative_options(metric_name: str, **numbers: float) -> None:
     """Raise InputError if an option of the metric `metric_name` is negative or not finite."""
     for option, number in numbers.items():
         if not 0.0 <= number < np.inf:
-            raise InputError(f"{name} cannot take {number} for {option}; give a finite number of 0 or more.")
+            raise InputError(f"{metric_name} cannot take {number} for {option}; give a finite number of 0 or more.")
 
 
-def over(numerator: npt.NDArray[Any], divisor: npt.NDArray[Any] | float) -> FloatArray:
+def divide_or_inf(numerator: npt.NDArray[Any], divisor: npt.NDArray[Any] | float) -> FloatArray:
     """Quotient; 0 if the numerator is 0, inf if it is not and the divisor is not positive."""
     divisor = np.broadcast_to(divisor, numerator.shape)
     positive = divisor > 0.0

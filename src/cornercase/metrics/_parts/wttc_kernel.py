@@ -17,7 +17,7 @@ _ITERATIONS = 100
 
 
 @kernel(error_model="numpy")
-def course(x, y, heading, speed, ahead, a, b, radius, growth, out):
+def wttc_of_recording(x, y, heading, speed, center_offset, ego_row, other_row, radius, growth, out):
     """Write the worst time to collision of the entities in rows `ego_row` and `other_row` to `out` (T,).
 
     Box centres are `center_offset` ahead of the reference points; `radius` and `growth` are those of the circle.
@@ -28,17 +28,17 @@ def course(x, y, heading, speed, ahead, a, b, radius, growth, out):
         count = min(_BLOCK, len(out) - first)
         for k in range(count):
             i = first + k
-            cos_a, sin_a = math.cos(heading[a, i]), math.sin(heading[a, i])
-            cos_b, sin_b = math.cos(heading[b, i]), math.sin(heading[b, i])
-            position[0, k] = (x[b, i] + ahead[b] * cos_b) - (x[a, i] + ahead[a] * cos_a)
-            position[1, k] = (y[b, i] + ahead[b] * sin_b) - (y[a, i] + ahead[a] * sin_a)
-            velocity[0, k] = speed[b, i] * cos_b - speed[a, i] * cos_a
-            velocity[1, k] = speed[b, i] * sin_b - speed[a, i] * sin_a
-        _solve(position, velocity, radii, growths, count, out[first : first + count])
+            cos_a, sin_a = math.cos(heading[ego_row, i]), math.sin(heading[ego_row, i])
+            cos_b, sin_b = math.cos(heading[other_row, i]), math.sin(heading[other_row, i])
+            position[0, k] = (x[other_row, i] + center_offset[other_row] * cos_b) - (x[ego_row, i] + center_offset[ego_row] * cos_a)
+            position[1, k] = (y[other_row, i] + center_offset[other_row] * sin_b) - (y[ego_row, i] + center_offset[ego_row] * sin_a)
+            velocity[0, k] = speed[other_row, i] * cos_b - speed[ego_row, i] * cos_a
+            velocity[1, k] = speed[other_row, i] * sin_b - speed[ego_row, i] * sin_a
+        _solve_block(position, velocity, radii, growths, count, out[first : first + count])
 
 
 @kernel(error_model="numpy")
-def roots(position, velocity, radius, growth, out):
+def wttc_of_circles(position, velocity, radius, growth, out):
     """Write the worst time to collision to `out` for relative positions and velocities (n, 2), radii, growths (n,)."""
     positions, velocities = np.empty((2, _BLOCK)), np.empty((2, _BLOCK))
     radii, growths = np.empty(_BLOCK), np.empty(_BLOCK)
@@ -50,11 +50,11 @@ def roots(position, velocity, radius, growth, out):
                 velocities[axis, k] = velocity[first + k, axis]
             radii[k] = radius[first + k]
             growths[k] = growth[first + k]
-        _solve(positions, velocities, radii, growths, count, out[first : first + count])
+        _solve_block(positions, velocities, radii, growths, count, out[first : first + count])
 
 
 @kernel(error_model="numpy")
-def _solve(position, velocity, radius, growth, count, out):
+def _solve_block(position, velocity, radius, growth, count, out):
     squared_gap, bend, closing = np.empty(count), np.empty(count), np.empty(count)
     gain, size, is_early = np.empty(count), np.empty(count), np.empty(count)
     peak_time, time = np.empty(count), np.empty(count)
@@ -67,7 +67,7 @@ def _solve(position, velocity, radius, growth, count, out):
         bend[k] = square - radius[k] * growth[k]
         gain[k] = 0.5 * growth[k] * growth[k]
         size[k] = square
-    _maximum(bend, gain, closing, peak_time)
+    _first_maximum_of_quartic(bend, gain, closing, peak_time)
     for k in range(count):
         square, t = size[k], peak_time[k]
         peak = ((0.5 * gain[k] * t * t - bend[k]) * t + 2.0 * closing[k]) * t - squared_gap[k]
@@ -109,27 +109,27 @@ def _solve(position, velocity, radius, growth, count, out):
 
 
 @kernel(error_model="numpy")
-def _maximum(bend, gain, closing, top):
+def _first_maximum_of_quartic(bend, gain, closing, out):
     """Write to `out` where gain t⁴/2 - bend t² + 2 closing t is largest up to its inflection.
 
     Half the slope, gain t³ - bend t + closing, is convex and falls up to the inflection; Newton's method runs into its
     first root from the left.
     """
-    for k in range(len(top)):
-        top[k] = closing[k] / bend[k]
+    for k in range(len(out)):
+        out[k] = closing[k] / bend[k]
     for _ in range(_ITERATIONS):
         moves = 0
-        for k in range(len(top)):
-            t = top[k]
+        for k in range(len(out)):
+            t = out[k]
             slope = 3.0 * gain[k] * t * t - bend[k]
             value = (gain[k] * t * t - bend[k]) * t + closing[k]
             moved = t - value / slope
             rises = (bend[k] > 0.0) & (closing[k] > 0.0)
             continues = rises & (slope < 0.0) & (moved - t > 1e-9 * t)
-            top[k] = moved if continues else t
+            out[k] = moved if continues else t
             moves += 1 if continues else 0
         if moves == 0:
             break
-    for k in range(len(top)):
+    for k in range(len(out)):
         inflection = math.sqrt(max(bend[k], 0.0) / (3.0 * gain[k])) if gain[k] > 0.0 else math.inf
-        top[k] = inflection if top[k] > inflection else top[k]
+        out[k] = inflection if out[k] > inflection else out[k]

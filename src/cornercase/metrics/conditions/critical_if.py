@@ -11,29 +11,29 @@ import numpy as np
 from cornercase._common.errors import InputError
 from cornercase._common.typing import FloatArray
 from cornercase.metrics.base import Metric
-from cornercase.metrics.conditions.parser import parse
+from cornercase.metrics.conditions.parser import parse_condition
 from cornercase.metrics.conditions.terms import (
     Collision,
-    Fact,
-    Part,
+    Statement,
+    Condition,
     ReferenceCollides,
-    ScoreBound,
-    Span,
-    facts_in,
-    span_of,
-    truth_of,
+    ScoreComparison,
+    DistanceRange,
+    iter_statements,
+    evaluate_distance,
+    evaluate_truth,
 )
 from cornercase.metrics.distance import Clearance
-from cornercase.metrics.formulas.signals import CONDITION
-from cornercase.metrics.formulas.units import spelt
-from cornercase.metrics.measuring import measured
+from cornercase.metrics.formulas.signals import CONDITION_METRIC
+from cornercase.metrics.formulas.units import normalize_unit
+from cornercase.metrics.measuring import evaluate_metrics
 from cornercase.metrics.registry import METRICS
 from cornercase.recordings import Recording
 
-_FAR: Final = 100.0
+_DEFAULT_CAP: Final = 100.0
 # Score of a run that is exactly at the bound, though the condition does not hold.
 _EPSILON: Final = 1e-9
-_UNKNOWN: Final = Span(-np.inf, np.inf)
+_UNKNOWN: Final = DistanceRange(-np.inf, np.inf)
 
 
 class CriticalIf(Metric):
@@ -58,32 +58,32 @@ class CriticalIf(Metric):
         Everything behind the colon: ``"critical-if:collision and not reference:cc-human"``.
     """
 
-    name = CONDITION
+    name = CONDITION_METRIC
     unit = "1"
     lower_is_critical = True
-    cap = _FAR
-    critical = 0.0
-    wants = "CONDITION"
+    cap = _DEFAULT_CAP
+    default_threshold = 0.0
+    required_option = "CONDITION"
     source = "UN Regulation No. 157, Fainekos and Pappas 2009"
 
     def __init__(self, condition: str = "collision", /) -> None:
-        self.condition: Part = parse(condition)
-        self._facts = tuple(dict.fromkeys(facts_in(self.condition)))
-        bounds = [fact for fact in self._facts if isinstance(fact, ScoreBound)]
-        self._parts: dict[Fact, Metric] = {bound: METRICS.create(bound.metric) for bound in bounds}
+        self.condition: Condition = parse_condition(condition)
+        self._facts = tuple(dict.fromkeys(iter_statements(self.condition)))
+        bounds = [fact for fact in self._facts if isinstance(fact, ScoreComparison)]
+        self._parts: dict[Statement, Metric] = {bound: METRICS.create(bound.metric) for bound in bounds}
         if Collision() in self._facts:
             self._parts[Collision()] = Clearance()
-        units = {spelt(metric.unit) for metric in self._parts.values()}
+        units = {normalize_unit(metric.unit) for metric in self._parts.values()}
         self.unit = next(iter(self._parts.values())).unit if len(units) == 1 else "1"
-        margins = [abs(bound.margin(self._parts[bound].cap)) for bound in bounds]
+        margins = [abs(bound.distance_from_holding(self._parts[bound].cap)) for bound in bounds]
         # The margin of a bound that equals its metric's cap is 0, which would leave no range.
         if Collision() in self._facts or not any(margins):
-            margins.append(_FAR)
+            margins.append(_DEFAULT_CAP)
         self.cap = max(margins)
-        self.most_critical = -max(self.cap, _FAR)
+        self.bound = -max(self.cap, _DEFAULT_CAP)
 
     @classmethod
-    def of(cls, condition: str) -> CriticalIf:
+    def from_text(cls, condition: str) -> CriticalIf:
         """Create the metric of a condition, with the normalized text as name, whatever the spelling.
 
         Parameters
@@ -100,42 +100,42 @@ class CriticalIf(Metric):
             The condition cannot be parsed.
         """
         metric = cls(condition)
-        metric.name = f"{CONDITION}:{metric.condition.text}"
+        metric.name = f"{CONDITION_METRIC}:{metric.condition.text}"
         return metric
 
     @property
-    def references(self) -> tuple[str, ...]:
+    def reference_drivers(self) -> tuple[str, ...]:
         """Names of the reference drivers in the condition."""
         return tuple(fact.driver for fact in self._facts if isinstance(fact, ReferenceCollides))
 
-    def require(self) -> None:
+    def check_installed(self) -> None:
         raise InputError(
             f"The metric '{self.name}' needs runs of reference drivers, which only `explore` makes; pass its condition"
             " to `explore` with `critical_if`."
         )
 
-    def require_parts(self) -> None:
+    def check_parts_installed(self) -> None:
         """Raise if a package that a metric of the condition requires is not installed."""
         for metric in self._parts.values():
-            metric.require()
+            metric.check_installed()
 
     def course(self, recording: Recording, ego: str, other: str) -> FloatArray:
-        spans: dict[Fact, Span] = dict.fromkeys(self._facts, _UNKNOWN)
+        spans: dict[Statement, DistanceRange] = dict.fromkeys(self._facts, _UNKNOWN)
         defined = np.full(recording.time.shape, not self._parts)
         for fact, metric in self._parts.items():
             course = metric.course(recording, ego, other)
             defined |= ~np.isnan(course)
-            margin = metric.capped(course)
-            if isinstance(fact, ScoreBound):
-                margin = fact.margin(margin)
+            margin = metric.clip_course(course)
+            if isinstance(fact, ScoreComparison):
+                margin = fact.distance_from_holding(margin)
             else:
-                for time in _collisions(recording, ego):
+                for time in _collision_times(recording, ego):
                     margin[int(np.abs(recording.time - time).argmin())] = 0.0
-            spans[fact] = Span(margin, margin)
-        low = span_of(self.condition, spans).low
+            spans[fact] = DistanceRange(margin, margin)
+        low = evaluate_distance(self.condition, spans).low
         return np.asarray(np.where(defined, np.broadcast_to(low, recording.time.shape), np.nan))
 
-    def look(self, recording: Recording, ego: str, other: str | Sequence[str]) -> LookedAt:
+    def evaluate(self, recording: Recording, ego: str, other: str | Sequence[str]) -> ConditionState:
         """Evaluate the parts of the condition that need no reference driver.
 
         Parameters
@@ -155,69 +155,69 @@ class CriticalIf(Metric):
         InputError
             There is no entity of that name.
         """
-        scores = measured(dict.fromkeys(self._parts.values()), recording, ego, other)
-        truths: dict[Fact, bool] = {}
-        spans: dict[Fact, Span] = {}
+        scores = evaluate_metrics(dict.fromkeys(self._parts.values()), recording, ego, other)
+        truths: dict[Statement, bool] = {}
+        spans: dict[Statement, DistanceRange] = {}
         for fact, metric in self._parts.items():
             score = scores[metric.name].score
-            if isinstance(fact, ScoreBound):
-                truths[fact], margin = fact.holds(score), fact.margin(score)
+            if isinstance(fact, ScoreComparison):
+                truths[fact], margin = fact.is_fulfilled_by(score), fact.distance_from_holding(score)
             else:
-                truths[fact] = any(True for _ in _collisions(recording, ego))
+                truths[fact] = any(True for _ in _collision_times(recording, ego))
                 margin = 0.0 if truths[fact] else score
-            spans[fact] = Span(margin, margin)
-        return LookedAt(self, truths, spans)
+            spans[fact] = DistanceRange(margin, margin)
+        return ConditionState(self, truths, spans)
 
 
 @dataclass(frozen=True, eq=False)
-class LookedAt:
+class ConditionState:
     """State of a condition for one run: the parts that the run itself decides, before references are run.
 
-    `truths` and `spans` are by `Collision` or `ScoreBound`. `outcomes` of the methods map the name of a reference to
+    `truths` and `spans` are by `Collision` or `ScoreComparison`. `outcomes` of the methods map the name of a reference to
     whether it collides: None if it does not apply to the scenario, missing if it was not run.
     """
 
     metric: CriticalIf
-    truths: Mapping[Fact, bool]
-    spans: Mapping[Fact, Span]
+    truths: Mapping[Statement, bool]
+    spans: Mapping[Statement, DistanceRange]
 
-    def undecided(self, outcomes: Mapping[str, bool | None]) -> str | None:
+    def next_reference_to_run(self, outcomes: Mapping[str, bool | None]) -> str | None:
         """Name of the reference to run next; None if the condition is decided, or no reference could decide it."""
-        if self.holds(outcomes) is not None:
+        if self.is_fulfilled(outcomes) is not None:
             return None
-        pending = [name for name in self.metric.references if name not in outcomes]
+        pending = [name for name in self.metric.reference_drivers if name not in outcomes]
         decisive = (
-            name for name in pending if self.holds({**outcomes, name: True}) != self.holds({**outcomes, name: False})
+            name for name in pending if self.is_fulfilled({**outcomes, name: True}) != self.is_fulfilled({**outcomes, name: False})
         )
         return next(decisive, pending[0] if pending else None)
 
-    def holds(self, outcomes: Mapping[str, bool | None]) -> bool | None:
+    def is_fulfilled(self, outcomes: Mapping[str, bool | None]) -> bool | None:
         """Whether the condition holds; None if that depends on a reference that was not run or does not apply."""
         truths = dict.fromkeys(self.metric._facts) | dict(self.truths)
         truths |= {ReferenceCollides(name): collides for name, collides in outcomes.items()}
-        return truth_of(self.metric.condition, truths)
+        return evaluate_truth(self.metric.condition, truths)
 
     def score(self, outcomes: Mapping[str, bool | None]) -> float:
         """Score of the run: 0 or below if the condition holds, above if not, the cap if it cannot be decided."""
-        holds = self.holds(outcomes)
+        holds = self.is_fulfilled(outcomes)
         spans = dict.fromkeys(self.metric._facts, _UNKNOWN) | dict(self.spans)
         for name, collides in outcomes.items():
             if collides is not None:
                 distance = -np.inf if collides else np.inf
-                spans[ReferenceCollides(name)] = Span(distance, distance)
-        low, high = span_of(self.metric.condition, spans)
+                spans[ReferenceCollides(name)] = DistanceRange(distance, distance)
+        low, high = evaluate_distance(self.metric.condition, spans)
         if holds is None:
             return self.metric.cap
         value = min(float(high), 0.0) if holds else max(float(low), _EPSILON)
-        return float(np.clip(value, self.metric.most_critical, self.metric.cap))
+        return float(np.clip(value, self.metric.bound, self.metric.cap))
 
 
-def condition_of(metrics: Iterable[str]) -> str:
+def find_critical_if_condition(metrics: Iterable[str]) -> str:
     """Condition among the metrics of a study that defines what is critical; empty if there is none."""
     parts = (metric.partition(":") for metric in metrics)
-    return next((text for name, _, text in parts if name == CONDITION), "")
+    return next((text for name, _, text in parts if name == CONDITION_METRIC), "")
 
 
-def _collisions(recording: Recording, ego: str) -> Iterable[float]:
+def _collision_times(recording: Recording, ego: str) -> Iterable[float]:
     """Times in s at which the ego collides with any entity."""
     return (collision.time for collision in recording.collisions if ego in collision.entities)

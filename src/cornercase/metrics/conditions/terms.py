@@ -33,7 +33,7 @@ class ReferenceCollides:
 
 
 @dataclass(frozen=True)
-class ScoreBound:
+class ScoreComparison:
     """Score of a metric, named with its options, compared with a number in the metric's unit."""
 
     metric: str
@@ -41,40 +41,40 @@ class ScoreBound:
     value: float
     text: str
 
-    def holds(self, score: float) -> bool:
+    def is_fulfilled_by(self, score: float) -> bool:
         """Whether the comparison holds for a score."""
         if score == self.value:
             return self.relation in ("<=", ">=")
         return (score < self.value) == (self.relation in ("<", "<="))
 
-    def margin(self, scores: Score) -> Score:
+    def distance_from_holding(self, scores: Score) -> Score:
         """Distance from holding, in the metric's unit: negative if it holds, 0 at the bound."""
         gap = scores - self.value
         return gap if self.relation in ("<", "<=") else -gap
 
 
 @dataclass(frozen=True)
-class Connected:
+class LogicalOperation:
     """Parts of a condition, connected by an operator."""
 
     operator: Literal["not", "and", "or"]
-    operands: tuple[Part, ...]
+    operands: tuple[Condition, ...]
 
     @property
     def text(self) -> str:
         """The condition in its normalized spelling, with brackets around each connected part."""
         inner = [
-            f"({part.text})" if isinstance(part, Connected) and part.operator != "not" else part.text
+            f"({part.text})" if isinstance(part, LogicalOperation) and part.operator != "not" else part.text
             for part in self.operands
         ]
         return f"not {inner[0]}" if self.operator == "not" else f" {self.operator} ".join(inner)
 
 
-Fact: TypeAlias = Collision | ReferenceCollides | ScoreBound
-Part: TypeAlias = Fact | Connected
+Statement: TypeAlias = Collision | ReferenceCollides | ScoreComparison
+Condition: TypeAlias = Statement | LogicalOperation
 
 
-class Span(NamedTuple):
+class DistanceRange(NamedTuple):
     """Least and greatest distance from holding, negative if it holds: float or shape (T,).
 
     They differ if it is not known whether a reference collides.
@@ -84,20 +84,20 @@ class Span(NamedTuple):
     high: FloatArray | float
 
 
-def facts_in(part: Part) -> Iterator[Fact]:
+def iter_statements(part: Condition) -> Iterator[Statement]:
     """Iterate over the elementary statements of a condition, from left to right."""
-    if not isinstance(part, Connected):
+    if not isinstance(part, LogicalOperation):
         yield part
         return
     for operand in part.operands:
-        yield from facts_in(operand)
+        yield from iter_statements(operand)
 
 
-def truth_of(part: Part, known: Mapping[Fact, bool | None]) -> bool | None:
+def evaluate_truth(part: Condition, truths: Mapping[Statement, bool | None]) -> bool | None:
     """Whether a condition holds, in Kleene's three-valued logic: None if that depends on unknown statements."""
-    if not isinstance(part, Connected):
-        return known[part]
-    results = [truth_of(operand, known) for operand in part.operands]
+    if not isinstance(part, LogicalOperation):
+        return truths[part]
+    results = [evaluate_truth(operand, truths) for operand in part.operands]
     if part.operator == "not":
         return None if results[0] is None else not results[0]
     decisive = part.operator == "or"
@@ -106,15 +106,15 @@ def truth_of(part: Part, known: Mapping[Fact, bool | None]) -> bool | None:
     return None if None in results else not decisive
 
 
-def span_of(part: Part, known: Mapping[Fact, Span]) -> Span:
+def evaluate_distance(part: Condition, distances: Mapping[Statement, DistanceRange]) -> DistanceRange:
     """Distance of a condition from holding: ``and`` takes the farthest part, ``or`` the nearest."""
-    if not isinstance(part, Connected):
-        return known[part]
-    spans = [span_of(operand, known) for operand in part.operands]
+    if not isinstance(part, LogicalOperation):
+        return distances[part]
+    spans = [evaluate_distance(operand, distances) for operand in part.operands]
     if part.operator == "not":
-        return Span(-spans[0].high, -spans[0].low)
+        return DistanceRange(-spans[0].high, -spans[0].low)
     combine = np.maximum if part.operator == "and" else np.minimum
     low, high = spans[0]
     for span in spans[1:]:
         low, high = combine(low, span.low), combine(high, span.high)
-    return Span(low, high)
+    return DistanceRange(low, high)

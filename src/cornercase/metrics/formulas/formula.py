@@ -7,13 +7,13 @@ from dataclasses import dataclass
 import numpy as np
 
 from cornercase._common.typing import BoolArray, FloatArray
-from cornercase.metrics.formulas.deciding import find_decisive
-from cornercase.metrics.formulas.parser import parse
-from cornercase.metrics.formulas.robustness import follow
-from cornercase.metrics.formulas.signals import Signals, is_metric
+from cornercase.metrics.formulas.deciding import find_decisive_comparison
+from cornercase.metrics.formulas.parser import parse_formula
+from cornercase.metrics.formulas.robustness import compute_robustness
+from cornercase.metrics.formulas.signals import Signals, is_metric_signal
 from cornercase.metrics.formulas.temporal import require_rtamt
-from cornercase.metrics.formulas.terms import Node, Predicate, comparisons_in, is_temporal
-from cornercase.metrics.formulas.units import spelt
+from cornercase.metrics.formulas.terms import Node, Comparison, iter_comparisons, has_temporal_operator
+from cornercase.metrics.formulas.units import normalize_unit
 
 
 @dataclass(frozen=True)
@@ -67,9 +67,9 @@ class Formula:
         InputError
             The text is no formula; the message names the position and what to write there.
         """
-        root = parse(text)
+        root = parse_formula(text)
         # The normalized text, which has all brackets, is stored; check that it can be parsed again.
-        parse(root.text)
+        parse_formula(root.text)
         return cls(root)
 
     def __str__(self) -> str:
@@ -81,35 +81,35 @@ class Formula:
         return self.root.text
 
     @property
-    def comparisons(self) -> tuple[Predicate, ...]:
+    def comparisons(self) -> tuple[Comparison, ...]:
         """Its comparisons, from left to right."""
-        return tuple(comparisons_in(self.root))
+        return tuple(iter_comparisons(self.root))
 
     @property
-    def bound(self) -> Predicate | None:
+    def single_comparison(self) -> Comparison | None:
         """The comparison, if the formula is a single one."""
-        return self.root if isinstance(self.root, Predicate) else None
+        return self.root if isinstance(self.root, Comparison) else None
 
     @property
     def metrics(self) -> tuple[str, ...]:
         """Names of the metrics in it, with their options."""
         names = [signal.name for comparison in self.comparisons for signal in comparison.signals]
-        return tuple(dict.fromkeys(filter(is_metric, names)))
+        return tuple(dict.fromkeys(filter(is_metric_signal, names)))
 
     @property
     def unit(self) -> str:
         """Unit of all its comparisons; ``"1"`` if they have several."""
-        units = {spelt(comparison.left.unit) for comparison in self.comparisons}
+        units = {normalize_unit(comparison.left.unit) for comparison in self.comparisons}
         return self.comparisons[0].left.unit if len(units) == 1 else "1"
 
     @property
-    def temporal(self) -> bool:
+    def is_temporal(self) -> bool:
         """Whether it has a temporal operator, so that the extra ``stl`` is required."""
-        return is_temporal(self.root)
+        return has_temporal_operator(self.root)
 
-    def require(self) -> None:
+    def check_installed(self) -> None:
         """Raise if a package that the formula requires is not installed."""
-        if self.temporal:
+        if self.is_temporal:
             require_rtamt()
 
     def robustness(self, signals: Signals) -> FloatArray:
@@ -126,7 +126,7 @@ class Formula:
             amount at every instant before the verdict changes. inf if nothing can violate it, -inf if nothing can
             fulfil it.
         """
-        return follow(
+        return compute_robustness(
             self.root, {comparison: comparison.margin(signals) for comparison in self.comparisons}, signals.time
         )
 
@@ -142,7 +142,7 @@ class Formula:
         ndarray of bool, shape (T,)
         """
         return (
-            follow(self.root, {comparison: comparison.holds(signals) for comparison in self.comparisons}, signals.time)
+            compute_robustness(self.root, {comparison: comparison.truth_values(signals) for comparison in self.comparisons}, signals.time)
             > 0.0
         )
 
@@ -158,10 +158,10 @@ class Formula:
         ndarray of bool, shape (T,)
             True where a formula without temporal operators is not defined, since nothing is violated there.
         """
-        held = {comparison: comparison.holds(signals) for comparison in self.comparisons}
-        return follow(self.root, held, signals.time, for_good=False) > 0.0
+        held = {comparison: comparison.truth_values(signals) for comparison in self.comparisons}
+        return compute_robustness(self.root, held, signals.time, implicit_always=False) > 0.0
 
-    def decisive(self, signals: Signals) -> tuple[Predicate, int] | None:
+    def find_decisive_comparison(self, signals: Signals) -> tuple[Comparison, int] | None:
         """Comparison and instant that decide whether it holds from the first instant on.
 
         Parameters
@@ -173,11 +173,11 @@ class Formula:
         tuple of Predicate and int, or None
             The margin there is the robustness, or inside a ``not`` its negative. None if the robustness is infinite.
         """
-        return find_decisive(
+        return find_decisive_comparison(
             self.root, {comparison: comparison.margin(signals) for comparison in self.comparisons}, signals.time
         )
 
-    def observed(self, signals: Signals) -> bool:
+    def is_defined(self, signals: Signals) -> bool:
         """Whether each of its comparisons was defined at some instant.
 
         Parameters

@@ -7,212 +7,212 @@ from typing import Final, Literal, NoReturn, TypeAlias, cast
 import numpy as np
 
 from cornercase._common.errors import InputError
-from cornercase.metrics.formulas.signals import unit_of
-from cornercase.metrics.formulas.terms import Bound, Node, Operation, Predicate, Relation, Signal
-from cornercase.metrics.formulas.units import in_si, is_unit, spelt
-from cornercase.metrics.formulas.words import KEYWORDS, Word, Words, operator_meant
+from cornercase.metrics.formulas.signals import signal_unit
+from cornercase.metrics.formulas.terms import Constant, Node, Operation, Comparison, Relation, Signal
+from cornercase.metrics.formulas.units import convert_to_unit, is_known_unit, normalize_unit
+from cornercase.metrics.formulas.words import KEYWORDS, Token, Lexer, suggest_operator
 
-_LONGEST: Final = 10_000
-_DEEPEST: Final = 50
+_MAX_LENGTH: Final = 10_000
+_MAX_DEPTH: Final = 50
 _RELATIONS: Final = ("<=", ">=", "<", ">")
-_TURNED: Final[dict[str, Relation]] = {"<": ">", "<=": ">=", ">": "<", ">=": "<="}
+_MIRRORED_RELATIONS: Final[dict[str, Relation]] = {"<": ">", "<=": ">=", ">": "<", ">=": "<="}
 
-_Term: TypeAlias = "tuple[Signal, Word] | tuple[_Number, Word]"
+_Term: TypeAlias = "tuple[Signal, Token] | tuple[_Number, Token]"
 
 
-class _Number:
+class _NumberWithUnit:
     """A number with its unit, before the signal that it is compared with is known."""
 
-    def __init__(self, value: float, unit: Word | None) -> None:
+    def __init__(self, value: float, unit: Token | None) -> None:
         self.value, self.unit = value, unit
 
 
-def parse(text: str) -> Node:
+def parse_formula(text: str) -> Node:
     """Parse a formula. InputError names the position of the fault and what to write there."""
-    if len(text) > _LONGEST:
-        raise InputError(f"The formula '{text[:60]}…' has {len(text)} characters; give {_LONGEST} at most.")
-    return _Parser(Words(text)).whole()
+    if len(text) > _MAX_LENGTH:
+        raise InputError(f"The formula '{text[:60]}…' has {len(text)} characters; give {_MAX_LENGTH} at most.")
+    return _FormulaParser(Lexer(text)).parse_whole()
 
 
-def read_comparison(words: Words) -> Predicate:
+def parse_comparison(lexer: Lexer) -> Comparison:
     """Parse a comparison, and leave the rest of the text unread. InputError if there is none."""
-    return _Parser(words).comparison()
+    return _FormulaParser(lexer).parse_comparison()
 
 
-class _Parser:
+class _FormulaParser:
     """Recursive descent, from the operator that binds least, `->`, down to comparisons."""
 
-    def __init__(self, words: Words) -> None:
-        self.words = words
+    def __init__(self, lexer: Lexer) -> None:
+        self.lexer = lexer
         self.depth = 0
 
-    def whole(self) -> Node:
-        if self.words.ended:
-            self.words.expected("a comparison, such as clearance > 0.5")
-        formula = self.implication()
-        if not self.words.ended:
-            self._refuse_rest()
+    def parse_whole(self) -> Node:
+        if self.lexer.is_at_end:
+            self.lexer.raise_expected("a comparison, such as clearance > 0.5")
+        formula = self.parse_implication()
+        if not self.lexer.is_at_end:
+            self._raise_for_rest()
         return formula
 
-    def _enter(self) -> None:
+    def _increase_depth(self) -> None:
         self.depth += 1
-        if self.depth > _DEEPEST:
-            self.words.refuse(f"brackets and operators are nested more than {_DEEPEST} deep.")
+        if self.depth > _MAX_DEPTH:
+            self.lexer.raise_error(f"brackets and operators are nested more than {_MAX_DEPTH} deep.")
 
-    def implication(self) -> Node:
-        self._enter()
-        left = self.disjunction()
-        if self.words.take_if("->"):
-            left = Operation("->", (left, self.implication()))
+    def parse_implication(self) -> Node:
+        self._increase_depth()
+        left = self.parse_disjunction()
+        if self.lexer.read_if("->"):
+            left = Operation("->", (left, self.parse_implication()))
         self.depth -= 1
         return left
 
-    def disjunction(self) -> Node:
-        parts = [self.conjunction()]
-        while self.words.take_if("or"):
-            parts.append(self.conjunction())
+    def parse_disjunction(self) -> Node:
+        parts = [self.parse_conjunction()]
+        while self.lexer.read_if("or"):
+            parts.append(self.parse_conjunction())
         return Operation("or", tuple(parts)) if len(parts) > 1 else parts[0]
 
-    def conjunction(self) -> Node:
-        parts = [self.until()]
-        while self.words.take_if("and"):
-            parts.append(self.until())
+    def parse_conjunction(self) -> Node:
+        parts = [self.parse_until()]
+        while self.lexer.read_if("and"):
+            parts.append(self.parse_until())
         return Operation("and", tuple(parts)) if len(parts) > 1 else parts[0]
 
-    def until(self) -> Node:
-        left = self.unary()
-        if not self.words.take_if("until"):
+    def parse_until(self) -> Node:
+        left = self.parse_unary()
+        if not self.lexer.read_if("until"):
             return left
-        interval = self.interval()
-        operation = Operation("until", (left, self.unary()), interval)
-        if self.words.next.text == "until":
-            self.words.refuse("put brackets around one of the two until.")
+        interval = self.parse_interval()
+        operation = Operation("until", (left, self.parse_unary()), interval)
+        if self.lexer.next_token.text == "until":
+            self.lexer.raise_error("put brackets around one of the two until.")
         return operation
 
-    def unary(self) -> Node:
-        word = self.words.next
+    def parse_unary(self) -> Node:
+        word = self.lexer.next_token
         if word.kind == "name" and word.text in ("not", "always", "eventually"):
-            self._enter()
-            operator = cast('Literal["not", "always", "eventually"]', self.words.take().text)
-            interval = None if operator == "not" else self.interval()
-            operation = Operation(operator, (self.unary(),), interval)
+            self._increase_depth()
+            operator = cast('Literal["not", "always", "eventually"]', self.lexer.read_token().text)
+            interval = None if operator == "not" else self.parse_interval()
+            operation = Operation(operator, (self.parse_unary(),), interval)
             self.depth -= 1
             return operation
-        if not self.words.take_if("("):
-            return self.comparison()
-        inner = self.implication()
-        if not self.words.take_if(")"):
-            if not self.words.ended:
-                self._refuse_rest()
-            self.words.expected("a closing bracket ')'")
+        if not self.lexer.read_if("("):
+            return self.parse_comparison()
+        inner = self.parse_implication()
+        if not self.lexer.read_if(")"):
+            if not self.lexer.is_at_end:
+                self._raise_for_rest()
+            self.lexer.raise_expected("a closing bracket ')'")
         return inner
 
-    def interval(self) -> tuple[float, float] | None:
-        opening = self.words.next
-        if not self.words.take_if("["):
+    def parse_interval(self) -> tuple[float, float] | None:
+        opening = self.lexer.next_token
+        if not self.lexer.read_if("["):
             return None
-        begin = self._instant("the begin of the interval in s, as in [0:5]")
-        if not self.words.take_if(":", ","):
-            self.words.expected("':' and the end of the interval, as in [0:5]")
-        end = np.inf if self.words.next.text == "]" else self._instant("the end of the interval in s, as in [0:5]")
-        if not self.words.take_if("]"):
-            self.words.expected("']', the end of the interval")
+        begin = self._parse_time("the begin of the interval in s, as in [0:5]")
+        if not self.lexer.read_if(":", ","):
+            self.lexer.raise_expected("':' and the end of the interval, as in [0:5]")
+        end = np.inf if self.lexer.next_token.text == "]" else self._parse_time("the end of the interval in s, as in [0:5]")
+        if not self.lexer.read_if("]"):
+            self.lexer.raise_expected("']', the end of the interval")
         if end < begin:
-            self.words.refuse(f"the interval ends at {end:g} s, before it begins at {begin:g} s.", opening)
+            self.lexer.raise_error(f"the interval ends at {end:g} s, before it begins at {begin:g} s.", opening)
         return begin, end
 
-    def comparison(self) -> Predicate:
-        left, left_token = self.term()
-        relation = self.words.next
-        if not self.words.take_if(*_RELATIONS):
-            self.words.expected(f"a comparison of '{left_token.text}': {', '.join(_RELATIONS)}")
-        right, right_token = self.term()
-        if self.words.next.text in _RELATIONS:
-            self.words.refuse("compare two at a time, as in 1 < ttc and ttc < 5.")
+    def parse_comparison(self) -> Comparison:
+        left, left_token = self.parse_term()
+        relation = self.lexer.next_token
+        if not self.lexer.read_if(*_RELATIONS):
+            self.lexer.raise_expected(f"a comparison of '{left_token.text}': {', '.join(_RELATIONS)}")
+        right, right_token = self.parse_term()
+        if self.lexer.next_token.text in _RELATIONS:
+            self.lexer.raise_error("compare two at a time, as in 1 < ttc and ttc < 5.")
         name = cast(Relation, relation.text)
         if isinstance(left, Signal):
-            return Predicate(left, name, self._compared(left, right, right_token))
+            return Comparison(left, name, self._right_side_of_comparison(left, right, right_token))
         if isinstance(right, Signal):
-            bound = self._compared(right, left, left_token)
-            return Predicate(right, _TURNED[name], bound)
-        self.words.refuse("two numbers are compared; name a signal, such as ego.speed.", left_token)
+            bound = self._right_side_of_comparison(right, left, left_token)
+            return Comparison(right, _MIRRORED_RELATIONS[name], bound)
+        self.lexer.raise_error("two numbers are compared; name a signal, such as ego.speed.", left_token)
 
-    def term(self) -> _Term:
-        word = self.words.next
+    def parse_term(self) -> _Term:
+        word = self.lexer.next_token
         if word.kind == "number":
-            self.words.take()
-            value = self._finite(word)
-            return _Number(value, self.words.take_unit()), word
+            self.lexer.read_token()
+            value = self._finite_number(word)
+            return _NumberWithUnit(value, self.lexer.read_unit()), word
         if word.kind != "name":
-            self.words.expected("a signal, such as ttc or ego.speed, or a number")
+            self.lexer.raise_expected("a signal, such as ttc or ego.speed, or a number")
         if word.text == "abs":
-            self.words.take()
-            if not self.words.take_if("("):
-                self.words.expected("a signal in brackets, as in abs(ego.acceleration)")
-            signal, _ = self.signal(absolute=True)
-            if not self.words.take_if(")"):
-                self.words.expected("a closing bracket ')'; abs takes one signal")
+            self.lexer.read_token()
+            if not self.lexer.read_if("("):
+                self.lexer.raise_expected("a signal in brackets, as in abs(ego.acceleration)")
+            signal, _ = self.parse_signal(absolute=True)
+            if not self.lexer.read_if(")"):
+                self.lexer.raise_expected("a closing bracket ')'; abs takes one signal")
             return signal, word
-        return self.signal()
+        return self.parse_signal()
 
-    def signal(self, absolute: bool = False) -> tuple[Signal, Word]:
-        word = self.words.next
+    def parse_signal(self, absolute: bool = False) -> tuple[Signal, Token]:
+        word = self.lexer.next_token
         if word.kind != "name" or word.text in KEYWORDS:
-            self.words.expected("a signal, such as ttc or ego.speed")
+            self.lexer.raise_expected("a signal, such as ttc or ego.speed")
         try:
-            unit = unit_of(word.text)
+            unit = signal_unit(word.text)
         except InputError as error:
-            hint = operator_meant(word.text) if word.text.isalpha() else ""
+            hint = suggest_operator(word.text) if word.text.isalpha() else ""
             message = str(error)
             if hint and "known are" in message:
                 message = f"there is no signal '{word.text}'; {hint}"
-            self.words.refuse(message)
-        self.words.take()
+            self.lexer.raise_error(message)
+        self.lexer.read_token()
         return Signal(word.text, unit, absolute), word
 
-    def _compared(self, signal: Signal, other: Signal | _Number, place: Word) -> Signal | Bound:
+    def _right_side_of_comparison(self, signal: Signal, other: Signal | _NumberWithUnit, token: Token) -> Signal | Constant:
         if isinstance(other, Signal):
-            if spelt(other.unit) != spelt(signal.unit):
-                self.words.refuse(
+            if normalize_unit(other.unit) != normalize_unit(signal.unit):
+                self.lexer.raise_error(
                     f"'{signal.text}' in {signal.unit} is compared with '{other.text}' in {other.unit}; compare signals"
                     " of one unit.",
-                    place,
+                    token,
                 )
             return other
         given = "" if other.unit is None else other.unit.text
         try:
-            value = in_si(other.value, given, signal.unit)
+            value = convert_to_unit(other.value, given, signal.unit)
         except InputError as error:
             # The text behind a number may be a misspelt operator.
-            hint = "" if is_unit(given) else operator_meant(given)
-            self.words.refuse(hint or f"{signal.text} is in {signal.unit}: {error}", other.unit)
-        return Bound(value, f"{place.text.removeprefix('+')} {spelt(given)}".rstrip())
+            hint = "" if is_known_unit(given) else suggest_operator(given)
+            self.lexer.raise_error(hint or f"{signal.text} is in {signal.unit}: {error}", other.unit)
+        return Constant(value, f"{token.text.removeprefix('+')} {normalize_unit(given)}".rstrip())
 
-    def _instant(self, what: str) -> float:
-        word = self.words.next
+    def _parse_time(self, expected: str) -> float:
+        word = self.lexer.next_token
         if word.kind != "number":
-            self.words.expected(what)
-        self.words.take()
-        value = self._finite(word)
-        unit = self.words.take_unit()
+            self.lexer.raise_expected(expected)
+        self.lexer.read_token()
+        value = self._finite_number(word)
+        unit = self.lexer.read_unit()
         if unit is not None:
             try:
-                value = in_si(value, unit.text, "s")
+                value = convert_to_unit(value, unit.text, "s")
             except InputError as error:
-                self.words.refuse(f"intervals are in s: {error}", unit)
+                self.lexer.raise_error(f"intervals are in s: {error}", unit)
         if value < 0.0:
-            self.words.refuse("intervals begin at 0 s or later, as they look ahead.", word)
+            self.lexer.raise_error("intervals begin at 0 s or later, as they look ahead.", word)
         return value
 
-    def _finite(self, word: Word) -> float:
+    def _finite_number(self, word: Token) -> float:
         value = float(word.text)
         if not np.isfinite(value):
-            self.words.refuse("the number is too large.", word)
+            self.lexer.raise_error("the number is too large.", word)
         return value
 
-    def _refuse_rest(self) -> NoReturn:
-        word = self.words.next
+    def _raise_for_rest(self) -> NoReturn:
+        word = self.lexer.next_token
         if word.text == ")":
-            self.words.refuse("this bracket has no opening bracket; remove it.")
-        hint = operator_meant(word.text) if word.kind == "name" else ""
-        self.words.refuse(hint or "give and, or, ->, until, or the end of the formula.")
+            self.lexer.raise_error("this bracket has no opening bracket; remove it.")
+        hint = suggest_operator(word.text) if word.kind == "name" else ""
+        self.lexer.raise_error(hint or "give and, or, ->, until, or the end of the formula.")

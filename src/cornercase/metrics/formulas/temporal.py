@@ -21,12 +21,12 @@ def always(values: FloatArray, interval: tuple[float, float] | None, time: Float
     `interval` is start and end in s; an end of inf, or no interval, means the end of the recording. InputError if the
     extra ``stl`` is not installed.
     """
-    return _over("always", values, interval, time)
+    return _apply_operator("always", values, interval, time)
 
 
 def eventually(values: FloatArray, interval: tuple[float, float] | None, time: FloatArray) -> FloatArray:
     """Greatest of the values (T,) in an interval ahead of each instant, as `always`; -inf if no instant is in it."""
-    return _over("eventually", values, interval, time)
+    return _apply_operator("eventually", values, interval, time)
 
 
 def until(left: FloatArray, right: FloatArray, interval: tuple[float, float] | None, time: FloatArray) -> FloatArray:
@@ -38,25 +38,25 @@ def until(left: FloatArray, right: FloatArray, interval: tuple[float, float] | N
     interval, and from the start of the interval on `left` holds until `right` does.
     """
     if interval is None:
-        return _evaluate("l0 until r0", [("l0", left), ("r0", right)])
-    source, index, begin, end = _steps(interval, time)
+        return _evaluate_with_rtamt("l0 until r0", [("l0", left), ("r0", right)])
+    source, index, begin, end = _even_grid(interval, time)
     left, right = left[source], right[source]
     text = f"eventually[{begin}:{end}](r0) and eventually[{begin}:{begin}](l1 until r1)"
     variables = [("r0", right), ("l1", left), ("r1", right)]
     if begin > 0:
         text += f" and always[0:{begin - 1}](l0)"
         variables.append(("l0", left))
-    return _evaluate(text, variables)[index]
+    return _evaluate_with_rtamt(text, variables)[index]
 
 
-def _over(operator: str, values: FloatArray, interval: tuple[float, float] | None, time: FloatArray) -> FloatArray:
+def _apply_operator(operator: str, values: FloatArray, interval: tuple[float, float] | None, time: FloatArray) -> FloatArray:
     if interval is None:
-        return _evaluate(f"{operator}(p0)", [("p0", values)])
-    source, index, begin, end = _steps(interval, time)
-    return _evaluate(f"{operator}[{begin}:{end}](p0)", [("p0", values[source])])[index]
+        return _evaluate_with_rtamt(f"{operator}(p0)", [("p0", values)])
+    source, index, begin, end = _even_grid(interval, time)
+    return _evaluate_with_rtamt(f"{operator}[{begin}:{end}](p0)", [("p0", values[source])])[index]
 
 
-def _steps(interval: tuple[float, float], time: FloatArray) -> tuple[IntArray, IntArray, int, int]:
+def _even_grid(interval: tuple[float, float], time: FloatArray) -> tuple[IntArray, IntArray, int, int]:
     """Instant of each grid point, grid point of each instant, and the interval in steps of the grid."""
     count = len(time)
     span = float(time[-1] - time[0])
@@ -89,16 +89,16 @@ def require_rtamt() -> None:
         ) from error
 
 
-def _evaluate(text: str, fed: list[tuple[str, FloatArray]]) -> FloatArray:
+def _evaluate_with_rtamt(text: str, variables: list[tuple[str, FloatArray]]) -> FloatArray:
     require_rtamt()
     import rtamt
 
     specification = rtamt.StlDiscreteTimeOfflineSpecification()
-    for name, _ in fed:
+    for name, _ in variables:
         specification.declare_var(name, "float")
     specification.spec = text
     specification.parse()
-    count = len(fed[0][1])
+    count = len(variables[0][1])
     # RTAMT counts in steps. It pads lists in place, so each variable needs its own list. It needs at least two times.
-    data = {name: values.tolist() for name, values in fed} | {"time": list(range(max(count, 2)))}
+    data = {name: values.tolist() for name, values in variables} | {"time": list(range(max(count, 2)))}
     return np.array([value for _, value in specification.evaluate(data)][:count], dtype=np.float64)

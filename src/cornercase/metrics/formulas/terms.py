@@ -35,13 +35,13 @@ class Signal:
         values = signals.values[self.name]
         return np.abs(values) if self.absolute else values
 
-    def tell_value(self, value: float) -> str:
+    def format_value(self, value: float) -> str:
         """Format a value of the signal with its unit."""
         return f"{value:.4g}" if self.unit == "1" else f"{value:.4g} {self.unit}"
 
 
 @dataclass(frozen=True)
-class Bound:
+class Constant:
     """Number that a signal is compared with, in the signal's unit; `text` is how the formula spells it."""
 
     value: float
@@ -49,7 +49,7 @@ class Bound:
 
 
 @dataclass(frozen=True)
-class Predicate:
+class Comparison:
     """A signal compared with a number or another signal.
 
     Attributes
@@ -61,7 +61,7 @@ class Predicate:
 
     left: Signal
     relation: Relation
-    right: Signal | Bound
+    right: Signal | Constant
 
     @property
     def text(self) -> str:
@@ -73,11 +73,11 @@ class Predicate:
         """Signals that are compared."""
         return (self.left, self.right) if isinstance(self.right, Signal) else (self.left,)
 
-    def tell_right(self, signals: Signals, k: int) -> str:
+    def describe_right_side(self, signals: Signals, instant: int) -> str:
         """Describe the right side at an instant: ``"1.389 m/s (5 km/h)"``, or ``"other.speed, which is 3 m/s"``."""
         if isinstance(self.right, Signal):
-            return f"{self.right.text}, which is {self.left.tell_value(float(self.right.values(signals)[k]))}"
-        value, text = self.left.tell_value(self.right.value), self.right.text
+            return f"{self.right.text}, which is {self.left.format_value(float(self.right.values(signals)[instant]))}"
+        value, text = self.left.format_value(self.right.value), self.right.text
         return value if value.startswith(text) else f"{value} ({text})"
 
     def margin(self, signals: Signals) -> FloatArray:
@@ -92,7 +92,7 @@ class Predicate:
         gap = np.where(same, 0.0, left - np.where(same, 0.0, right))
         return np.asarray(gap if self.relation in (">", ">=") else 0.0 - gap)
 
-    def holds(self, signals: Signals) -> FloatArray:
+    def truth_values(self, signals: Signals) -> FloatArray:
         """Whether it holds at each instant, (T,): 1 or -1; NaN where a signal is not defined."""
         margin = self.margin(signals)
         reached = margin >= 0.0 if self.relation in ("<=", ">=") else margin > 0.0
@@ -120,24 +120,24 @@ class Operation:
         if len(self.operands) == 1:
             return f"{name}({self.operands[0].text})"
         inner = (
-            operand.text if isinstance(operand, Predicate) or len(operand.operands) == 1 else f"({operand.text})"
+            operand.text if isinstance(operand, Comparison) or len(operand.operands) == 1 else f"({operand.text})"
             for operand in self.operands
         )
         return f" {name} ".join(inner)
 
 
-Node: TypeAlias = Predicate | Operation
+Node: TypeAlias = Comparison | Operation
 
 
-def comparisons_in(node: Node) -> Iterator[Predicate]:
+def iter_comparisons(node: Node) -> Iterator[Comparison]:
     """Iterate over the comparisons, from left to right."""
-    if isinstance(node, Predicate):
+    if isinstance(node, Comparison):
         yield node
         return
     for operand in node.operands:
-        yield from comparisons_in(operand)
+        yield from iter_comparisons(operand)
 
 
-def is_temporal(node: Node) -> bool:
+def has_temporal_operator(node: Node) -> bool:
     """Whether the formula contains a temporal operator."""
-    return isinstance(node, Operation) and (node.operator in TEMPORAL or any(map(is_temporal, node.operands)))
+    return isinstance(node, Operation) and (node.operator in TEMPORAL or any(map(has_temporal_operator, node.operands)))

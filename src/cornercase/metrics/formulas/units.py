@@ -6,7 +6,7 @@ from math import pi
 from types import MappingProxyType
 from typing import Final
 
-from cornercase._common.errors import InputError, suggestion
+from cornercase._common.errors import InputError, suggest_name
 
 _UNITS: Final = MappingProxyType(
     {
@@ -33,13 +33,13 @@ _UNITS: Final = MappingProxyType(
 """SI unit and conversion factor, by the spelling of a unit."""
 
 
-def spelt(unit: str) -> str:
+def normalize_unit(unit: str) -> str:
     """Normalize the spelling of a unit: ``²`` for ``^2`` and for a 2 at the end."""
     plain = unit.replace("^2", "²")
     return plain[:-1] + "²" if plain in ("m/s2", "s2") else plain
 
 
-def in_si(number: float, given: str, wanted: str) -> float:
+def convert_to_unit(number: float, from_unit: str, to_unit: str) -> float:
     """Convert a number from the unit `from_unit` (``""``: already converted) to the unit `to_unit` of a signal.
 
     InputError, with the units that fit, if there is no such unit or it is one of another quantity.
@@ -49,19 +49,19 @@ def in_si(number: float, given: str, wanted: str) -> float:
     >>> in_si(50.0, "km/h", "m/s")
     13.88888888888889
     """
-    unit, target = spelt(given), spelt(wanted)
+    unit, target = normalize_unit(from_unit), normalize_unit(to_unit)
     if unit in ("", target):
         return number
     if unit not in _UNITS:
-        raise InputError(f"there is no unit '{given}'; {suggestion(unit, _UNITS)}")
+        raise InputError(f"there is no unit '{from_unit}'; {suggest_name(unit, _UNITS)}")
     si_unit, factor = _UNITS[unit]
     if si_unit != target:
         fitting = [name for name, (si_unit, _) in _UNITS.items() if si_unit == target] or [target]
-        raise InputError(f"the unit '{given}' does not fit; give {', '.join(fitting)}.")
+        raise InputError(f"the unit '{from_unit}' does not fit; give {', '.join(fitting)}.")
     # Division keeps numbers such as 36 km/h exact.
     return number / 3.6 if unit == "km/h" else number * factor
 
 
-def is_unit(text: str) -> bool:
+def is_known_unit(text: str) -> bool:
     """Whether there is such a unit."""
-    return spelt(text) in _UNITS
+    return normalize_unit(text) in _UNITS

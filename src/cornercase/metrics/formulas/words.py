@@ -6,105 +6,105 @@ import re
 from dataclasses import dataclass
 from typing import Final, Literal, NoReturn, cast
 
-from cornercase._common.errors import InputError, suggestion
+from cornercase._common.errors import InputError, suggest_name
 
 KEYWORDS: Final = ("not", "and", "or", "always", "eventually", "until", "abs")
 
 # Operators of other languages, and what to write instead.
-_FOREIGN: Final = {
+_FOREIGN_OPERATORS: Final = {
     "&&": "and", "&": "and", "||": "or", "|": "or", "!": "not", "=>": "->", "==": "<= or >=", "=": "<= or >=",
     "!=": "< or >", "≤": "<=", "≥": ">=", "□": "always", "◇": "eventually", "→": "->",
 }  # fmt: skip
-_OPTION: Final = r"[A-Za-z_]\w*=[^\s()\[\]<>,]+"
-_WORDS: Final = re.compile(
+_OPTION_PATTERN: Final = r"[A-Za-z_]\w*=[^\s()\[\]<>,]+"
+_TOKEN_PATTERN: Final = re.compile(
     rf"""(?P<number>[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?)
     |(?P<sign>->|<=|>=|<(?!=)|>(?!=)|[()\[\]:,])
-    |(?P<name>[A-Za-z_]\w*(?:[-.][A-Za-z_]\w*)*(?::{_OPTION}(?:,{_OPTION})*)?)
+    |(?P<name>[A-Za-z_]\w*(?:[-.][A-Za-z_]\w*)*(?::{_OPTION_PATTERN}(?:,{_OPTION_PATTERN})*)?)
     |(?P<unit>[°%][\w/^²]*)
     |(?P<foreign>&&|\|\||==|!=|=>|[&|!=≤≥□◇→])""",
     re.VERBOSE,
 )
-_UNIT: Final = re.compile(r"[A-Za-z°%][\w/^²°]*")
+_UNIT_PATTERN: Final = re.compile(r"[A-Za-z°%][\w/^²°]*")
 
 
-Kind = Literal["number", "sign", "name", "unit", "end"]
+TokenKind = Literal["number", "sign", "name", "unit", "end"]
 """Kind of a token."""
 
 
 @dataclass(frozen=True)
-class Word:
+class Token:
     """A token and its position in the text: `begin` and `end` as in a slice."""
 
-    kind: Kind
+    kind: TokenKind
     text: str
     begin: int
     end: int
 
 
-class Words:
+class Lexer:
     """Reads a formula token by token; `language` names it in messages."""
 
-    def __init__(self, text: str, what: str = "formula") -> None:
-        self._text, self._what = text, what
-        self.next = self._read(0)
+    def __init__(self, text: str, language: str = "formula") -> None:
+        self._text, self._language = text, language
+        self.next_token = self._scan(0)
 
     @property
-    def ended(self) -> bool:
+    def is_at_end(self) -> bool:
         """Whether all tokens are read."""
-        return self.next.kind == "end"
+        return self.next_token.kind == "end"
 
-    def take(self) -> Word:
+    def read_token(self) -> Token:
         """Read the next token."""
-        word = self.next
-        self.next = self._read(word.end)
+        word = self.next_token
+        self.next_token = self._scan(word.end)
         return word
 
-    def take_unit(self) -> Word | None:
+    def read_unit(self) -> Token | None:
         """Read the unit behind a number; None if there is none."""
         # Matched before the token is read as a name, which cannot contain a slash.
-        match = _UNIT.match(self._text, self.next.begin)
+        match = _UNIT_PATTERN.match(self._text, self.next_token.begin)
         if match is None or match.group() in KEYWORDS:
             return None
-        self.next = self._read(match.end())
-        return Word("unit", match.group(), match.start(), match.end())
+        self.next_token = self._scan(match.end())
+        return Token("unit", match.group(), match.start(), match.end())
 
-    def take_if(self, *texts: str) -> bool:
+    def read_if(self, *texts: str) -> bool:
         """Read the next token if it is one of `texts`; return whether it was."""
-        if self.next.kind not in ("name", "sign") or self.next.text not in texts:
+        if self.next_token.kind not in ("name", "sign") or self.next_token.text not in texts:
             return False
-        self.take()
+        self.read_token()
         return True
 
-    def refuse(self, sentence: str, word: Word | None = None) -> NoReturn:
+    def raise_error(self, message: str, token: Token | None = None) -> NoReturn:
         """Raise InputError at a token, by default the next one; `message` says what is wrong and what to do."""
-        rest = self._text[(word or self.next).begin :]
+        rest = self._text[(token or self.next_token).begin :]
         line = rest.partition("\n")[0]
-        position = f"at '{_shorten(line, 20)}'" if rest else "at its end"
-        raise InputError(f"The {self._what} '{_shorten(self._text, 120)}', {position}: {sentence}")
+        position = f"at '{_shorten_formula(line, 20)}'" if rest else "at its end"
+        raise InputError(f"The {self._language} '{_shorten_formula(self._text, 120)}', {position}: {message}")
 
-    def expected(self, what: str) -> NoReturn:
+    def raise_expected(self, what: str) -> NoReturn:
         """Raise InputError at the next token, saying what to give instead."""
-        self.refuse(f"give {what}.")
+        self.raise_error(f"give {what}.")
 
-    def _read(self, place: int) -> Word:
-        begin = place + len(self._text[place:]) - len(self._text[place:].lstrip())
+    def _scan(self, start: int) -> Token:
+        begin = start + len(self._text[start:]) - len(self._text[start:].lstrip())
         if begin == len(self._text):
-            return Word("end", "", begin, begin)
-        match = _WORDS.match(self._text, begin)
+            return Token("end", "", begin, begin)
+        match = _TOKEN_PATTERN.match(self._text, begin)
         kind = match.lastgroup if match else None
         if match is None or kind is None:
-            self.refuse(f"'{self._text[begin]}' is no part of a {self._what}.", Word("end", "", begin, begin))
+            self.raise_error(f"'{self._text[begin]}' is no part of a {self._language}.", Token("end", "", begin, begin))
         if kind == "foreign":
-            self.refuse(f"write {_FOREIGN[match.group()]} for {match.group()}.", Word("end", "", begin, begin))
+            self.raise_error(f"write {_FOREIGN_OPERATORS[match.group()]} for {match.group()}.", Token("end", "", begin, begin))
         # The groups of the expression have the names of the kinds.
-        return Word(cast(Kind, kind), match.group(), begin, match.end())
+        return Token(cast(TokenKind, kind), match.group(), begin, match.end())
 
 
-def operator_meant(name: str) -> str:
+def suggest_operator(name: str) -> str:
     """Suggest the operator that a misspelt word could mean, in a sentence; empty if none is similar."""
-    sentence = suggestion(name.lower(), KEYWORDS)
+    sentence = suggest_name(name.lower(), KEYWORDS)
     return sentence if sentence.startswith("did") else ""
 
 
-def _shorten(text: str, length: int) -> str:
+def _shorten_formula(text: str, length: int) -> str:
     return text if len(text) <= length else text[:length] + "…"

@@ -13,12 +13,12 @@ from lxml import etree
 
 from cornercase._common.errors import InputError
 from cornercase.recordings.recording import Recording
-from cornercase.recordings.samples import EntitySamples, recording_of
+from cornercase.recordings.samples import EntitySamples, recording_from_samples
 from cornercase.scenario import read_xml
 
 # Largest number, and largest angle in rad.
-_MOST, _MOST_TURNED = 1e12, 1e4
-_KINDS = {
+_MAX_NUMBER, _MAX_ANGLE = 1e12, 1e4
+_OBJECT_TYPES = {
     "truck": "truck",
     "bus": "bus",
     "bicycle": "bicycle",
@@ -40,7 +40,7 @@ def read_commonroad(path: Path | str) -> Recording:
     """
     path = Path(path)
     # Refuse what commonroad-io would accept: document types, huge files, huge numbers.
-    _require_numbers(path, read_xml(path))
+    _refuse_huge_numbers(path, read_xml(path))
     try:
         from commonroad.common.file_reader import CommonRoadFileReader
     except ImportError as error:
@@ -60,22 +60,22 @@ def read_commonroad(path: Path | str) -> Recording:
     tracks: dict[str, EntitySamples] = {}
     steps: set[int] = set()
     for obstacle in scenario.dynamic_obstacles:
-        states = [obstacle.initial_state, *_trajectory(path, obstacle)]
+        states = [obstacle.initial_state, *_trajectory_states(path, obstacle)]
         if not all(isinstance(getattr(state, "time_step", None), int) for state in states):
             raise InputError(f"{path}: obstacle {obstacle.obstacle_id} has a state without an exact time.")
         steps.update(state.time_step for state in states)
-        track = tracks[str(obstacle.obstacle_id)] = _track(path, obstacle)
+        track = tracks[str(obstacle.obstacle_id)] = _create_entity_samples(path, obstacle)
         for state in states:
-            track.samples[state.time_step * scenario.dt] = _sample(path, obstacle, state)
+            track.samples[state.time_step * scenario.dt] = _sample_from_state(path, obstacle, state)
     for obstacle in scenario.static_obstacles:
-        track = tracks[str(obstacle.obstacle_id)] = _track(path, obstacle)
-        x, y, heading, _, _ = _sample(path, obstacle, obstacle.initial_state)
+        track = tracks[str(obstacle.obstacle_id)] = _create_entity_samples(path, obstacle)
+        x, y, heading, _, _ = _sample_from_state(path, obstacle, obstacle.initial_state)
         for step in sorted(steps or {0}):
             track.samples[step * scenario.dt] = (x, y, heading, 0.0, 0.0)
-    return recording_of(path, tracks)
+    return recording_from_samples(path, tracks)
 
 
-def _require_numbers(path: Path, root: etree._Element) -> None:
+def _refuse_huge_numbers(path: Path, root: etree._Element) -> None:
     """Refuse numbers with which commonroad-io would not terminate: it normalizes angles turn by turn."""
     for element in root.iter("*"):
         try:
@@ -83,9 +83,9 @@ def _require_numbers(path: Path, root: etree._Element) -> None:
         except ValueError:
             continue
         limit = (
-            _MOST_TURNED
+            _MAX_ANGLE
             if any(ancestor.tag == "orientation" for ancestor in (element, *element.iterancestors()))
-            else _MOST
+            else _MAX_NUMBER
         )
         if not number <= limit:
             raise InputError(
@@ -93,7 +93,7 @@ def _require_numbers(path: Path, root: etree._Element) -> None:
             )
 
 
-def _trajectory(path: Path, obstacle: Any) -> list[Any]:
+def _trajectory_states(path: Path, obstacle: Any) -> list[Any]:
     if obstacle.prediction is None:
         return []
     if not hasattr(obstacle.prediction, "trajectory"):
@@ -105,9 +105,9 @@ def _trajectory(path: Path, obstacle: Any) -> list[Any]:
     return states
 
 
-def _track(path: Path, obstacle: Any) -> EntitySamples:
+def _create_entity_samples(path: Path, obstacle: Any) -> EntitySamples:
     shape = obstacle.obstacle_shape
-    kind = _KINDS.get(obstacle.obstacle_type.value, "misc")
+    kind = _OBJECT_TYPES.get(obstacle.obstacle_type.value, "misc")
     if hasattr(shape, "length") and hasattr(shape, "width"):
         return EntitySamples(kind, float(shape.length), float(shape.width))
     if hasattr(shape, "radius"):
@@ -118,7 +118,7 @@ def _track(path: Path, obstacle: Any) -> EntitySamples:
     )
 
 
-def _sample(path: Path, obstacle: Any, state: Any) -> tuple[float, float, float, float, float]:
+def _sample_from_state(path: Path, obstacle: Any, state: Any) -> tuple[float, float, float, float, float]:
     position, heading = getattr(state, "position", None), getattr(state, "orientation", None)
     if not isinstance(position, np.ndarray) or not isinstance(heading, int | float | np.floating):
         raise InputError(

@@ -14,37 +14,37 @@ from cornercase._common.errors import InputError
 from cornercase._common.files import read_file
 from cornercase._common.typing import FloatArray
 from cornercase.recordings.recording import Recording
-from cornercase.recordings.samples import EntityBox, EntitySamples, recording_of
+from cornercase.recordings.samples import EntityBox, EntitySamples, recording_from_samples
 
-_HEADER: Final = 16
-_TYPES: Final = {
+_HEADER_SIZE: Final = 16
+_NUMPY_TYPES: Final = {
     "Double": "f8", "Float": "f4", "Int": "i4", "UInt": "u4", "Long": "i4", "ULong": "u4", "LongLong": "i8",
     "ULongLong": "u8", "Short": "i2", "UShort": "u2", "Char": "i1", "UChar": "u1",
 }  # fmt: skip
-_NAME: Final = re.compile(r"File\.At\.(\d{1,9})\.Name")
-_BYTES: Final = re.compile(r"(\d{1,5}) Bytes")
+_NAME_KEY: Final = re.compile(r"File\.At\.(\d{1,9})\.Name")
+_PADDING_TYPE: Final = re.compile(r"(\d{1,5}) Bytes")
 # Largest file in bytes: an hour of a thousand quantities.
-_LARGEST: Final = 2_000_000_000
+_MAX_FILE_SIZE: Final = 2_000_000_000
 # CarMaker's files do not hold the size of an entity.
-_USUAL: Final = EntityBox("car", 4.5, 1.8)
+_DEFAULT_BOX: Final = EntityBox("car", 4.5, 1.8)
 
 
 def read_erg_columns(path: Path | str) -> dict[str, npt.NDArray[Any]]:
     """Read all quantities of a result file, shape (T,) each, in SI units; ``.info`` has to be next to the file."""
     path = Path(path)
     info = path.with_name(path.name + ".info")
-    data, text = read_file(path, _LARGEST), read_file(info).decode("utf-8", "replace")
-    if len(data) < _HEADER or data[:8] != b"CM-ERG\0\0":
+    data, text = read_file(path, _MAX_FILE_SIZE), read_file(info).decode("utf-8", "replace")
+    if len(data) < _HEADER_SIZE or data[:8] != b"CM-ERG\0\0":
         raise InputError(f"{path}: is not a result file of CarMaker, which begins with CM-ERG.")
-    facts = dict(_facts(text))
-    names = {int(match[1]): name for key, name in facts.items() if (match := _NAME.fullmatch(key))}
+    facts = dict(_iter_info_entries(text))
+    names = {int(match[1]): name for key, name in facts.items() if (match := _NAME_KEY.fullmatch(key))}
     end = ">" if facts.get("File.ByteOrder") == "BigEndian" else "<"
     fields: list[tuple[str, str]] = []
     for number, name in sorted(names.items()):
         kind = facts.get(f"File.At.{number}.Type", "")
-        if kind in _TYPES:
-            fields.append((name, end + _TYPES[kind]))
-        elif padding := _BYTES.fullmatch(kind):
+        if kind in _NUMPY_TYPES:
+            fields.append((name, end + _NUMPY_TYPES[kind]))
+        elif padding := _PADDING_TYPE.fullmatch(kind):
             fields.append((name, f"V{padding[1]}"))
         else:
             raise InputError(f"{info}: '{name}' has the type '{kind}', which is not known.")
@@ -60,14 +60,14 @@ def read_erg_columns(path: Path | str) -> dict[str, npt.NDArray[Any]]:
     size = int.from_bytes(data[10:12], "little" if end == "<" else "big")
     if size != record.itemsize:
         raise InputError(f"{path}: has records of {size} bytes, and {info.name} describes {record.itemsize}.")
-    count, rest = divmod(len(data) - _HEADER, record.itemsize)
+    count, rest = divmod(len(data) - _HEADER_SIZE, record.itemsize)
     if rest:
         raise InputError(f"{path}: is cut in the middle of record {count + 1}; run the TestRun again.")
-    table = np.frombuffer(data, record, count, _HEADER)
+    table = np.frombuffer(data, record, count, _HEADER_SIZE)
     return {name: table[name] for name, kind in fields if not kind.startswith("V")}
 
 
-def _facts(text: str) -> Iterator[tuple[str, str]]:
+def _iter_info_entries(text: str) -> Iterator[tuple[str, str]]:
     """Yield keys and values of an info file."""
     for line in text.splitlines():
         key, sign, value = line.partition("=")
@@ -76,7 +76,7 @@ def _facts(text: str) -> Iterator[tuple[str, str]]:
 
 
 @np.errstate(all="ignore")
-def read_erg(path: Path | str, bodies: Mapping[str, EntityBox] | None = None) -> Recording:
+def read_erg(path: Path | str, entity_boxes: Mapping[str, EntityBox] | None = None) -> Recording:
     """Read the motion of ``Ego`` and of traffic objects (``T00``, ``T01``, …) from a result file.
 
     Positions are those of the middle of the rear end, as in CarMaker's vehicle frame. Entities without a box in
@@ -89,8 +89,8 @@ def read_erg(path: Path | str, bodies: Mapping[str, EntityBox] | None = None) ->
     if missing:
         raise InputError(f"{path}: has no {', '.join(missing)}; add it to the quantities that CarMaker stores.")
     time = columns["Time"].astype(np.float64)
-    boxes = bodies or {}
-    tracks = {"Ego": _track(boxes.get("Ego", _USUAL), time, *(columns[name] for name in needed[1:]))}
+    boxes = entity_boxes or {}
+    tracks = {"Ego": _create_entity_samples(boxes.get("Ego", _DEFAULT_BOX), time, *(columns[name] for name in needed[1:]))}
     for name in sorted(match.group(1) for key in columns if (match := re.fullmatch(r"Traffic\.(T\d+)\.tx", key))):
         x, y = columns[f"Traffic.{name}.tx"], columns.get(f"Traffic.{name}.ty")
         if y is None:
@@ -99,25 +99,25 @@ def read_erg(path: Path | str, bodies: Mapping[str, EntityBox] | None = None) ->
         heading, speed = columns.get(f"Traffic.{name}.rz"), columns.get(f"Traffic.{name}.LongVel")
         # Overflows are refused when the recording is created.
         if heading is None:
-            heading = _course(time, x, y) if along is None or across is None else np.arctan2(across, along)
+            heading = _direction_of_motion(time, x, y) if along is None or across is None else np.arctan2(across, along)
         if speed is None:
             speed = np.full(len(time), np.nan) if along is None or across is None else np.hypot(along, across)
-        tracks[name] = _track(boxes.get(name, _USUAL), time, x, y, heading, speed)
-    return recording_of(path, tracks)
+        tracks[name] = _create_entity_samples(boxes.get(name, _DEFAULT_BOX), time, x, y, heading, speed)
+    return recording_from_samples(path, tracks)
 
 
-def _track(
-    body: EntityBox, time: FloatArray, x: FloatArray, y: FloatArray, heading: FloatArray, speed: FloatArray
+def _create_entity_samples(
+    box: EntityBox, time: FloatArray, x: FloatArray, y: FloatArray, heading: FloatArray, speed: FloatArray
 ) -> EntitySamples:
-    track = EntitySamples(body.kind, body.length, body.width)
-    ahead = 0.5 * body.length
+    track = EntitySamples(box.object_type, box.length, box.width)
+    ahead = 0.5 * box.length
     rows = np.stack([x + ahead * np.cos(heading), y + ahead * np.sin(heading), heading, speed], axis=1)
     for instant, row in zip(time.tolist(), rows.astype(np.float64).tolist(), strict=True):
         track.samples[instant] = (row[0], row[1], row[2], row[3], float("nan"))
     return track
 
 
-def _course(time: FloatArray, x: FloatArray, y: FloatArray) -> FloatArray:
+def _direction_of_motion(time: FloatArray, x: FloatArray, y: FloatArray) -> FloatArray:
     """Return the direction of motion; a standing entity keeps the last one."""
     if len(time) < 2:
         return np.zeros(len(time))

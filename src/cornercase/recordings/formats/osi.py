@@ -9,17 +9,17 @@ from pathlib import Path
 from typing import Any, Final
 
 from cornercase._common.errors import InputError
-from cornercase._common.texts import in_one_line
+from cornercase._common.texts import format_exception
 from cornercase.recordings.recording import Recording
-from cornercase.recordings.samples import EntitySamples, recording_of
+from cornercase.recordings.samples import EntitySamples, recording_from_samples
 
 # Largest unpacked message and file in bytes, against decompression bombs.
-_LARGEST_MESSAGE: Final = 64_000_000
-_LARGEST: Final = 2_000_000_000
+_MAX_MESSAGE_SIZE: Final = 64_000_000
+_MAX_FILE_SIZE: Final = 2_000_000_000
 # Largest unpacked chunk of an MCAP file; usual are some megabytes.
-_LARGEST_CHUNK: Final = 256_000_000
+_MAX_CHUNK_SIZE: Final = 256_000_000
 # MCAP: length of the magic at both ends, length of a record header, opcode of a chunk.
-_MAGIC, _HEAD, _CHUNK = 8, 9, 6
+_MAGIC_SIZE, _RECORD_HEADER_SIZE, _CHUNK_OPCODE = 8, 9, 6
 
 
 def read_osi(path: Path | str) -> Recording:
@@ -52,7 +52,7 @@ def read_osi(path: Path | str) -> Recording:
     }
 
     tracks: dict[str, EntitySamples] = {}
-    for truth in _ground_truths(path):
+    for truth in _iter_ground_truths(path):
         time = truth.timestamp.seconds + truth.timestamp.nanos * 1e-9
         for moving_object in truth.moving_object:
             name, base = str(moving_object.id.value), moving_object.base
@@ -72,13 +72,13 @@ def read_osi(path: Path | str) -> Recording:
                 cos * base.velocity.x + sin * base.velocity.y if base.HasField("velocity") else math.nan,
                 cos * base.acceleration.x + sin * base.acceleration.y if base.HasField("acceleration") else math.nan,
             )
-    return recording_of(path, tracks)
+    return recording_from_samples(path, tracks)
 
 
-def _ground_truths(path: Path) -> Iterator[Any]:
+def _iter_ground_truths(path: Path) -> Iterator[Any]:
     """Yield the ground truth of each message, of the message type that has moving objects."""
     for kind in ("SensorView", "GroundTruth"):
-        truths = (m.global_ground_truth if kind == "SensorView" else m for m in _messages(path, kind))
+        truths = (m.global_ground_truth if kind == "SensorView" else m for m in _iter_messages(path, kind))
         first = next(truths, None)
         if first is not None and first.moving_object:
             yield first
@@ -87,11 +87,11 @@ def _ground_truths(path: Path) -> Iterator[Any]:
     raise InputError(f"{path}: holds no GroundTruth or SensorView messages with moving objects.")
 
 
-def _messages(path: Path, kind: str) -> Iterator[Any]:
-    return _of_channels(path, kind) if path.suffix.lower() == ".mcap" else _of_one_channel(path, kind)
+def _iter_messages(path: Path, message_type: str) -> Iterator[Any]:
+    return _iter_mcap(path, message_type) if path.suffix.lower() == ".mcap" else _iter_single_channel(path, message_type)
 
 
-def _of_one_channel(path: Path, kind: str) -> Iterator[Any]:
+def _iter_single_channel(path: Path, message_type: str) -> Iterator[Any]:
     """Yield length-prefixed messages, with limited memory."""
     from google.protobuf.message import DecodeError
     from osi3trace.osi_trace import OSITrace
@@ -101,15 +101,15 @@ def _of_one_channel(path: Path, kind: str) -> Iterator[Any]:
         with (lzma.open if path.suffix.lower() in (".xz", ".lzma") else open)(path, "rb") as file:
             while size := file.read(4):
                 length = int.from_bytes(size, "little")
-                if length > _LARGEST_MESSAGE:
-                    raise InputError(f"{path}: has a message of {length} bytes; at most {_LARGEST_MESSAGE} are read.")
+                if length > _MAX_MESSAGE_SIZE:
+                    raise InputError(f"{path}: has a message of {length} bytes; at most {_MAX_MESSAGE_SIZE} are read.")
                 body = file.read(length)
                 if len(size) < 4 or len(body) < length:
                     raise EOFError("it ends within a message")
                 total += length + 4
-                if total > _LARGEST:
-                    raise InputError(f"{path}: has more than {_LARGEST} bytes when it is unpacked.")
-                message = OSITrace.map_message_type(kind)()
+                if total > _MAX_FILE_SIZE:
+                    raise InputError(f"{path}: has more than {_MAX_FILE_SIZE} bytes when it is unpacked.")
+                message = OSITrace.map_message_type(message_type)()
                 message.ParseFromString(body)
                 count += 1
                 yield message
@@ -119,13 +119,13 @@ def _of_one_channel(path: Path, kind: str) -> Iterator[Any]:
         raise InputError(f"{path}: is broken or cut off after {count} messages ({error}).") from error
 
 
-def _of_channels(path: Path, kind: str) -> Iterator[Any]:
+def _iter_mcap(path: Path, message_type: str) -> Iterator[Any]:
     from mcap.exceptions import McapError
     from osi3trace.osi_trace import OSITrace
 
     try:
-        _require_sizes(path)
-        trace = OSITrace(str(path), kind)
+        _refuse_oversized_records(path)
+        trace = OSITrace(str(path), message_type)
     except InputError:
         raise
     except OSError as error:
@@ -136,7 +136,7 @@ def _of_channels(path: Path, kind: str) -> Iterator[Any]:
         # There is no channel of this message type.
         return
     except Exception as error:
-        raise InputError(f"{path}: is not an MCAP file, or is damaged ({in_one_line(error)}).") from error
+        raise InputError(f"{path}: is not an MCAP file, or is damaged ({format_exception(error)}).") from error
     count = 0
     try:
         for message in trace:
@@ -144,25 +144,25 @@ def _of_channels(path: Path, kind: str) -> Iterator[Any]:
             yield message
     except Exception as error:
         # Decompression libraries have their own errors.
-        raise InputError(f"{path}: is broken or cut off after {count} messages ({in_one_line(error)}).") from error
+        raise InputError(f"{path}: is broken or cut off after {count} messages ({format_exception(error)}).") from error
     finally:
         trace.close()
 
 
-def _require_sizes(path: Path) -> None:
+def _refuse_oversized_records(path: Path) -> None:
     """Refuse records longer than the file, and chunks that unpack to too much; mcap trusts the file."""
     size = path.stat().st_size
-    if size > _LARGEST:
-        raise InputError(f"{path}: has more than {_LARGEST} bytes, which are not read.")
+    if size > _MAX_FILE_SIZE:
+        raise InputError(f"{path}: has more than {_MAX_FILE_SIZE} bytes, which are not read.")
     with open(path, "rb") as file:
-        at = _MAGIC
-        while at + _HEAD <= size - _MAGIC:
+        at = _MAGIC_SIZE
+        while at + _RECORD_HEADER_SIZE <= size - _MAGIC_SIZE:
             file.seek(at)
             # A chunk starts with its first and last time and its unpacked size.
-            head = file.read(_HEAD + 24)
-            length, unpacked = (int.from_bytes(head[start : start + 8], "little") for start in (1, _HEAD + 16))
-            if length > size - at - _HEAD:
+            head = file.read(_RECORD_HEADER_SIZE + 24)
+            length, unpacked = (int.from_bytes(head[start : start + 8], "little") for start in (1, _RECORD_HEADER_SIZE + 16))
+            if length > size - at - _RECORD_HEADER_SIZE:
                 raise InputError(f"{path}: is not an MCAP file, or is cut off (a record of {length} bytes).")
-            if head[0] == _CHUNK and unpacked > _LARGEST_CHUNK:
-                raise InputError(f"{path}: has a chunk of {unpacked} bytes; at most {_LARGEST_CHUNK} are read.")
-            at += _HEAD + length
+            if head[0] == _CHUNK_OPCODE and unpacked > _MAX_CHUNK_SIZE:
+                raise InputError(f"{path}: has a chunk of {unpacked} bytes; at most {_MAX_CHUNK_SIZE} are read.")
+            at += _RECORD_HEADER_SIZE + length

@@ -10,11 +10,11 @@ from lxml import etree
 
 from cornercase._common.errors import InputError
 from cornercase.recordings.recording import Recording
-from cornercase.recordings.samples import EntitySamples, box_center, recording_of
+from cornercase.recordings.samples import EntitySamples, box_center_from_point, recording_from_samples
 from cornercase.scenario import read_xml
 
 # Kind, length and width in m of SUMO's default types.
-_BOXES: Final = {
+_DEFAULT_BOXES: Final = {
     "DEFAULT_VEHTYPE": ("car", 5.0, 1.8),
     "DEFAULT_PEDTYPE": ("pedestrian", 0.215, 0.478),
     "DEFAULT_BIKETYPE": ("bicycle", 1.6, 0.65),
@@ -26,32 +26,32 @@ def read_sumo_fcd(path: Path | str) -> Recording:
     path = Path(path)
     tracks: dict[str, EntitySamples] = {}
     for step in read_xml(path).iterfind("timestep"):
-        time = _number(path, step, "time")
+        time = _read_number(path, step, "time")
         for element in step.iterchildren("vehicle", "person"):
             name = element.get("id", "")
             usual = "DEFAULT_PEDTYPE" if element.tag == "person" else "DEFAULT_VEHTYPE"
-            kind, length, width = _BOXES.get(element.get("type", ""), _BOXES[usual])
+            kind, length, width = _DEFAULT_BOXES.get(element.get("type", ""), _DEFAULT_BOXES[usual])
             if element.get("length") is not None:
-                length, width = _number(path, element, "length"), _number(path, element, "width")
+                length, width = _read_number(path, element, "length"), _read_number(path, element, "width")
             track = tracks.setdefault(name, EntitySamples(kind, length, width))
-            heading = math.pi / 2 - math.radians(_number(path, element, "angle"))
+            heading = math.pi / 2 - math.radians(_read_number(path, element, "angle"))
             heading = math.remainder(heading, 2 * math.pi)
             # A vehicle's position is the center of its front, a person's the center of the body.
             behind = 0.0 if element.tag == "person" else 0.5 * track.length
-            center = box_center(_number(path, element, "x"), _number(path, element, "y"), heading, -behind)
-            track.samples[time] = (*center, heading, _number(path, element, "speed"), math.nan)
-    return recording_of(path, tracks)
+            center = box_center_from_point(_read_number(path, element, "x"), _read_number(path, element, "y"), heading, -behind)
+            track.samples[time] = (*center, heading, _read_number(path, element, "speed"), math.nan)
+    return recording_from_samples(path, tracks)
 
 
-def _number(path: Path, element: etree._Element, name: str) -> float:
+def _read_number(path: Path, element: etree._Element, attribute: str) -> float:
     try:
-        number = float(element.get(name, ""))
+        number = float(element.get(attribute, ""))
         # Times are checked all at once.
-        if name != "time" and not math.isfinite(number):
+        if attribute != "time" and not math.isfinite(number):
             raise ValueError
         return number
     except ValueError:
         raise InputError(
-            f"{path}, line {element.sourceline}: <{element.tag}> needs a number in '{name}', not"
-            f" '{element.get(name, '')}'."
+            f"{path}, line {element.sourceline}: <{element.tag}> needs a number in '{attribute}', not"
+            f" '{element.get(attribute, '')}'."
         ) from None

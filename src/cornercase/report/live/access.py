@@ -13,8 +13,8 @@ _Receive = Callable[[], Awaitable[_Scope]]
 _Send = Callable[[_Scope], Awaitable[None]]
 _App = Callable[[_Scope, _Receive, _Send], Awaitable[None]]
 
-_MOST_FIELDS: Final = 20
-_HEADERS: Final = (
+_MAX_QUERY_FIELDS: Final = 20
+_SECURITY_HEADERS: Final = (
     (b"cache-control", b"no-store"),
     (b"referrer-policy", b"no-referrer"),
     (b"x-content-type-options", b"nosniff"),
@@ -24,7 +24,7 @@ _HEADERS: Final = (
 )
 
 
-class Guard:
+class TokenAuth:
     """ASGI middleware that only passes requests with the token and an address of this machine as host.
 
     `policy` is the content security policy sent with every response.
@@ -33,7 +33,7 @@ class Guard:
     def __init__(self, app: _App, token: str, policy: str) -> None:
         self._app = app
         self._token = token.encode()
-        self._headers = [*_HEADERS, (b"content-security-policy", policy.encode())]
+        self._headers = [*_SECURITY_HEADERS, (b"content-security-policy", policy.encode())]
 
     async def __call__(self, scope: _Scope, receive: _Receive, send: _Send) -> None:
         """Handle an ASGI request."""
@@ -41,24 +41,24 @@ class Guard:
             await self._app(scope, receive, send)
             return
         headers = {name.lower(): value.decode("latin-1") for name, value in scope["headers"]}
-        why = _refused(headers) or self._unknown(scope)
+        why = _check_headers(headers) or self._check_token(scope)
 
-        async def send_guarded(message: _Scope) -> None:
+        async def send_with_headers(message: _Scope) -> None:
             if message["type"] == "http.response.start":
                 message["headers"] = [*message["headers"], *self._headers]
             await send(message)
 
         if why is None:
-            await self._app(scope, receive, send_guarded)
+            await self._app(scope, receive, send_with_headers)
             return
         body = f"{why}\n".encode()
         plain = [(b"content-type", b"text/plain; charset=utf-8"), (b"content-length", str(len(body)).encode())]
-        await send_guarded({"type": "http.response.start", "status": 403, "headers": plain})
-        await send_guarded({"type": "http.response.body", "body": body})
+        await send_with_headers({"type": "http.response.start", "status": 403, "headers": plain})
+        await send_with_headers({"type": "http.response.body", "body": body})
 
-    def _unknown(self, scope: _Scope) -> str | None:
+    def _check_token(self, scope: _Scope) -> str | None:
         try:
-            query = parse_qs(scope["query_string"].decode("latin-1"), max_num_fields=_MOST_FIELDS)
+            query = parse_qs(scope["query_string"].decode("latin-1"), max_num_fields=_MAX_QUERY_FIELDS)
         except ValueError:
             query = {}
         token = query.get("token", [""])[-1].encode("utf-8", "replace")
@@ -67,10 +67,10 @@ class Guard:
         return "The address lacks the token; open the address that `cornercase watch` printed."
 
 
-def _refused(headers: dict[bytes, str]) -> str | None:
+def _check_headers(headers: dict[bytes, str]) -> str | None:
     host = headers.get(b"host", "")
     # DNS rebinding: another site can point its name to this machine, but cannot use an IP address.
-    if not _is_here(host):
+    if not _is_ip_or_localhost(host):
         return "Open the address that `cornercase watch` printed, not a host name of the machine."
     origin = headers.get(b"origin")
     if origin is not None and origin != f"http://{host}":
@@ -78,7 +78,7 @@ def _refused(headers: dict[bytes, str]) -> str | None:
     return None
 
 
-def _is_here(host: str) -> bool:
+def _is_ip_or_localhost(host: str) -> bool:
     name = host.rpartition(":")[0] if not host.endswith("]") and ":" in host else host
     if name.lower() == "localhost":
         return True

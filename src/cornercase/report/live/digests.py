@@ -10,90 +10,90 @@ import numpy as np
 
 from cornercase._common.typing import FloatArray
 from cornercase.exploration import Objective
-from cornercase.report.contents import plain_score, plain_values, tell_against
-from cornercase.report.course_lines import draw_course, pack_courses
-from cornercase.report.summary import touched_by_ego
-from cornercase.study import Row, Study, StudyMeta
+from cornercase.report.contents import round_score, parameter_columns, score_source_column
+from cornercase.report.course_lines import resample_course, encode_courses
+from cornercase.report.summary import entities_hit_by_ego
+from cornercase.study import ScenarioRecord, Study, StudyMeta
 
 
 @dataclass(frozen=True, eq=False)
-class Digest:
+class ScenarioDigest:
     """What the live page shows of one scenario."""
 
-    row: Row
+    row: ScenarioRecord
     scores: dict[str, float]  # by metric; empty if the scenario failed
     critical: bool
     collides: bool  # with an entity the ego is measured against
-    span: tuple[float, float]  # begin and end of the recording in s
+    time_span: tuple[float, float]  # begin and end of the recording in s
     courses: dict[str, FloatArray]  # resampled courses by metric, shape (COURSE_POINTS,)
-    against: dict[str, str | None] = field(default_factory=dict)
+    score_sources: dict[str, str | None] = field(default_factory=dict)
 
 
-class Digester:
+class ScenarioDigester:
     """Reads digests from an open study."""
 
     def __init__(self, study: Study) -> None:
         self._study = study
-        self._objective = Objective.of_study(study.meta)
+        self._objective = Objective.from_study_meta(study.meta)
 
-    def read(self, row: Row) -> Digest:
+    def read(self, row: ScenarioRecord) -> ScenarioDigest:
         """Read the digest of a scenario that has ended."""
         if row.state == "failed":
-            return Digest(row, {}, False, False, (0.0, 0.0), {})
+            return ScenarioDigest(row, {}, False, False, (0.0, 0.0), {})
         study, meta = self._study, self._study.meta
-        recording, scores = study.recording(row.id), study.scores_of(row.id)
+        recording, scores = study.recording(row.id), study.scenario_scores(row.id)
         time = recording.time
         courses = {
-            metric.name: draw_course(
-                time, metric.capped(study.course(row.id, metric.name)).astype(np.float32), metric.lower_is_critical
+            metric.name: resample_course(
+                time, metric.clip_course(study.course(row.id, metric.name)).astype(np.float32), metric.lower_is_critical
             )
             for metric in self._objective.metrics
         }
-        return Digest(
+        return ScenarioDigest(
             row,
             scores,
             self._is_critical(scores),
-            not touched_by_ego(meta, recording.collisions).isdisjoint(meta.others),
+            not entities_hit_by_ego(meta, recording.collisions).isdisjoint(meta.others),
             (float(time[0]), float(time[-1])),
             courses,
-            study.against_of(row.id),
+            study.scenario_score_sources(row.id),
         )
 
     def _is_critical(self, scores: dict[str, float]) -> bool:
         scores_row = np.array([[scores[metric.name] for metric in self._objective.metrics]])
-        return bool(self._objective.critical(scores_row, self._study.meta.critical)[0])
+        return bool(self._objective.is_critical(scores_row, self._study.meta.critical)[0])
 
 
-def tell_scenarios(meta: StudyMeta, digests: Sequence[Digest]) -> dict[str, Any]:
+def scenario_columns(meta: StudyMeta, digests: Sequence[ScenarioDigest]) -> dict[str, Any]:
     """Return digests as the columns ``scenarios`` and ``errors`` of the page, without results of an analysis."""
     rows = [digest.row for digest in digests]
 
-    def scores(name: str) -> list[float | None]:
-        return [plain_score(digest.scores[name]) if name in digest.scores else None for digest in digests]
+    def score_column(name: str) -> list[float | None]:
+        return [round_score(digest.scores[name]) if name in digest.scores else None for digest in digests]
 
     return {
         "scenarios": {
             "id": [row.id for row in rows],
             "round": [row.round for row in rows],
             "failed": [int(row.state == "failed") for row in rows],
-            "values": plain_values(meta.space.parameters, rows),
-            "scores": {name: scores(name) for name in meta.metrics},
+            "values": parameter_columns(meta.space.parameters, rows),
+            "scores": {name: score_column(name) for name in meta.metrics},
             "critical": [int(digest.critical) for digest in digests],
             "collides": [int(digest.collides) if digest.scores else None for digest in digests],
             "outcome": [None] * len(rows),
             "kept": [0] * len(rows),
             "audit": [int(meta.is_audit(row.id)) for row in rows],
         }
-        | tell_against(
-            meta, [[digest.against.get(name) for name in meta.metrics] if digest.scores else None for digest in digests]
+        | score_source_column(
+            meta, [[digest.score_sources.get(name) for name in meta.metrics] if digest.scores else None for digest in digests]
         ),
         "errors": {str(row.id): row.error or "" for row in rows if row.state == "failed"},
     }
 
 
-def tell_courses(meta: StudyMeta, digests: Sequence[Digest]) -> dict[str, Any]:
+def course_columns(meta: StudyMeta, digests: Sequence[ScenarioDigest]) -> dict[str, Any]:
     """Return the courses of digests, by metric, in the form of the page."""
     return {
-        name: pack_courses([digest.courses.get(name) for digest in digests], [digest.span for digest in digests])
+        name: encode_courses([digest.courses.get(name) for digest in digests], [digest.time_span for digest in digests])
         for name in meta.metrics
     }

@@ -14,15 +14,15 @@ from typing import Final
 
 from cornercase._common import arguments
 from cornercase._common.errors import InputError
-from cornercase._common.interrupts import last_request
-from cornercase.report.live.follower import Follower
-from cornercase.report.live.knowing import Finder
-from cornercase.report.live.telling import Teller
+from cornercase._common.interrupts import last_signal
+from cornercase.report.live.follower import StudyFollower
+from cornercase.report.live.knowing import AnalysisWorker
+from cornercase.report.live.telling import EventStream
 from cornercase.study import open_study
 
-_GREATEST_PORT: Final = 65535
+_MAX_PORT: Final = 65535
 # Seconds that open connections get to finish.
-_GRACE: Final = 2
+_SHUTDOWN_SECONDS: Final = 2
 _BACKLOG: Final = 100
 
 
@@ -33,7 +33,7 @@ def watch(
     host: str = "127.0.0.1",
     scenario: Path | str | None = None,
     browser: bool = False,
-    tell: Callable[[str], object] = print,
+    show: Callable[[str], object] = print,
 ) -> None:
     """Serve the report of a study as a live page that grows with it, until interrupted.
 
@@ -70,7 +70,7 @@ def watch(
     >>> import cornercase as cc
     >>> cc.watch("study.db", browser=True)  # doctest: +SKIP
     """
-    path = arguments.path("study", study)
+    path = arguments.check_path("study", study)
     if path.exists() and not path.is_file():
         raise InputError(f"{path}: is not a file; name the file of a study.")
     if not path.parent.is_dir():
@@ -79,34 +79,34 @@ def watch(
         # An empty file may still become a study; any other file that is not a study may not.
         with open_study(path, readonly=True):
             pass
-    file = None if scenario is None else arguments.path("scenario", scenario)
+    file = None if scenario is None else arguments.check_path("scenario", scenario)
     if file is not None and not file.is_file():
         raise InputError(f"`scenario` {file}: there is no such file.")
-    number = arguments.whole_number("port", port, most=_GREATEST_PORT)
+    number = arguments.check_int("port", port, maximum=_MAX_PORT)
     try:
         import uvicorn
 
-        from cornercase.report.live.server import make_app
+        from cornercase.report.live.server import create_app
     except ModuleNotFoundError as error:
         raise InputError(
             f"The live page needs {error.name}, which is not installed; run `pip install 'cornercase[live]'`."
         ) from error
     token = secrets.token_urlsafe(24)
-    follower = Follower(path)
-    analysis_worker = Finder(follower, file)
-    with _bound(host, number) as listening:
+    follower = StudyFollower(path)
+    analysis_worker = AnalysisWorker(follower, file)
+    with _bind(host, number) as listening:
         servers: list[uvicorn.Server] = []
-        app = make_app(
-            path, Teller(follower, analysis_worker), token, file, lambda: bool(servers) and servers[0].should_exit
+        app = create_app(
+            path, EventStream(follower, analysis_worker), token, file, lambda: bool(servers) and servers[0].should_exit
         )
         # No access log, as it would contain the token.
         config = uvicorn.Config(
-            app, log_level="error", access_log=False, timeout_graceful_shutdown=_GRACE, lifespan="off",
+            app, log_level="error", access_log=False, timeout_graceful_shutdown=_SHUTDOWN_SECONDS, lifespan="off",
             server_header=False, limit_concurrency=100,
         )  # fmt: skip
         servers.append(uvicorn.Server(config))
-        address = _address(listening, token)
-        tell(f"The page of {path} is {address}")
+        address = _page_address(listening, token)
+        show(f"The page of {path} is {address}")
         follower.start()
         analysis_worker.start()
         if browser:
@@ -116,14 +116,14 @@ def watch(
             servers[0].run(sockets=[listening])
         except KeyboardInterrupt:
             # Ctrl-C is the normal way to end it.
-            if last_request() != signal.SIGINT:
+            if last_signal() != signal.SIGINT:
                 raise
         finally:
             analysis_worker.stop()
             follower.stop()
 
 
-def _bound(host: str, port: int) -> socket.socket:
+def _bind(host: str, port: int) -> socket.socket:
     try:
         kind = socket.AF_INET6 if ipaddress.ip_address(host).version == 6 else socket.AF_INET
     except ValueError:
@@ -138,7 +138,7 @@ def _bound(host: str, port: int) -> socket.socket:
         ) from error
 
 
-def _address(listening: socket.socket, token: str) -> str:
+def _page_address(listening: socket.socket, token: str) -> str:
     host, port = listening.getsockname()[:2]
     display_host = {"0.0.0.0": "127.0.0.1", "::": "[::1]"}.get(host, f"[{host}]" if ":" in host else host)
     return f"http://{display_host}:{port}/?token={token}"

@@ -17,12 +17,12 @@ from cornercase._common.platform import find_program
 if TYPE_CHECKING:
     from cornercase.report.replays.film import Frame
 
-_COLOURS: Final = 255
+_N_COLOURS: Final = 255
 # Seconds that the last frame stays.
-_REST: Final = 1.5
+_FINAL_PAUSE: Final = 1.5
 
 
-def gif_rate(fps: float) -> float:
+def nearest_gif_rate(fps: float) -> float:
     """Return the nearest frame rate a GIF supports (at most 50): frames last whole hundredths of a second."""
     return 100.0 / max(2, round(100.0 / fps))
 
@@ -31,15 +31,15 @@ def write_gif(frames: Iterator[Frame], path: Path, fps: float) -> None:
     """Write frames, shape (height, width, 3), as a GIF at a rate of `nearest_gif_rate`; same frames, same bytes."""
     first = Image.fromarray(next(frames)).copy()
     # One palette for all frames, so that static parts keep their colour.
-    palette = first.quantize(_COLOURS, method=Image.Quantize.MEDIANCUT, dither=Image.Dither.NONE)
+    palette = first.quantize(_N_COLOURS, method=Image.Quantize.MEDIANCUT, dither=Image.Dither.NONE)
     palettes = [palette]
 
-    def pictures() -> Iterator[Image.Image]:
+    def quantize_frames() -> Iterator[Image.Image]:
         for frame in frames:
             yield Image.fromarray(frame).quantize(palette=palettes[0], dither=Image.Dither.NONE)
 
     frame_ms = round(1000.0 / fps)
-    palette.save(path, format="GIF", save_all=True, append_images=pictures(), duration=frame_ms, loop=0, optimize=False)
+    palette.save(path, format="GIF", save_all=True, append_images=quantize_frames(), duration=frame_ms, loop=0, optimize=False)
 
 
 def find_ffmpeg() -> str:
@@ -65,7 +65,7 @@ def write_mp4(frames: Iterator[Frame], path: Path, fps: float) -> None:
     height, width, _ = first.shape
     command = [
         program, "-loglevel", "error", "-y", "-f", "rawvideo", "-pix_fmt", "rgb24", "-s", f"{width}x{height}",
-        "-r", f"{fps:g}", "-i", "-", "-an", "-vf", f"tpad=stop_mode=clone:stop_duration={_REST}",
+        "-r", f"{fps:g}", "-i", "-", "-an", "-vf", f"tpad=stop_mode=clone:stop_duration={_FINAL_PAUSE}",
         "-c:v", "libx264", "-pix_fmt", "yuv420p", "-crf", "20", "-movflags", "+faststart",
         "-fflags", "+bitexact", "-flags:v", "+bitexact", "-map_metadata", "-1", "-f", "mp4", str(path.resolve()),
     ]  # fmt: skip

@@ -11,25 +11,25 @@ import numpy as np
 
 from cornercase._common import arguments
 from cornercase._common.errors import InputError, NoticeWarning
-from cornercase._common.files import require_other_file, written_whole
+from cornercase._common.files import check_output_differs_from_source, atomic_write
 from cornercase._common.progress import ProgressBar
 from cornercase._common.typing import FloatArray
-from cornercase.report.replays.footage import Footage, read_footage
-from cornercase.report.roads import is_of_map
-from cornercase.scenario import Scenario
+from cornercase.report.replays.footage import ReplayData, read_replay_data
+from cornercase.report.roads import is_missing_map
+from cornercase.scenario import ScenarioFile
 from cornercase.study import Study, open_study
 
 if TYPE_CHECKING:
     from cornercase.report.replays.film import Frame
 
-_ENDINGS: Final = (".html", ".gif", ".mp4")
-_FASTEST: Final = 60.0
+_FILE_ENDINGS: Final = (".html", ".gif", ".mp4")
+_MAX_FPS: Final = 60.0
 # A GIF frame lasts at least two hundredths of a second.
-_FASTEST_GIF: Final = 50.0
+_MAX_GIF_FPS: Final = 50.0
 # A GIF with more or larger frames would be too large to send.
-_RATES: Final = {".gif": 10.0, ".mp4": 25.0}
-_DOTS: Final = {".gif": 75, ".mp4": 100}
-_MOST_FRAMES: Final = 20_000
+_DEFAULT_FPS: Final = {".gif": 10.0, ".mp4": 25.0}
+_DPI: Final = {".gif": 75, ".mp4": 100}
+_MAX_FRAMES: Final = 20_000
 
 
 def replay(
@@ -40,7 +40,7 @@ def replay(
     beside: int | None = None,
     fps: float | None = None,
     speed: float = 1.0,
-    scenario: Path | str | Scenario | None = None,
+    scenario: Path | str | ScenarioFile | None = None,
     critical: float | None = None,
     progress: bool = False,
 ) -> Path:
@@ -91,18 +91,18 @@ def replay(
     >>> cc.replay("study.db", 45, "run.html", beside=3)  # doctest: +SKIP
     PosixPath('run.html')
     """
-    path = arguments.path("path", path)
-    ids = [arguments.whole_number("id", id, least=1)]
+    path = arguments.check_path("path", path)
+    ids = [arguments.check_int("id", id, minimum=1)]
     if beside is not None:
-        ids.append(arguments.whole_number("beside", beside, least=1))
-    speed, ending = arguments.number("speed", speed, above=0.0), path.suffix.lower()
-    rate = _RATES.get(ending, 0.0) if fps is None else arguments.number("fps", fps, above=0.0)
-    if rate > _FASTEST:
-        raise InputError(f"`fps` {rate:g}: give at most {_FASTEST:g}.")
-    if ending == ".gif" and rate > _FASTEST_GIF:
-        raise InputError(f"`fps` {rate:g}: a GIF shows at most {_FASTEST_GIF:g}; write an .mp4.")
-    if ending not in _ENDINGS:
-        raise InputError(f"`path` {path}: the file name must end with one of {', '.join(_ENDINGS)}.")
+        ids.append(arguments.check_int("beside", beside, minimum=1))
+    speed, ending = arguments.check_float("speed", speed, above=0.0), path.suffix.lower()
+    rate = _DEFAULT_FPS.get(ending, 0.0) if fps is None else arguments.check_float("fps", fps, above=0.0)
+    if rate > _MAX_FPS:
+        raise InputError(f"`fps` {rate:g}: give at most {_MAX_FPS:g}.")
+    if ending == ".gif" and rate > _MAX_GIF_FPS:
+        raise InputError(f"`fps` {rate:g}: a GIF shows at most {_MAX_GIF_FPS:g}; write an .mp4.")
+    if ending not in _FILE_ENDINGS:
+        raise InputError(f"`path` {path}: the file name must end with one of {', '.join(_FILE_ENDINGS)}.")
     if ending == ".html" and (fps is not None or speed != 1.0):
         raise InputError("`fps` and `speed` only apply to films; leave them out for a page.")
     if ending == ".mp4":
@@ -110,51 +110,51 @@ def replay(
 
         find_ffmpeg()
     with open_study(study, readonly=True, critical=critical) as opened:
-        require_other_file(path, opened.path)
-        data = read_footage(opened, ids, scenario)
-    if data.road_missing and (ending != ".html" or is_of_map(data.road_missing)):
+        check_output_differs_from_source(path, opened.path)
+        data = read_replay_data(opened, ids, scenario)
+    if data.road_missing_reason and (ending != ".html" or is_missing_map(data.road_missing_reason)):
         # The page itself explains a missing road; a missing map can be fixed with an option, so warn at once.
-        warnings.warn(data.road_missing.removesuffix("."), NoticeWarning, stacklevel=2)
-    with written_whole(path) as temporary:
+        warnings.warn(data.road_missing_reason.removesuffix("."), NoticeWarning, stacklevel=2)
+    with atomic_write(path) as temporary:
         if ending == ".html":
-            from cornercase.report.replays.page import fill_replay
+            from cornercase.report.replays.page import render_replay_page
 
-            temporary.write_text(fill_replay(data), encoding="utf-8", errors="backslashreplace", newline="\n")
+            temporary.write_text(render_replay_page(data), encoding="utf-8", errors="backslashreplace", newline="\n")
         else:
             _write_film(data, temporary, ending, rate, speed, progress)
     return path
 
 
-def _write_film(footage: Footage, path: Path, ending: str, fps: float, speed: float, progress: bool) -> None:
-    from cornercase.report.figures.style import default_style
-    from cornercase.report.replays.encoding import gif_rate, write_gif, write_mp4
-    from cornercase.report.replays.film import Film
+def _write_film(data: ReplayData, path: Path, ending: str, fps: float, speed: float, progress: bool) -> None:
+    from cornercase.report.figures.style import matplotlib_defaults
+    from cornercase.report.replays.encoding import nearest_gif_rate, write_gif, write_mp4
+    from cornercase.report.replays.film import FrameRenderer
 
-    rate = gif_rate(fps) if ending == ".gif" else fps
-    times = _times(footage, speed / rate)
+    rate = nearest_gif_rate(fps) if ending == ".gif" else fps
+    times = _frame_times(data, speed / rate)
     bar = ProgressBar(len(times), "drawing", "frames") if progress else None
     try:
-        with default_style():
-            frames = _counted(Film(footage, dots=_DOTS[ending]).frames(times), bar)
+        with matplotlib_defaults():
+            frames = _report_progress(FrameRenderer(data, dpi=_DPI[ending]).render_frames(times), bar)
             (write_gif if ending == ".gif" else write_mp4)(frames, path, rate)
     finally:
         if bar is not None:
             bar.stop()
 
 
-def _times(footage: Footage, step: float) -> FloatArray:
+def _frame_times(data: ReplayData, step: float) -> FloatArray:
     """Return the frame times from begin to end, including the end, in s."""
-    span = footage.end - footage.begin
-    if span / step > _MOST_FRAMES:
+    span = data.end_time - data.start_time
+    if span / step > _MAX_FRAMES:
         raise InputError(
-            f"The film would have {span / step:.0f} frames, more than {_MOST_FRAMES}; give a higher `speed`, or a lower"
+            f"The film would have {span / step:.0f} frames, more than {_MAX_FRAMES}; give a higher `speed`, or a lower"
             " `fps`."
         )
-    times = footage.begin + step * np.arange(np.floor(span / step + 1e-9) + 1)
-    return np.append(times, footage.end) if footage.end - times[-1] > 1e-6 else times
+    times = data.start_time + step * np.arange(np.floor(span / step + 1e-9) + 1)
+    return np.append(times, data.end_time) if data.end_time - times[-1] > 1e-6 else times
 
 
-def _counted(frames: Iterator[Frame], bar: ProgressBar | None) -> Iterator[Frame]:
+def _report_progress(frames: Iterator[Frame], bar: ProgressBar | None) -> Iterator[Frame]:
     for k, frame in enumerate(frames, 1):
         yield frame
         if bar is not None:

@@ -8,52 +8,52 @@ from html import escape
 from cornercase.reduction import ReducedSet
 from cornercase.report import tables
 from cornercase.report.data import ReportData
-from cornercase.report.tables import Part, make_part
-from cornercase.report.words import format_value, name_axis, tell_chosen
+from cornercase.report.tables import Section, make_section
+from cornercase.report.words import format_value, format_axis_label, describe_selection_threshold
 
 
-def show_kept(data: ReportData) -> Iterator[Part]:
+def render_reduced_set(data: ReportData) -> Iterator[Section]:
     """Render the sections on the reduced set; nothing before the study was reduced."""
-    reduced = data.summary.reduced
-    if reduced is None or not reduced.kept:
+    reduced = data.summary.reduced_set
+    if reduced is None or not reduced.scenarios:
         return
-    yield make_part("kept", "The few to keep", _tell_kept(data, reduced))
-    yield make_part("left-out", "What the kept scenarios leave out", _tell_left_out(reduced, tell_chosen(data.summary)))
+    yield make_section("kept", "The few to keep", _render_selected(data, reduced))
+    yield make_section("left-out", "What the kept scenarios leave out", _render_coverage(reduced, describe_selection_threshold(data.summary)))
 
 
-def _tell_kept(data: ReportData, reduced: ReducedSet) -> Iterator[str]:
-    yield tables.make_table(
+def _render_selected(data: ReportData, reduced: ReducedSet) -> Iterator[str]:
+    yield tables.render_table(
         [
-            "file", "cluster", "role", *map(name_axis, data.parameters),
+            "file", "cluster", "role", *map(format_axis_label, data.parameters),
             *(f"{metric.name} [{metric.unit}]" for metric in data.metrics), "why",
         ],
         [
             [
                 scenario.file, str(scenario.cluster), scenario.role,
-                *(format_value(parameter.read(scenario.values)) for parameter in data.parameters),
+                *(format_value(parameter.extract_value(scenario.values)) for parameter in data.parameters),
                 *(f"{scenario.scores[metric.name]:.3g}" for metric in data.metrics), scenario.why,
             ]
-            for scenario in reduced.kept
+            for scenario in reduced.scenarios
         ],
-        text=(0, 2, -1),
+        left_aligned=(0, 2, -1),
     )  # fmt: skip
     # Studies reduced by an early version have no shapes.
     if reduced.shapes:
         yield "<h3>Shapes of the clusters</h3>"
-        yield tables.tell_shapes(reduced.shapes)
+        yield tables.render_shapes(reduced.shapes)
         yield (
             "<p>Convexity: the share of the lines between the scenarios of a cluster that lies in the cluster; from 0.8"
             " on it counts as convex.</p>"
         )
 
 
-def _tell_left_out(reduced: ReducedSet, chosen: str) -> Iterator[str]:
-    yield tables.tell_coverage(reduced.coverage)
+def _render_coverage(reduced: ReducedSet, threshold_note: str) -> Iterator[str]:
+    yield tables.render_coverage(reduced.coverage)
     yield (
         "<p>DTW distance from each scenario that was run to the nearest kept one, also as a share of the largest"
         " distance between any two. The kept scenarios were chosen to make these distances small.</p>"
     )
-    if held_out := tables.tell_held_out(reduced.coverage):
+    if held_out := tables.render_held_out_coverage(reduced.coverage):
         yield held_out
         yield (
             "<p>The same for held-out scenarios, which the choice has not seen: each fifth of the scenarios (only one"
@@ -62,9 +62,9 @@ def _tell_left_out(reduced: ReducedSet, chosen: str) -> Iterator[str]:
             " which make the mean distance small in that one clustering.</p>"
         )
     if reduced.critical:
-        if chosen:
-            yield f"<p>{escape(chosen)}</p>"
-        yield tables.tell_critical_coverage(reduced.critical)
+        if threshold_note:
+            yield f"<p>{escape(threshold_note)}</p>"
+        yield tables.render_critical_coverage(reduced.critical)
         yield (
             "<p>Two scenarios are alike if they are closer than a share of the median distance within clusters. Held"
             " out: critical scenarios that the choice has not seen, as above. A critical scenario is on the boundary if"

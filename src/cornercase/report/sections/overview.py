@@ -11,38 +11,38 @@ from typing import Any, Final
 
 from markupsafe import Markup
 
-from cornercase._common.texts import plain_text
+from cornercase._common.texts import escape_control_characters
 from cornercase._common.version import __version__
-from cornercase.drivers import driver_text
+from cornercase.drivers import format_driver
 from cornercase.report.data import ReportData
-from cornercase.report.study_files import name_command, tell_limits
+from cornercase.report.study_files import format_command, describe_limits
 from cornercase.report.summary import Summary
-from cornercase.report.tables import Part, make_part, make_table
-from cornercase.report.words import find_reasons, format_value, list_scenarios, name_range
-from cornercase.study import Row, StudyMeta
+from cornercase.report.tables import Section, make_section, render_table
+from cornercase.report.words import group_failures_by_reason, format_value, format_scenario_ids, format_range
+from cornercase.study import ScenarioRecord, StudyMeta
 
 # Columns of the table of scores that contain text.
-_WORDS: Final = ("metric", "unit", "critical is", "against", "in", "scenarios against")
+_TEXT_COLUMNS: Final = ("metric", "unit", "critical is", "against", "in", "scenarios against")
 # Libraries whose version may change the results.
-_LIBRARIES: Final = {"NumPy": "numpy", "SciPy": "scipy", "scikit-learn": "scikit-learn"}
+_PACKAGE_NAMES: Final = {"NumPy": "numpy", "SciPy": "scipy", "scikit-learn": "scikit-learn"}
 # Stages whose names are not verbs.
-_STAGES: Final = {"files": "read the scenario"}
+_STAGE_NAMES: Final = {"files": "read the scenario"}
 
 
-def tell_scores(data: ReportData) -> Iterator[Part]:
+def render_scores(data: ReportData) -> Iterator[Section]:
     """Render the scores by each metric."""
     rows = []
     for summary in data.summary.metrics.values():
-        spread = "" if summary.spread is None else f"{summary.spread[0]:.3g}, at most {summary.spread[1]:.3g}"
+        spread = "" if summary.repeat_spread is None else f"{summary.repeat_spread[0]:.3g}, at most {summary.repeat_spread[1]:.3g}"
         location = ", ".join(
-            f"{parameter.name} = {format_value(parameter.read(summary.at))}" for parameter in data.parameters
+            f"{parameter.name} = {format_value(parameter.extract_value(summary.parameters))}" for parameter in data.parameters
         )
-        scores_per_other = ", ".join(f"{other} in {count}" for other, count in summary.counts.items() if count)
+        scores_per_other = ", ".join(f"{other} in {count}" for other, count in summary.scores_per_other.items() if count)
         rows.append(
             [
                 summary.name, summary.unit, "low" if summary.lower_is_critical else "high",
-                f"{summary.most_critical:.4g}", summary.against or "", f"scenario {summary.scenario} ({location})",
-                f"{summary.median:.4g}", scores_per_other, spread, summary.alike,
+                f"{summary.most_critical:.4g}", summary.most_critical_other or "", f"scenario {summary.most_critical_id} ({location})",
+                f"{summary.median:.4g}", scores_per_other, spread, summary.constant_note,
             ]
         )  # fmt: skip
     head = [
@@ -50,56 +50,56 @@ def tell_scores(data: ReportData) -> Iterator[Part]:
         "between runs of one scenario", "note",
     ]  # fmt: skip
     columns = [k for k in range(len(head)) if any(row[k] for row in rows)]
-    text_columns = [at for at, k in enumerate(columns) if head[k] in _WORDS]
+    text_columns = [at for at, k in enumerate(columns) if head[k] in _TEXT_COLUMNS]
     lines = [
-        make_table([head[k] for k in columns], [[row[k] for k in columns] for row in rows], text=tuple(text_columns))
+        render_table([head[k] for k in columns], [[row[k] for k in columns] for row in rows], left_aligned=tuple(text_columns))
     ]
-    yield make_part("scores", "Scores by each metric", lines)
+    yield make_section("scores", "Scores by each metric", lines)
 
 
-def tell_failures(data: ReportData) -> Iterator[Part]:
+def render_failures(data: ReportData) -> Iterator[Section]:
     """Render why scenarios failed; nothing if none did."""
     if data.failed:
-        yield make_part("failures", "Scenarios that could not be run", [tell_reasons(data.failed)])
+        yield make_section("failures", "Scenarios that could not be run", [render_failure_reasons(data.failed)])
 
 
-def tell_reasons(failed: Sequence[Row]) -> str:
+def render_failure_reasons(failed: Sequence[ScenarioRecord]) -> str:
     """Render the reasons of failed scenarios, with their ids."""
-    rows = [[str(len(ids)), why, list_scenarios(ids)] for why, ids in find_reasons(failed).items()]
-    return make_table(["scenarios", "why", "which"], rows, text=(1, 2))
+    rows = [[str(len(ids)), why, format_scenario_ids(ids)] for why, ids in group_failures_by_reason(failed).items()]
+    return render_table(["scenarios", "why", "which"], rows, left_aligned=(1, 2))
 
 
-def tell_provenance(study: str, summary: Summary) -> Markup:
+def render_provenance(file_name: str, summary: Summary) -> Markup:
     """Render how the study was made: command, settings and versions; `file_name` is the study's."""
     meta = summary.meta
     settings = {k: v for k, v in meta.settings.items() if k != "drivers" and v not in ({}, [], None, "")}
     facts: dict[str, Any] = {
-        "study": study,
+        "study": file_name,
         "scenario file": meta.file_name,
         "fingerprint (SHA-256 of the scenario and all files that it uses)": meta.fingerprint,
-        **{f"range of {parameter.name}": name_range(parameter) for parameter in meta.space.parameters},
+        **{f"range of {parameter.name}": format_range(parameter) for parameter in meta.space.parameters},
         "optimizer": meta.optimizer,
         "seed": meta.seed,
         "simulator": meta.simulator,
-        **{f"simulator's {key}": _plain(value) for key, value in settings.items()},
-        **{f"driver of {entity}": driver_text(driver) for entity, driver in meta.drivers.items()},
-        **{f"time to {_STAGES.get(name, name)} [s]": _in_seconds(time) for name, time in summary.seconds.items()},
-        **_versions(meta),
+        **{f"simulator's {key}": _format_setting(value) for key, value in settings.items()},
+        **{f"driver of {entity}": format_driver(driver) for entity, driver in meta.drivers.items()},
+        **{f"time to {_STAGE_NAMES.get(name, name)} [s]": _format_seconds(time) for name, time in summary.seconds_by_stage.items()},
+        **_package_versions(meta),
     }
-    table = make_table(["what", "value"], [[key, str(value)] for key, value in facts.items()], text=(0, 1))
-    limits = "".join(f"<p>{escape(sentence)}</p>" for sentence in tell_limits(meta, summary.run + summary.failed))
-    command = f"<pre id='command' tabindex='0'><code>{escape(plain_text(name_command(meta)))}</code></pre>"
+    table = render_table(["what", "value"], [[key, str(value)] for key, value in facts.items()], left_aligned=(0, 1))
+    limits = "".join(f"<p>{escape(sentence)}</p>" for sentence in describe_limits(meta, summary.n_run + summary.n_failed))
+    command = f"<pre id='command' tabindex='0'><code>{escape(escape_control_characters(format_command(meta)))}</code></pre>"
     return Markup(f"<p>This command makes it again:</p>{command}{limits}{table}")
 
 
-def _in_seconds(seconds: float) -> str:
+def _format_seconds(seconds: float) -> str:
     return f"{seconds:.3g}" if seconds < 100.0 else f"{seconds:.0f}"
 
 
-def _plain(value: Any) -> str:
+def _format_setting(value: Any) -> str:
     """Format a setting without Python syntax."""
     if isinstance(value, dict):
-        return ", ".join(f"{name}: {_plain(item)}" for name, item in value.items())
+        return ", ".join(f"{name}: {_format_setting(item)}" for name, item in value.items())
     if isinstance(value, list | tuple):
         return ", ".join(map(str, value))
     # Only the file name, as folders of the author are private.
@@ -107,10 +107,10 @@ def _plain(value: Any) -> str:
     return str(value) if path is None else path.name
 
 
-def _versions(meta: StudyMeta) -> dict[str, str]:
+def _package_versions(meta: StudyMeta) -> dict[str, str]:
     return {
         "cornercase that made the study": meta.version,
         "cornercase that wrote this page": __version__,
-        **{name: version(package) for name, package in _LIBRARIES.items()},
+        **{name: version(package) for name, package in _PACKAGE_NAMES.items()},
         "Python": platform.python_version(),
     }

@@ -5,10 +5,10 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 from cornercase.report.data import ReportData
-from cornercase.report.tables import Part, make_part, make_table
+from cornercase.report.tables import Section, make_section, render_table
 
 
-def show_verdicts(data: ReportData) -> Iterator[Part]:
+def render_verdicts(data: ReportData) -> Iterator[Section]:
     """Render all verdicts, scenario by scenario; nothing without requirements."""
     if not data.verdicts:
         return
@@ -25,6 +25,6 @@ def show_verdicts(data: ReportData) -> Iterator[Part]:
     head = ["scenario", "file", "kind", "verdict", "requirement", "why"]
     columns = [k for k in range(len(head)) if any(row[k] for row in rows)]
     lines = [
-        make_table([head[k] for k in columns], [[row[k] for k in columns] for row in rows], text=range(len(columns)))
+        render_table([head[k] for k in columns], [[row[k] for k in columns] for row in rows], left_aligned=range(len(columns)))
     ]
-    yield make_part("verdicts", "Verdicts", lines)
+    yield make_section("verdicts", "Verdicts", lines)

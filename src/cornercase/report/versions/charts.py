@@ -12,14 +12,14 @@ import numpy as np
 from cornercase._common.typing import FloatArray
 from cornercase.metrics import METRICS
 from cornercase.scenario import Parameter
-from cornercase.suite import Comparison, Pair
+from cornercase.suite import Comparison, ScenarioPair
 
-WIDTH: Final = 440
-HEIGHT: Final = 330
+CHART_WIDTH: Final = 440
+CHART_HEIGHT: Final = 330
 _LEFT, _RIGHT, _TOP, _BOTTOM = 62, 14, 12, 46
-_TICKS: Final = 5
+_MAX_TICKS: Final = 5
 # Unchanged points are thinned out to about this number.
-_MOST: Final = 3000
+_MAX_UNCHANGED_POINTS: Final = 3000
 
 
 @dataclass(frozen=True)
@@ -39,55 +39,55 @@ class Chart:
     @property
     def frame(self) -> dict[str, float]:
         """Sizes of the picture and edges of the axes."""
-        right, bottom = WIDTH - _RIGHT, HEIGHT - _BOTTOM
-        return {"width": WIDTH, "height": HEIGHT, "left": _LEFT, "right": right, "top": _TOP, "bottom": bottom}
+        right, bottom = CHART_WIDTH - _RIGHT, CHART_HEIGHT - _BOTTOM
+        return {"width": CHART_WIDTH, "height": CHART_HEIGHT, "left": _LEFT, "right": right, "top": _TOP, "bottom": bottom}
 
 
-def draw_charts(found: Comparison, parameters: Sequence[Parameter]) -> Iterator[Chart]:
+def draw_charts(comparison: Comparison, parameters: Sequence[Parameter]) -> Iterator[Chart]:
     """Yield a chart for each metric whose scores changed, and one of the first two numeric parameters."""
-    ran = [pair for pair in found.pairs if pair.ran]
-    for score in found.scores:
+    ran = [pair for pair in comparison.pairs if pair.both_ran]
+    for score in comparison.scores:
         if score.moved:
-            yield _of_scores(ran, score.metric)
+            yield _score_chart(ran, score.metric)
     axes = [parameter for parameter in parameters if not parameter.choices][:2]
-    if len(axes) == 2 and any(pair.run not in ("the same", "within rounding") for pair in found.pairs):
-        yield _of_space(found.pairs, axes)
+    if len(axes) == 2 and any(pair.run not in ("the same", "within rounding") for pair in comparison.pairs):
+        yield _space_chart(comparison.pairs, axes)
 
 
-def _of_scores(pairs: Sequence[Pair], name: str) -> Chart:
+def _score_chart(pairs: Sequence[ScenarioPair], name: str) -> Chart:
     metric = METRICS.create(name)
     scores = np.array([pair.scores[name] for pair in pairs])
     low, high = float(scores.min()), float(scores.max())
     low, high = (low, high) if high > low else (low - 0.5, high + 0.5)
-    oriented = np.asarray(metric.oriented(scores))
+    oriented = np.asarray(metric.to_minimize(scores))
     classes = np.where(oriented[:, 1] < oriented[:, 0], "new", np.where(oriented[:, 1] > oriented[:, 0], "old", "both"))
     unit = "" if metric.unit == "1" else f" [{metric.unit}]"
-    points = np.stack([_across(scores[:, 0], low, high), _up(scores[:, 1], low, high)], axis=1)
+    points = np.stack([_x_pixels(scores[:, 0], low, high), _y_pixels(scores[:, 1], low, high)], axis=1)
     texts = [
         f"{pair.ids[0]}, {pair.ids[1]}: {before:.4g} → {after:.4g}"
         for pair, (before, after) in zip(pairs, scores, strict=True)
     ]
     ends = np.array([low, high])
-    corner = [*_across(ends, low, high).tolist(), *_up(ends, low, high).tolist()]
+    corner = [*_x_pixels(ends, low, high).tolist(), *_y_pixels(ends, low, high).tolist()]
     return Chart(
         title=f"{name}, scenario by scenario",
         caption="Score of the old version (horizontal) and of the new one (vertical). On the line they are equal.",
         across=f"old {name}{unit}",
         up=f"new {name}{unit}",
-        ticks_across=_ticks(low, high, across=True),
-        ticks_up=_ticks(low, high, across=False),
-        points=_thinned(points, classes.tolist(), texts),
+        ticks_across=_ticks(low, high, is_horizontal=True),
+        ticks_up=_ticks(low, high, is_horizontal=False),
+        points=_thin_unchanged(points, classes.tolist(), texts),
         diagonal=(corner[0], corner[2], corner[1], corner[3]),
         legend=(("new", "more critical now"), ("old", "less critical now"), ("both", "as before")),
     )
 
 
-def _of_space(pairs: Sequence[Pair], axes: Sequence[Parameter]) -> Chart:
-    values = np.array([[parameter.read_number(pair.values) for parameter in axes] for pair in pairs])
-    has_threshold = any(pair.critical is not None for pair in pairs)
+def _space_chart(pairs: Sequence[ScenarioPair], axes: Sequence[Parameter]) -> Chart:
+    values = np.array([[parameter.extract_number(pair.values) for parameter in axes] for pair in pairs])
+    has_threshold = any(pair.is_critical is not None for pair in pairs)
     classes, texts = [], []
     for pair in pairs:
-        before, after = pair.critical if has_threshold and pair.critical is not None else pair.collides
+        before, after = pair.is_critical if has_threshold and pair.is_critical is not None else pair.collides
         point_class = (
             "new" if after and not before else "old" if before and not after else "always" if after else "both"
         )
@@ -101,13 +101,13 @@ def _of_space(pairs: Sequence[Pair], axes: Sequence[Parameter]) -> Chart:
     return Chart(
         title="Where in the space",
         caption=f"Each scenario that both versions ran, by {first.name} and {second.name}.",
-        across=_named(first),
-        up=_named(second),
-        ticks_across=_ticks(first.low, first.high, across=True),
-        ticks_up=_ticks(second.low, second.high, across=False),
-        points=_thinned(
+        across=_axis_label(first),
+        up=_axis_label(second),
+        ticks_across=_ticks(first.low, first.high, is_horizontal=True),
+        ticks_up=_ticks(second.low, second.high, is_horizontal=False),
+        points=_thin_unchanged(
             np.stack(
-                [_across(values[:, 0], first.low, first.high), _up(values[:, 1], second.low, second.high)], axis=1
+                [_x_pixels(values[:, 0], first.low, first.high), _y_pixels(values[:, 1], second.low, second.high)], axis=1
             ),
             classes,
             texts,
@@ -123,36 +123,36 @@ def _of_space(pairs: Sequence[Pair], axes: Sequence[Parameter]) -> Chart:
     )
 
 
-def _named(one: Parameter) -> str:
-    return f"{one.name} [{one.unit}]" if one.unit and one.unit != "1" else one.name
+def _axis_label(parameter: Parameter) -> str:
+    return f"{parameter.name} [{parameter.unit}]" if parameter.unit and parameter.unit != "1" else parameter.name
 
 
-def _across(values: FloatArray, low: float, high: float) -> FloatArray:
-    return np.round(_LEFT + (values - low) / ((high - low) or 1.0) * (WIDTH - _LEFT - _RIGHT), 1)
+def _x_pixels(values: FloatArray, low: float, high: float) -> FloatArray:
+    return np.round(_LEFT + (values - low) / ((high - low) or 1.0) * (CHART_WIDTH - _LEFT - _RIGHT), 1)
 
 
-def _up(values: FloatArray, low: float, high: float) -> FloatArray:
-    return np.round(HEIGHT - _BOTTOM - (values - low) / ((high - low) or 1.0) * (HEIGHT - _TOP - _BOTTOM), 1)
+def _y_pixels(values: FloatArray, low: float, high: float) -> FloatArray:
+    return np.round(CHART_HEIGHT - _BOTTOM - (values - low) / ((high - low) or 1.0) * (CHART_HEIGHT - _TOP - _BOTTOM), 1)
 
 
-def _ticks(low: float, high: float, *, across: bool) -> tuple[tuple[float, str], ...]:
+def _ticks(low: float, high: float, *, is_horizontal: bool) -> tuple[tuple[float, str], ...]:
     """Return round numbers between two ends, 1, 2 or 5 times a power of ten apart, with their positions."""
     if not high > low:
         return ()
-    min_step = (high - low) / _TICKS
+    min_step = (high - low) / _MAX_TICKS
     power = 10.0 ** math.floor(math.log10(min_step))
     step = next(factor * power for factor in (1.0, 2.0, 5.0, 10.0) if factor * power >= min_step * (1.0 - 1e-9))
     numbers = step * np.arange(math.ceil(low / step - 1e-9), math.floor(high / step + 1e-9) + 1)
-    positions = (_across if across else _up)(numbers, low, high)
+    positions = (_x_pixels if is_horizontal else _y_pixels)(numbers, low, high)
     return tuple(
         (position, f"{number + 0.0:.4g}") for position, number in zip(positions.tolist(), numbers.tolist(), strict=True)
     )
 
 
-def _thinned(places: FloatArray, kinds: Sequence[str], words: Sequence[str]) -> tuple[tuple[Any, ...], ...]:
+def _thin_unchanged(points: FloatArray, classes: Sequence[str], texts: Sequence[str]) -> tuple[tuple[Any, ...], ...]:
     """Return points with class and text; changed ones last, so that they are on top."""
-    unchanged = [k for k, point_class in enumerate(kinds) if point_class == "both"]
-    changed = [k for k, point_class in enumerate(kinds) if point_class != "both"]
-    stride = max(1, math.ceil(len(unchanged) / _MOST))
+    unchanged = [k for k, point_class in enumerate(classes) if point_class == "both"]
+    changed = [k for k, point_class in enumerate(classes) if point_class != "both"]
+    stride = max(1, math.ceil(len(unchanged) / _MAX_UNCHANGED_POINTS))
     order = [*unchanged[::stride], *changed]
-    return tuple((*places[k].tolist(), kinds[k], words[k]) for k in order)
+    return tuple((*points[k].tolist(), classes[k], texts[k]) for k in order)

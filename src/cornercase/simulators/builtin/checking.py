@@ -11,16 +11,16 @@ from typing import Final
 from lxml import etree
 
 from cornercase._common.errors import InputError
-from cornercase._common.ledger import Label, Notice
-from cornercase._common.places import of_file
-from cornercase.scenario import ConcreteScenario, LogicalScenario, ParameterSpace, Scenario, read_xml
-from cornercase.simulators.builtin.effect import notices_after_reading
+from cornercase._common.ledger import NoticeLabel, Notice
+from cornercase._common.places import prefix_file
+from cornercase.scenario import ConcreteScenario, LogicalScenario, ParameterSpace, ScenarioFile, read_xml
+from cornercase.simulators.builtin.effect import collect_notices
 from cornercase.simulators.builtin.simulator import BuiltinSimulator
 
-_COUNTED: Final = ("ScenarioObject", "Story", "Act", "ManeuverGroup", "Event")
+_COUNTED_ELEMENTS: Final = ("ScenarioObject", "Story", "Act", "ManeuverGroup", "Event")
 
 # ASAM's schema by minor version; files of other versions are validated by the newest one.
-_SCHEMAS: Final = {0: "1.0.0", 1: "1.1.1", 2: "1.2.0", 3: "1.3.0"}
+_SCHEMA_VERSIONS: Final = {0: "1.0.0", 1: "1.1.1", 2: "1.2.0", 3: "1.3.0"}
 
 
 @dataclass(frozen=True, repr=False)
@@ -55,27 +55,27 @@ class Check:
     variables: tuple[str, ...]
     notices: tuple[Notice, ...]
     schema: str | None
-    invalid: tuple[str, ...]
+    schema_errors: tuple[str, ...]
     space: ParameterSpace | None
-    trouble: tuple[str, ...]
-    adapted: tuple[str, ...] = ()
+    run_errors: tuple[str, ...]
+    standard_violations: tuple[str, ...] = ()
 
     @property
-    def good(self) -> bool:
+    def is_valid(self) -> bool:
         """Whether the file can be run and violates neither the schema (if installed) nor, if `strict`, the standard."""
-        return not self.invalid and not self.trouble and not self.adapted
+        return not self.schema_errors and not self.run_errors and not self.standard_violations
 
     def __repr__(self) -> str:
         contents = ", ".join(f"{count} {kind}" for kind, count in self.contents.items() if count)
         validity = "schema not installed" if self.schema is None else f"schema {self.schema}: "
         if self.schema is not None:
-            validity += f"{len(self.invalid)} errors" if self.invalid else "valid"
-        lines = [f"<Check of {self.path.name}: {'cannot' if self.trouble else 'can'} be run, {validity}; {contents}"]
+            validity += f"{len(self.schema_errors)} errors" if self.schema_errors else "valid"
+        lines = [f"<Check of {self.path.name}: {'cannot' if self.run_errors else 'can'} be run, {validity}; {contents}"]
         lines += [notice.sentence for notice in self.notices]
-        return "\n  ".join([*lines, *self.invalid, *self.adapted, *self.trouble]) + ">"
+        return "\n  ".join([*lines, *self.schema_errors, *self.standard_violations, *self.run_errors]) + ">"
 
 
-def check(scenario: Path | str | Scenario, space: Path | str | None = None, *, strict: bool = False) -> Check:
+def check(scenario: Path | str | ScenarioFile, space: Path | str | None = None, *, strict: bool = False) -> Check:
     """Check what a scenario file contains, what has no effect here, and whether it is valid and can be run.
 
     It is validated by ASAM's schema if the extra ``cornercase[validate]`` is installed, and run for one time step: with
@@ -106,54 +106,54 @@ def check(scenario: Path | str | Scenario, space: Path | str | None = None, *, s
     >>> found.good, found.contents["ScenarioObject"]
     (True, 2)
     """
-    file = scenario if isinstance(scenario, Scenario) else Scenario.read(scenario)
+    file = scenario if isinstance(scenario, ScenarioFile) else ScenarioFile.read(scenario)
     tags = Counter(str(e.tag) for e in file.root.iter() if isinstance(e.tag, str))
     run_errors, parameter_space = [], None
     try:
         concrete = ConcreteScenario(file.path, {}, file)
         if space is not None:
             parameter_space = LogicalScenario.read(file, space).space
-            (values,) = parameter_space.values(parameter_space.middle())
+            (values,) = parameter_space.values(parameter_space.center_point())
             concrete = ConcreteScenario(file.path, values, file)
         (result,) = BuiltinSimulator(duration=0.05).run([concrete])
         if isinstance(result, Exception):
-            run_errors.append(of_file(file.path, f"{result}."))
+            run_errors.append(prefix_file(file.path, f"{result}."))
     except InputError as error:
         run_errors.append(str(error))
-    version, schema_violations = _validate(file.as_written() if strict else file.root)
+    version, schema_violations = _validate_by_schema(file.parse_unnormalized() if strict else file.root)
     if space is not None:
-        _, space_violations = _validate(read_xml(Path(space)))
+        _, space_violations = _validate_by_schema(read_xml(Path(space)))
         schema_violations += [f"{space}: {violation}" for violation in space_violations]
-    notices = notices_after_reading(file, read=not run_errors)
+    notices = collect_notices(file, is_complete=not run_errors)
     return Check(
         path=file.path,
-        contents={tag: tags[tag] for tag in _COUNTED},
+        contents={tag: tags[tag] for tag in _COUNTED_ELEMENTS},
         parameters=file.parameters,
         variables=tuple(e.get("name", "") for e in file.root.iterfind("VariableDeclarations/VariableDeclaration")),
         notices=notices,
         schema=version,
-        invalid=tuple(schema_violations),
+        schema_errors=tuple(schema_violations),
         space=parameter_space,
-        trouble=tuple(run_errors),
-        adapted=tuple(
+        run_errors=tuple(run_errors),
+        standard_violations=tuple(
             f"{notice}. The standard: {notice.rule}" if notice.rule else str(notice)
             for notice in notices
-            if strict and notice.label is Label.ADAPTED
+            if strict and notice.label is NoticeLabel.ADAPTED
         ),
     )
 
 
 def schema_errors(root: etree._Element) -> list[str] | None:
     """Errors by the schema of the file's version, one line each; None if the schema is not installed."""
-    version, errors = _validate(root)
+    version, errors = _validate_by_schema(root)
     return None if version is None else errors
 
 
-def _validate(root: etree._Element) -> tuple[str | None, list[str]]:
+def _validate_by_schema(root: etree._Element) -> tuple[str | None, list[str]]:
     """Version of the schema (None if not installed), and at most 20 errors with their lines."""
     header = root.find("FileHeader")
     minor = "" if header is None else header.get("revMinor", "")
-    version = _SCHEMAS.get(int(minor) if minor.isdecimal() and len(minor) < 4 else -1, _SCHEMAS[3])
+    version = _SCHEMA_VERSIONS.get(int(minor) if minor.isdecimal() and len(minor) < 4 else -1, _SCHEMA_VERSIONS[3])
     try:
         folder = resources.files("qc_openscenario") / "schema"
     except ModuleNotFoundError:

@@ -8,13 +8,13 @@ from threading import Lock
 
 
 @contextmanager
-def turn_given_up(turn: Lock | None) -> Iterator[None]:
+def release_gil_lock(gil_lock: Lock | None) -> Iterator[None]:
     """Release a lock while compiled code runs in the block; None if there is no lock."""
-    if turn is None:
+    if gil_lock is None:
         yield
         return
-    turn.release()
+    gil_lock.release()
     try:
         yield
     finally:
-        turn.acquire()
+        gil_lock.acquire()

@@ -22,10 +22,10 @@ from srunner.tools.openscenario_parser import OpenScenarioParser
 from srunner.tools.route_manipulation import interpolate_trajectory
 
 # Distance in m that a vehicle continues along its lane after its route, so that it does not block others.
-_BEYOND = 200.0
-_STEP = 2.0
+_EXTENSION = 200.0
+_WAYPOINT_STEP = 2.0
 # Distance in m after which diverging lanes on a junction can be distinguished.
-_AHEAD = 15.0
+_LOOKAHEAD = 15.0
 
 
 class CornercaseDriver(NpcVehicleControl):  # type: ignore[misc]
@@ -47,12 +47,12 @@ class CornercaseDriver(NpcVehicleControl):  # type: ignore[misc]
         ]
         self._agent: Any = None
         if args.get("agent"):
-            self._agent = _OwnAgent(actor, args["agent"], args.get("agent_config", ""), targets)
+            self._agent = _UserAgent(actor, args["agent"], args.get("agent_config", ""), targets)
         elif args.get("behavior"):
             self._agent = BehaviorAgent(actor, behavior=args["behavior"])
-            self._agent.set_global_plan(_plan(actor, targets))
+            self._agent.set_global_plan(_plan_route(actor, targets))
         elif targets:
-            self._local_planner.set_global_plan(_plan(actor, targets))
+            self._local_planner.set_global_plan(_plan_route(actor, targets))
 
     def run_step(self) -> None:
         """Control the vehicle in one tick."""
@@ -74,13 +74,13 @@ class CornercaseDriver(NpcVehicleControl):  # type: ignore[misc]
 
     def reset(self) -> None:
         """Release the agent's resources."""
-        if isinstance(self._agent, _OwnAgent):
+        if isinstance(self._agent, _UserAgent):
             self._agent.close()
         self._agent = None
         super().reset()
 
 
-class _OwnAgent:
+class _UserAgent:
     """The user's agent, run as ScenarioRunner does in route scenarios only."""
 
     def __init__(self, actor: Any, file: str, config: str, targets: List[Any]) -> None:
@@ -104,29 +104,29 @@ class _OwnAgent:
         self._agent.destroy()
 
 
-def _plan(actor: Any, targets: List[Any]) -> List[Tuple[Any, Any]]:
+def _plan_route(actor: Any, targets: List[Any]) -> List[Tuple[Any, Any]]:
     """Waypoints and road options from the actor's position along a route, and beyond."""
     planner = CarlaDataProvider.get_global_route_planner()
     start = CarlaDataProvider.get_location(actor) or actor.get_location()
     plan: List[Tuple[Any, Any]] = []
     for target in targets:
         # A route may start at the actor's position.
-        if target.distance(start) > _STEP:
+        if target.distance(start) > _WAYPOINT_STEP:
             plan.extend(planner.trace_route(start, target))
             start = target
     if plan:
         last = plan[-1][0]
-        for _ in range(int(_BEYOND / _STEP)):
-            following = last.next(_STEP)
+        for _ in range(int(_EXTENSION / _WAYPOINT_STEP)):
+            following = last.next(_WAYPOINT_STEP)
             if not following:
                 break
             current = last
-            last = min(following, key=lambda point: abs(_turn(current, (point.next(_AHEAD) or [point])[0])))
+            last = min(following, key=lambda point: abs(_direction_difference(current, (point.next(_LOOKAHEAD) or [point])[0])))
             plan.append((last, RoadOption.LANEFOLLOW))
     return plan
 
 
-def _turn(one: Any, other: Any) -> float:
+def _direction_difference(waypoint: Any, other: Any) -> float:
     """Difference of two waypoints' directions in degrees."""
-    turn = float(other.transform.rotation.yaw - one.transform.rotation.yaw)
+    turn = float(other.transform.rotation.yaw - waypoint.transform.rotation.yaw)
     return (turn + 180.0) % 360.0 - 180.0

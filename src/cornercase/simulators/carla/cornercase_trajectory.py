@@ -14,9 +14,9 @@ from srunner.scenariomanager.actorcontrols.basic_control import BasicControl
 from srunner.scenariomanager.timer import GameTime
 
 # Time in s within which a velocity leads to the target position, if the time step is unknown.
-_AHEAD = 0.05
+_DEFAULT_STEP = 0.05
 # Distance in m from the target position beyond which an entity is placed there.
-_FAR = 3.0
+_MAX_DEVIATION = 3.0
 
 
 class CornercaseTrajectory(BasicControl):  # type: ignore[misc]
@@ -34,10 +34,10 @@ class CornercaseTrajectory(BasicControl):  # type: ignore[misc]
         super().__init__(actor)
         is_movable = isinstance(actor, (carla.Vehicle, carla.Walker))
         actor_center_x = float(actor.bounding_box.location.x) if is_movable else 0.0
-        self._shift = float((args or {}).get("center_x", actor_center_x)) - actor_center_x
+        self._origin_offset = float((args or {}).get("center_x", actor_center_x)) - actor_center_x
         # Times of the trajectory start at the first tick of the run.
-        self._since: Optional[float] = None
-        self._before: Optional[float] = None
+        self._start_time: Optional[float] = None
+        self._last_time: Optional[float] = None
 
     def reset(self) -> None:
         """Release the actor."""
@@ -46,24 +46,24 @@ class CornercaseTrajectory(BasicControl):  # type: ignore[misc]
     def run_step(self) -> None:
         """Move the entity in one tick."""
         now = GameTime.get_time()
-        if self._since is None:
-            self._since = now
+        if self._start_time is None:
+            self._start_time = now
         if self._actor is None or not self._actor.is_alive or not self._waypoints or not self._times:
             return
-        step = now - self._before if self._before is not None and now > self._before else _AHEAD
-        self._before = now
-        elapsed = now - self._since
+        step = now - self._last_time if self._last_time is not None and now > self._last_time else _DEFAULT_STEP
+        self._last_time = now
+        elapsed = now - self._start_time
         self._reached_goal = elapsed > self._times[-1]
-        x, y, yaw = self._place(elapsed + step)
+        x, y, yaw = self._pose_at(elapsed + step)
         transform = self._actor.get_transform()
         dx, dy = x - transform.location.x, y - transform.location.y
         if isinstance(self._actor, carla.Walker):
-            self._walk(dx, dy, step)
-        elif isinstance(self._actor, carla.Vehicle) and math.hypot(dx, dy) < _FAR + self._speed(elapsed) * step:
+            self._move_walker(dx, dy, step)
+        elif isinstance(self._actor, carla.Vehicle) and math.hypot(dx, dy) < _MAX_DEVIATION + self._speed_at(elapsed) * step:
             vertical_speed = self._actor.get_velocity().z
             self._actor.set_target_velocity(carla.Vector3D(dx / step, dy / step, vertical_speed))
             self._actor.set_target_angular_velocity(
-                carla.Vector3D(0.0, 0.0, _turn(yaw - transform.rotation.yaw) / step)
+                carla.Vector3D(0.0, 0.0, _wrap_degrees(yaw - transform.rotation.yaw) / step)
             )
         else:
             location = carla.Location(x, y, transform.location.z)
@@ -71,9 +71,9 @@ class CornercaseTrajectory(BasicControl):  # type: ignore[misc]
                 carla.Transform(location, carla.Rotation(transform.rotation.pitch, yaw, transform.rotation.roll))
             )
 
-    def _walk(self, dx: float, dy: float, step: float) -> None:
+    def _move_walker(self, dx: float, dy: float, step: float) -> None:
         distance = math.hypot(dx, dy)
-        if distance > _FAR:
+        if distance > _MAX_DEVIATION:
             transform = self._actor.get_transform()
             transform.location.x, transform.location.y = transform.location.x + dx, transform.location.y + dy
             self._actor.set_transform(transform)
@@ -82,7 +82,7 @@ class CornercaseTrajectory(BasicControl):  # type: ignore[misc]
         )
         self._actor.apply_control(carla.WalkerControl(direction, distance / step if distance > 1e-4 else 0.0, False))
 
-    def _leg(self, elapsed: float) -> Tuple[int, float]:
+    def _leg_at(self, elapsed: float) -> Tuple[int, float]:
         """Index of the vertex before an instant, and the fraction of the leg to the next one."""
         assert self._times is not None
         last = len(self._times) - 1
@@ -93,29 +93,29 @@ class CornercaseTrajectory(BasicControl):  # type: ignore[misc]
         span = self._times[k + 1] - self._times[k]
         return k, min(max((elapsed - self._times[k]) / span, 0.0), 1.0) if span > 0.0 else 1.0
 
-    def _place(self, elapsed: float) -> Tuple[float, float, float]:
+    def _pose_at(self, elapsed: float) -> Tuple[float, float, float]:
         """Pose of CARLA's origin of the entity at an instant: x and y in m, yaw in degrees."""
-        k, fraction = self._leg(elapsed)
+        k, fraction = self._leg_at(elapsed)
         start = self._waypoints[k]
         end = self._waypoints[min(k + 1, len(self._waypoints) - 1)]
         x = start.location.x + fraction * (end.location.x - start.location.x)
         y = start.location.y + fraction * (end.location.y - start.location.y)
-        yaw = start.rotation.yaw + fraction * _turn(end.rotation.yaw - start.rotation.yaw)
+        yaw = start.rotation.yaw + fraction * _wrap_degrees(end.rotation.yaw - start.rotation.yaw)
         return (
-            x + self._shift * math.cos(math.radians(yaw)),
-            y + self._shift * math.sin(math.radians(yaw)),
+            x + self._origin_offset * math.cos(math.radians(yaw)),
+            y + self._origin_offset * math.sin(math.radians(yaw)),
             yaw,
         )
 
-    def _speed(self, elapsed: float) -> float:
+    def _speed_at(self, elapsed: float) -> float:
         assert self._times is not None
-        k, _ = self._leg(elapsed)
+        k, _ = self._leg_at(elapsed)
         next_index = min(k + 1, len(self._waypoints) - 1)
         span = self._times[next_index] - self._times[k]
         distance = self._waypoints[k].location.distance(self._waypoints[next_index].location)
         return float(distance / span) if span > 0.0 else 0.0
 
 
-def _turn(degrees: float) -> float:
+def _wrap_degrees(degrees: float) -> float:
     """Wrap an angle in degrees to half a turn."""
     return (degrees + 180.0) % 360.0 - 180.0

@@ -10,19 +10,19 @@ from typing import Final
 from lxml import etree
 
 from cornercase._common.errors import InputError
-from cornercase.simulators.carla.storyboard import plain
+from cornercase.simulators.carla.storyboard import format_number
 
-DRIVER: Final = Path(__file__).with_name("cornercase_driver.py")
-TRAJECTORY: Final = Path(__file__).with_name("cornercase_trajectory.py")
+DRIVER_FILE: Final = Path(__file__).with_name("cornercase_driver.py")
+TRAJECTORY_FILE: Final = Path(__file__).with_name("cornercase_trajectory.py")
 BEHAVIORS: Final = ("aggressive", "cautious", "normal")
-_UNTOUCHED: Final = (
+_INACTIVE_OVERRIDES: Final = (
     ("Throttle", "value"), ("Brake", "value"), ("Clutch", "value"), ("ParkingBrake", "value"),
     ("SteeringWheel", "value"), ("Gear", "number"),
 )  # fmt: skip
 
 
 @dataclass(frozen=True)
-class Agents:
+class DrivingAgents:
     """Agents that drive entities instead of the storyboard.
 
     `behaviors`: CARLA's behaviour agents by entity; `agent` and `config`: the user's own agent, which drives the ego,
@@ -33,13 +33,13 @@ class Agents:
     agent: Path | None = None
     config: Path | None = None
 
-    def driven(self, ego: str) -> set[str]:
+    def driven_entities(self, ego: str) -> set[str]:
         """Entities that an agent drives."""
         return set(self.behaviors) | ({ego} if self.agent is not None else set())
 
 
 def assign_controllers(
-    root: etree._Element, source: Path, ego: str, agents: Agents, sampled: Mapping[str, float]
+    root: etree._Element, source: Path, ego: str, agents: DrivingAgents, box_offsets: Mapping[str, float]
 ) -> set[Path]:
     """Assign controllers to entities that ScenarioRunner's own controls do not move; return those that it must find.
 
@@ -50,21 +50,21 @@ def assign_controllers(
     controllers = set()
     for private in root.iterfind("Storyboard/Init/Actions/Private"):
         entity = private.get("entityRef", "")
-        route = _taken_route(private)
+        route = _pop_initial_route(private)
         properties = {}
-        if entity in sampled:
-            properties = {"module": TRAJECTORY.name, "center_x": plain(sampled[entity])}
+        if entity in box_offsets:
+            properties = {"module": TRAJECTORY_FILE.name, "center_x": format_number(box_offsets[entity])}
         elif entity == ego and agents.agent is not None:
-            properties = {"module": DRIVER.name, "agent": str(agents.agent), "agent_config": str(agents.config or "")}
+            properties = {"module": DRIVER_FILE.name, "agent": str(agents.agent), "agent_config": str(agents.config or "")}
         elif entity in agents.behaviors:
             if not len(route):
                 raise InputError(
                     f"{source}: '{entity}' needs a route for CARLA's behaviour agent; give it an <AssignRouteAction> or"
                     " an <AcquirePositionAction> in <Init>."
                 )
-            properties = {"module": DRIVER.name, "behavior": agents.behaviors[entity]}
+            properties = {"module": DRIVER_FILE.name, "behavior": agents.behaviors[entity]}
         elif len(route):
-            properties = {"module": DRIVER.name}
+            properties = {"module": DRIVER_FILE.name}
         if not properties:
             continue
         if len(route):
@@ -72,12 +72,12 @@ def assign_controllers(
         for old_action in private.findall("PrivateAction"):
             if old_action.find("ControllerAction") is not None:
                 private.remove(old_action)
-        private.append(_controller_action(entity, properties))
-        controllers.add(TRAJECTORY if entity in sampled else DRIVER)
+        private.append(_make_controller_action(entity, properties))
+        controllers.add(TRAJECTORY_FILE if entity in box_offsets else DRIVER_FILE)
     return controllers
 
 
-def _taken_route(private: etree._Element) -> etree._Element:
+def _pop_initial_route(private: etree._Element) -> etree._Element:
     """Remove an entity's initial route, and return its positions."""
     route = etree.Element("route")
     for action in private.findall("PrivateAction"):
@@ -89,7 +89,7 @@ def _taken_route(private: etree._Element) -> etree._Element:
     return route
 
 
-def _controller_action(entity: str, properties: Mapping[str, str]) -> etree._Element:
+def _make_controller_action(entity: str, properties: Mapping[str, str]) -> etree._Element:
     action = etree.Element("PrivateAction")
     controller_action = etree.SubElement(action, "ControllerAction")
     controller = etree.SubElement(
@@ -100,6 +100,6 @@ def _controller_action(entity: str, properties: Mapping[str, str]) -> etree._Ele
         etree.SubElement(holder, "Property", name=name, value=value)
     # Required in 1.0; all inactive, since ScenarioRunner would execute them.
     override = etree.SubElement(controller_action, "OverrideControllerValueAction")
-    for tag, attribute in _UNTOUCHED:
+    for tag, attribute in _INACTIVE_OVERRIDES:
         etree.SubElement(override, tag, {attribute: "0", "active": "false"})
     return action

@@ -9,22 +9,22 @@ from typing import Final
 from lxml import etree
 
 from cornercase._common.errors import InputError
-from cornercase.scenario import criterion_name
+from cornercase.scenario import runner_criterion_name
 
 # ScenarioRunner's own controllers; it would import any module that a scenario names.
-_MODULES: Final = (
+_ALLOWED_CONTROLLER_MODULES: Final = (
     "carla_autopilot", "external_control", "npc_vehicle_control", "pedestrian_control", "simple_vehicle_control",
     "vehicle_longitudinal_control",
 )  # fmt: skip
 
 # Criteria of ScenarioRunner that only need an actor and a number; it would instantiate any named class.
-_CRITERIA: Final = (
+_SUPPORTED_CRITERIA: Final = (
     "AverageVelocityTest", "CollisionTest", "DrivenDistanceTest", "EndofRoadTest", "KeepLaneTest", "MaxVelocityTest",
     "OffRoadTest", "OnSidewalkTest", "RunningRedLightTest", "RunningStopTest", "WrongLaneTest",
 )  # fmt: skip
 
 
-def take_out_criteria(root: etree._Element) -> dict[str, etree._Element]:
+def pop_criteria(root: etree._Element) -> dict[str, etree._Element]:
     """Remove stop trigger groups with criteria of ScenarioRunner, which never become true; return them by name."""
     declared = {declaration.get("name") for declaration in root.iterfind("ParameterDeclarations/ParameterDeclaration")}
     criteria: dict[str, etree._Element] = {}
@@ -32,7 +32,7 @@ def take_out_criteria(root: etree._Element) -> dict[str, etree._Element]:
         for group in trigger.findall("ConditionGroup"):
             for condition in group.findall("Condition"):
                 parameter_condition = condition.find("ByValueCondition/ParameterCondition")
-                name = "" if parameter_condition is None else criterion_name(parameter_condition)
+                name = "" if parameter_condition is None else runner_criterion_name(parameter_condition)
                 if parameter_condition is not None and name and parameter_condition.get("parameterRef") not in declared:
                     criteria.setdefault(name, condition)
                     if group in trigger:
@@ -40,21 +40,21 @@ def take_out_criteria(root: etree._Element) -> dict[str, etree._Element]:
     return criteria
 
 
-def put_in_criteria(root: etree._Element, criteria: Mapping[str, etree._Element]) -> list[str]:
+def add_criteria(root: etree._Element, criteria: Mapping[str, etree._Element]) -> list[str]:
     """Add the criteria that ScenarioRunner may judge a run by; return notes on those left out."""
     stop = root.find("Storyboard/StopTrigger")
     assert stop is not None
-    supported = [condition for name, condition in criteria.items() if name in _CRITERIA]
+    supported = [condition for name, condition in criteria.items() if name in _SUPPORTED_CRITERIA]
     if supported:
         etree.SubElement(stop, "ConditionGroup").extend(supported)
     return [
         f"'{condition.get('name')}' is left out: ScenarioRunner has no such criterion, or needs more arguments for it."
         for name, condition in criteria.items()
-        if name not in _CRITERIA
+        if name not in _SUPPORTED_CRITERIA
     ]
 
 
-def refuse_code(root: etree._Element, source: Path) -> None:
+def refuse_code_injection(root: etree._Element, source: Path) -> None:
     """Refuse a concrete scenario that names code for ScenarioRunner to run.
 
     That is: a user-defined action, a controller module that is not ScenarioRunner's own, or a condition that
@@ -68,7 +68,7 @@ def refuse_code(root: etree._Element, source: Path) -> None:
             " code that a scenario names is not run."
         )
     for module in root.iterfind(".//Property[@name='module']"):
-        if module.get("value") not in _MODULES:
+        if module.get("value") not in _ALLOWED_CONTROLLER_MODULES:
             raise InputError(
                 f"{source}: a controller names the module '{module.get('value')}', but code that a scenario names is"
                 " not run; give your own as `simulator` carla:agent=FILE."

@@ -12,31 +12,31 @@ from typing import Final
 import numpy as np
 from lxml import etree
 
-from cornercase._common.arguments import numbers_or_texts, path
+from cornercase._common.arguments import check_parameter_values, check_path
 from cornercase._common.errors import InputError
-from cornercase._common.files import require_other_file, written_whole
-from cornercase._common.pending_files import written_together
-from cornercase.scenario import DRIVER_PROPERTY, Scenario, Scope, Value, copy_beside, turn_axes
+from cornercase._common.files import check_output_differs_from_source, atomic_write
+from cornercase._common.pending_files import atomic_write_group
+from cornercase.scenario import DRIVER_PROPERTY, ScenarioFile, Scope, Value, copy_companion_file, mirror_axes
 from cornercase.simulators.builtin.checking import schema_errors
-from cornercase.simulators.carla.dialect import Agents, assign_controllers
-from cornercase.simulators.carla.foreign_code import put_in_criteria, refuse_code, take_out_criteria
-from cornercase.simulators.carla.lanes import heights, strays
-from cornercase.simulators.carla.plan import Plan, kept_ends, plan, refuse
+from cornercase.simulators.carla.dialect import DrivingAgents, assign_controllers
+from cornercase.simulators.carla.foreign_code import add_criteria, refuse_code_injection, pop_criteria
+from cornercase.simulators.carla.lanes import initial_heights, find_deviating_entities
+from cornercase.simulators.carla.plan import ActorPlan, select_stop_conditions, plan_actors, refuse_unsupported
 from cornercase.simulators.carla.storyboard import (
-    end_acts,
-    end_at,
-    leave_out,
-    name_apart,
+    copy_stop_trigger_to_acts,
+    set_end_time,
+    remove_ineffective,
+    make_names_unique,
     remove_element,
-    set_beginning,
-    start_at_once,
-    take_over,
+    set_initial_state,
+    add_missing_start_triggers,
+    remove_entities_from_storyboard,
 )
-from cornercase.simulators.carla.trajectories import add_trajectories, sample
+from cornercase.simulators.carla.trajectories import add_trajectories, simulate_builtin
 
-_MINOR: Final = 0
+_MINOR_REVISION: Final = 0
 # Attributes introduced after 1.0 that do not change the meaning of the rest.
-_LATER: Final = {
+_LATER_ATTRIBUTES: Final = {
     "SynchronizeAction": ("targetTolerance", "targetToleranceMaster"),
     "Vehicle": ("mass", "role", "model3d"),
     "Pedestrian": ("role", "model3d"),
@@ -49,12 +49,12 @@ _LATER: Final = {
     "DynamicConstraints": ("maxAccelerationRate", "maxDecelerationRate"),
     "Performance": ("maxAccelerationRate", "maxDecelerationRate"),
 }
-_NAMED: Final = str.maketrans("", "", "${}")
-_RULES: Final = {"greaterOrEqual": "greaterThan", "lessOrEqual": "lessThan"}
+_PARAMETER_CHARACTERS: Final = str.maketrans("", "", "${}")
+_RULES_IN_1_0: Final = {"greaterOrEqual": "greaterThan", "lessOrEqual": "lessThan"}
 # Numbers and truth values of XML.
-_NUMBER: Final = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?|-?INF|NaN|true|false", re.ASCII)
-_MOST_ENTITIES: Final = 500
-_TURNED: Final = (
+_NUMBER_PATTERN: Final = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?|-?INF|NaN|true|false", re.ASCII)
+_MAX_ENTITIES: Final = 500
+_AXES_NOTE: Final = (
     "Positions were converted from CARLA's left-handed axes (the description begins with 'CARLA:') to those of the road"
     " file; the new file's description lacks this prefix."
 )
@@ -81,7 +81,7 @@ class Conversion:
 
 
 def convert(
-    scenario: Scenario | Path | str,
+    scenario: ScenarioFile | Path | str,
     output: Path | str,
     *,
     ego: str,
@@ -120,15 +120,15 @@ def convert(
     >>> convert("t_intersection.xosc", "t10.xosc", ego="Ego", values={"c_speed": 9.0}).notes  # doctest: +SKIP
     ("Ego is driven by the agent that ScenarioRunner gives it, not by cornercase's driver 'normal'.", ...)
     """
-    if not isinstance(scenario, Scenario):
-        scenario = Scenario.read(scenario)
-    output, checked_values = path("output", output), numbers_or_texts("values", values)
-    require_other_file(output, scenario.path)
-    return Conversion(output, write_1_0(scenario, checked_values, output, ego=ego, run=Run(judged=True)))
+    if not isinstance(scenario, ScenarioFile):
+        scenario = ScenarioFile.read(scenario)
+    output, checked_values = check_path("output", output), check_parameter_values("values", values)
+    check_output_differs_from_source(output, scenario.path)
+    return Conversion(output, write_openscenario_1_0(scenario, checked_values, output, ego=ego, options=ConversionOptions(with_criteria=True)))
 
 
 @dataclass(frozen=True)
-class Run:
+class ConversionOptions:
     """Options of a converted scenario.
 
     `agents` drive entities instead of the storyboard; `time_step` and `duration` in s; `open_loop`: an entity may move
@@ -137,28 +137,28 @@ class Run:
     ScenarioRunner judges the run by the scenario's criteria.
     """
 
-    agents: Agents = field(default_factory=Agents)
+    agents: DrivingAgents = field(default_factory=DrivingAgents)
     time_step: float = 0.05
     duration: float = 60.0
     open_loop: bool = True
     road_file: str = ""
     controllers: str = ""
-    judged: bool = False
+    with_criteria: bool = False
 
 
-def write_1_0(
-    scenario: Scenario, values: Mapping[str, Value], target: Path | str, *, ego: str, run: Run | None = None
+def write_openscenario_1_0(
+    scenario: ScenarioFile, values: Mapping[str, Value], target: Path | str, *, ego: str, options: ConversionOptions | None = None
 ) -> tuple[str, ...]:
     """Write a concrete scenario for ScenarioRunner, as `convert` does; return notes on differences."""
-    run = run or Run()
-    scenario.require_parameters(list(values))
+    options = options or ConversionOptions()
+    scenario.require_declared(list(values))
     scenario.require_entity(ego, "ego")
-    target, road = Path(target), scenario.road_file(values)
-    town = carla_map(scenario, values)
+    target, road = Path(target), scenario.road_path_for(values)
+    town = carla_map_name(scenario, values)
     missing_map = "" if road is None or road.exists() else town
-    root, notes, controllers = _tree_1_0(scenario, values, ego, run, missing_map)
+    root, notes, controllers = _make_tree_1_0(scenario, values, ego, options, missing_map)
     # A scenario must not choose the name of a written file: ScenarioRunner would import 'carla.py'.
-    road_file = run.road_file or f"{target.stem}.xodr"
+    road_file = options.road_file or f"{target.stem}.xodr"
     file = root.find("RoadNetwork/LogicFile")
     if road is not None and file is not None:
         try:
@@ -173,112 +173,112 @@ def write_1_0(
     content = io.BytesIO()
     # Into memory: lxml may silently lose data when it writes to a full disk.
     etree.ElementTree(root).write(content, encoding="utf-8", xml_declaration=True, pretty_print=True)
-    with written_together():
+    with atomic_write_group():
         if road is not None and not town:
-            copy_beside(road, target.parent / road_file, "OpenDRIVE")
+            copy_companion_file(road, target.parent / road_file, "OpenDRIVE")
         for controller in controllers:
-            with written_whole(target.parent / run.controllers / controller.name) as temporary:
+            with atomic_write(target.parent / options.controllers / controller.name) as temporary:
                 temporary.write_bytes(controller.read_bytes())
-        with written_whole(target) as temporary:
+        with atomic_write(target) as temporary:
             temporary.write_bytes(content.getvalue())
     return tuple(dict.fromkeys(notes))
 
 
-def carla_map(scenario: Scenario, values: Mapping[str, Value]) -> str:
+def carla_map_name(scenario: ScenarioFile, values: Mapping[str, Value]) -> str:
     """Return the name of CARLA's map that a scenario names instead of a road file; empty for a file or no road."""
-    reference = scenario.road_reference(values)
-    road = scenario.beside(reference, "road file")
+    reference = scenario.road_reference_for(values)
+    road = scenario.resolve_path(reference, "road file")
     if not reference or road.exists() or not re.fullmatch(r"\w+", road.name, re.ASCII):
         return ""
     return road.name
 
 
-def concrete_tree(scenario: Scenario, values: Mapping[str, Value]) -> etree._Element:
+def make_concrete_tree(scenario: ScenarioFile, values: Mapping[str, Value]) -> etree._Element:
     """Return the tree of a concrete scenario without parameters and catalog references.
 
     Raises `InputError` if a value cannot be evaluated or breaks a constraint, or there are too many entities.
     """
     # The time grows with the square of the number of entities.
-    if len(scenario.entities) > _MOST_ENTITIES:
+    if len(scenario.entities) > _MAX_ENTITIES:
         raise InputError(
-            f"{scenario.path}: has {len(scenario.entities)} entities; at most {_MOST_ENTITIES} can be written."
+            f"{scenario.path}: has {len(scenario.entities)} entities; at most {_MAX_ENTITIES} can be written."
         )
     root = etree.fromstring(etree.tostring(scenario.root))
-    scope = Scope.of_file(str(scenario.path), scenario.root, [dict(values)], scenario.catalog_entry)
-    if scope.violations(scenario.root):
+    scope = Scope.from_file(str(scenario.path), scenario.root, [dict(values)], scenario.find_catalog_entry)
+    if scope.find_violations_in(scenario.root):
         raise InputError(f"{scenario.path}: the values break a constraint of the parameters' declarations.")
     # The scope contains the file's own declarations already, with the given values.
     for child in root:
-        _resolve(child, scope)
-    _trim(root)
+        _resolve_expressions(child, scope)
+    _trim_numbers(root)
     if scenario.is_left_handed:
-        turn_axes(root)
+        mirror_axes(root)
     return root
 
 
-def _tree_1_0(
-    scenario: Scenario, values: Mapping[str, Value], ego: str, run: Run, town: str
+def _make_tree_1_0(
+    scenario: ScenarioFile, values: Mapping[str, Value], ego: str, options: ConversionOptions, map_name: str
 ) -> tuple[etree._Element, list[str], set[Path]]:
     """Return the tree of a concrete scenario in OpenSCENARIO 1.0, notes on differences, and needed controllers."""
-    root = concrete_tree(scenario, values)
-    criteria = take_out_criteria(root)
-    refuse_code(root, scenario.path)
-    _header(root, scenario.path)
-    _name_members(root)
-    refuse(root, scenario.path)
-    driven = run.agents.driven(ego)
+    root = make_concrete_tree(scenario, values)
+    criteria = pop_criteria(root)
+    refuse_code_injection(root, scenario.path)
+    _rewrite_header(root, scenario.path)
+    _expand_selections(root)
+    refuse_unsupported(root, scenario.path)
+    driven = options.agents.driven_entities(ego)
     if ego in scenario.drivers:
         # The ego is the system under test, driven by an agent that the file cannot name.
         driven.add(ego)
-    recording = None if town else sample(scenario, values, run.time_step, run.duration)
-    road = scenario.road_file(values)
-    astray = {} if recording is None else strays(recording, road, scenario)
+    recording = None if map_name else simulate_builtin(scenario, values, options.time_step, options.duration)
+    road = scenario.road_path_for(values)
+    astray = {} if recording is None else find_deviating_entities(recording, road, scenario)
     slowest = (
         {} if recording is None else dict(zip(recording.names, np.fmin.reduce(recording.speed, axis=1), strict=True))
     )
-    axes_notes = (_TURNED,) if scenario.is_left_handed else ()
-    actor_plan = plan(root, sorted(driven), scenario.path, town, astray, slowest)
+    axes_notes = (_AXES_NOTE,) if scenario.is_left_handed else ()
+    actor_plan = plan_actors(root, sorted(driven), scenario.path, map_name, astray, slowest)
     notes = [*axes_notes, *actor_plan.notes]
-    for name in actor_plan.sampled if not run.open_loop else ():
+    for name in actor_plan.sampled if not options.open_loop else ():
         if name in actor_plan.reacting:
             raise InputError(
                 f"{scenario.path}: '{name}' has to react to {' and '.join(sorted(driven))}, but ScenarioRunner cannot"
                 f" move it like that ({actor_plan.sampled[name][0]}); with `simulator` carla:open_loop=true it moves as"
                 " in the builtin simulator, without reacting."
             )
-    kept_groups = kept_ends(root, actor_plan, driven or ({ego} if town else set()))
-    leave_out(root)
-    take_over(root, set(actor_plan.sampled) | actor_plan.dropped)
-    _entities(root, ego, actor_plan, notes)
+    kept_groups = select_stop_conditions(root, actor_plan, driven or ({ego} if map_name else set()))
+    remove_ineffective(root)
+    remove_entities_from_storyboard(root, set(actor_plan.sampled) | actor_plan.dropped)
+    _rewrite_entities(root, ego, actor_plan, notes)
     notes += add_trajectories(root, recording, list(actor_plan.sampled), ego)
     centers: dict[str, float] = {}
-    end = run.duration
+    end = options.duration
     if recording is not None:
         by_storyboard = set(recording.names) - set(actor_plan.sampled)
-        set_beginning(root, recording, by_storyboard, heights(recording, road, scenario))
+        set_initial_state(root, recording, by_storyboard, initial_heights(recording, road, scenario))
         centers = dict(zip(recording.names, map(float, recording.center_x), strict=True))
         last_time = float(recording.time[-1])
         # If nothing ends the scenario, the caller ends it.
         end += 1.0
-        if not kept_groups and last_time < run.duration - 0.5 * run.time_step:
+        if not kept_groups and last_time < options.duration - 0.5 * options.time_step:
             # Time conditions become true in the first frame after the time.
-            end = last_time - 0.5 * run.time_step
-    end_at(root, end, kept_groups)
-    end_acts(root)
-    start_at_once(root)
-    name_apart(root)
-    if run.judged:
-        notes += put_in_criteria(root, criteria)
-    _conditions(root, scenario.path, notes)
-    _synchronised(root, scenario, notes)
-    _later_words(root)
+            end = last_time - 0.5 * options.time_step
+    set_end_time(root, end, kept_groups)
+    copy_stop_trigger_to_acts(root)
+    add_missing_start_triggers(root)
+    make_names_unique(root)
+    if options.with_criteria:
+        notes += add_criteria(root, criteria)
+    _rewrite_conditions(root, scenario.path, notes)
+    _add_final_speeds(root, scenario, notes)
+    _remove_later_attributes(root)
     controllers = assign_controllers(
-        root, scenario.path, ego, run.agents, {name: centers[name] for name in actor_plan.sampled}
+        root, scenario.path, ego, options.agents, {name: centers[name] for name in actor_plan.sampled}
     )
     return root, notes, controllers
 
 
-def _header(root: etree._Element, source: Path) -> None:
+def _rewrite_header(root: etree._Element, source: Path) -> None:
     for unused in root.iter("ParameterDeclarations", "CatalogLocations"):
         unused.clear()
     for unused in root.findall("VariableDeclarations") + root.findall("MonitorDeclarations"):
@@ -287,7 +287,7 @@ def _header(root: etree._Element, source: Path) -> None:
     if header is None:
         raise InputError(f"{source}: has no <FileHeader>.")
     header.set("revMajor", "1")
-    header.set("revMinor", str(_MINOR))
+    header.set("revMinor", str(_MINOR_REVISION))
     # ScenarioRunner names files after the description, and a leading 'CARLA:' would change the axes.
     header.set("description", "cornercase")
     for child in list(header):
@@ -295,7 +295,7 @@ def _header(root: etree._Element, source: Path) -> None:
     header.text = None
 
 
-def _name_members(root: etree._Element) -> None:
+def _expand_selections(root: etree._Element) -> None:
     """Replace entity selections by their members, since ScenarioRunner has no selections."""
     for selection in root.findall("Entities/EntitySelection"):
         members = [member_element.get("entityRef", "") for member_element in selection.iterfind("Members/EntityRef")]
@@ -318,57 +318,57 @@ def _name_members(root: etree._Element) -> None:
         remove_element(selection)
 
 
-def _later_words(root: etree._Element) -> None:
+def _remove_later_attributes(root: etree._Element) -> None:
     """Remove attributes introduced after 1.0 that do not change the meaning of the rest."""
-    for tag, names in _LATER.items():
+    for tag, names in _LATER_ATTRIBUTES.items():
         for element in root.iter(tag):
             for name in names:
                 element.attrib.pop(name, "")
 
 
-def _resolve(element: etree._Element, scope: Scope) -> None:
+def _resolve_expressions(element: etree._Element, scope: Scope) -> None:
     """Replace parameters and expressions by values."""
     if not isinstance(element.tag, str) or element.tag == "ParameterDeclarations":
         return
-    inner = scope.within(element) if element.find("ParameterDeclarations") is not None else scope
+    inner = scope.nested_scope(element) if element.find("ParameterDeclarations") is not None else scope
     for name, text in element.attrib.items():
         if "$" not in str(text) or name == "parameterRef":
             continue
         if name == "name":
             # In 1.0, a $ in a name would be read as a parameter reference; remove it.
-            element.set(name, str(text).translate(_NAMED))
+            element.set(name, str(text).translate(_PARAMETER_CHARACTERS))
         else:
-            element.set(name, inner.text(element, str(name)))
+            element.set(name, inner.read_text(element, str(name)))
     for child in element:
         if child.tag == "CatalogReference":
             # ScenarioRunner would search catalogs next to the new file, and cannot read later versions.
-            entry, entry_scope = inner.from_catalog(child)
+            entry, entry_scope = inner.resolve_catalog_reference(child)
             resolved_entry = etree.fromstring(etree.tostring(entry, with_tail=False))
             element.replace(child, resolved_entry)
             # The scope contains these values, or those that the reference assigns.
             for declarations in resolved_entry.findall("ParameterDeclarations"):
                 declarations.clear()
-            _resolve(resolved_entry, entry_scope)
+            _resolve_expressions(resolved_entry, entry_scope)
         else:
-            _resolve(child, inner)
+            _resolve_expressions(child, inner)
 
 
-def _trim(root: etree._Element) -> None:
+def _trim_numbers(root: etree._Element) -> None:
     """Remove blanks around numbers, which XML allows but ScenarioRunner does not."""
     for element in root.iter("*"):
         for name, text in element.attrib.items():
-            if name != "name" and not str(name).endswith("Ref") and _NUMBER.fullmatch(str(text).strip()):
+            if name != "name" and not str(name).endswith("Ref") and _NUMBER_PATTERN.fullmatch(str(text).strip()):
                 element.set(name, str(text).strip())
 
 
-def _entities(root: etree._Element, ego: str, made: Plan, notes: list[str]) -> None:
+def _rewrite_entities(root: etree._Element, ego: str, actor_plan: ActorPlan, notes: list[str]) -> None:
     for holder in root.iterfind("Entities/ScenarioObject"):
         name = holder.get("name", "")
         for controlled in holder.findall("ObjectController"):
             driver = controlled.find(f"Controller/Properties/Property[@name='{DRIVER_PROPERTY}']")
             # ScenarioRunner ignores these, but would use their properties as the entity's own.
             holder.remove(controlled)
-            if driver is not None and name not in made.sampled:
+            if driver is not None and name not in actor_plan.sampled:
                 driver_name = "the agent that ScenarioRunner gives it" if name == ego else "the storyboard only"
                 notes.append(f"{name} is driven by {driver_name}, not by cornercase's driver '{driver.get('value')}'.")
         vehicle, walker = holder.find("Vehicle"), holder.find("Pedestrian")
@@ -398,12 +398,12 @@ def _entities(root: etree._Element, ego: str, made: Plan, notes: list[str]) -> N
                     etree.SubElement(body, "Properties")
 
 
-def _conditions(root: etree._Element, source: Path, notes: list[str]) -> None:
+def _rewrite_conditions(root: etree._Element, source: Path, notes: list[str]) -> None:
     for element in root.iter():
         rule = element.get("rule") if isinstance(element.tag, str) else None
-        if rule in _RULES:
-            element.set("rule", _RULES[str(rule)])
-            notes.append(f"'{rule}' became '{_RULES[str(rule)]}', which may be true a time step later.")
+        if rule in _RULES_IN_1_0:
+            element.set("rule", _RULES_IN_1_0[str(rule)])
+            notes.append(f"'{rule}' became '{_RULES_IN_1_0[str(rule)]}', which may be true a time step later.")
         elif rule == "notEqualTo":
             raise InputError(f"{source}: 'notEqualTo' of <{element.tag}> cannot be expressed in OpenSCENARIO 1.0.")
     for event in root.iter("Event"):
@@ -416,7 +416,7 @@ def _conditions(root: etree._Element, source: Path, notes: list[str]) -> None:
             condition.set("delay", "0")
 
 
-def _synchronised(root: etree._Element, scenario: Scenario, notes: list[str]) -> None:
+def _add_final_speeds(root: etree._Element, scenario: ScenarioFile, notes: list[str]) -> None:
     """Add a final speed to synchronize actions, which ScenarioRunner requires."""
     for action in root.iter("SynchronizeAction"):
         final_speed = action.find("FinalSpeed")

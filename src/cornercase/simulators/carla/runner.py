@@ -13,31 +13,31 @@ from pathlib import Path
 from typing import Final
 
 from cornercase._common.errors import InputError, SimulationError, SimulatorError
-from cornercase._common.platform import end_process_tree, parent_watch
-from cornercase.simulators.carla.tracker import Tracker
+from cornercase._common.platform import kill_process_tree, make_parent_check
+from cornercase.simulators.carla.tracker import EntityTracker
 
-RUNNER: Final = "SCENARIO_RUNNER_ROOT"
-PYTHON: Final = "CORNERCASE_CARLA_PYTHON"
-ROOT: Final = "CARLA_ROOT"
-_GET_IT: Final = "`git clone --branch v0.9.16 https://github.com/carla-simulator/scenario_runner`"
-_UNKNOWN: Final = f"ScenarioRunner is not found; get it by {_GET_IT} and set SCENARIO_RUNNER_ROOT to its folder."
+RUNNER_VARIABLE: Final = "SCENARIO_RUNNER_ROOT"
+PYTHON_VARIABLE: Final = "CORNERCASE_CARLA_PYTHON"
+CARLA_ROOT_VARIABLE: Final = "CARLA_ROOT"
+_DOWNLOAD_COMMAND: Final = "`git clone --branch v0.9.16 https://github.com/carla-simulator/scenario_runner`"
+_NOT_FOUND_MESSAGE: Final = f"ScenarioRunner is not found; get it by {_DOWNLOAD_COMMAND} and set SCENARIO_RUNNER_ROOT to its folder."
 # Source code that must be present (since 0.9.16), by file. ScenarioRunner has no constant with its version.
-_NEEDED: Final = {
+_REQUIRED_SOURCE: Final = {
     "scenario_runner.py": (re.compile(r"""['"]--frameRate['"]"""), "the option --frameRate"),
     "srunner/scenariomanager/actorcontrols/basic_control.py": (
         re.compile(r"\bself\._times\b"),
         "the times of trajectories in controllers (_times)",
     ),
 }
-_CHANGES: Final = "Docs/CHANGELOG.md"
-_VERSION: Final = re.compile(r"^## CARLA ScenarioRunner (\d[\w.]*)", re.MULTILINE)
-_ENDING, _POLL = 2.0, 0.02
+_CHANGELOG_FILE: Final = "Docs/CHANGELOG.md"
+_VERSION_PATTERN: Final = re.compile(r"^## CARLA ScenarioRunner (\d[\w.]*)", re.MULTILINE)
+_END_TIMEOUT, _POLL_INTERVAL = 2.0, 0.02
 # ScenarioRunner prints one of these when a scenario has ended; its exit code does not show it.
-_ENDED: Final = ("All scenario tests were passed", "Not all scenario tests were successful")
-_ERROR: Final = re.compile(r"^\w*(Error|Exception)\b")
+_END_MESSAGES: Final = ("All scenario tests were passed", "Not all scenario tests were successful")
+_ERROR_PATTERN: Final = re.compile(r"^\w*(Error|Exception)\b")
 
 
-class ScenarioRunner:
+class ScenarioRunnerProcess:
     """Runs OpenSCENARIO 1.0 files, one process per file.
 
     Empty arguments stand for the environment variables, as in `CarlaSimulator`. Raises `InputError` if ScenarioRunner
@@ -45,16 +45,16 @@ class ScenarioRunner:
     """
 
     def __init__(self, folder: str, python: str, carla_root: str) -> None:
-        self._folder = scenario_runner_folder(folder)
-        self._python = python or os.environ.get(PYTHON, "") or sys.executable
-        self._carla_root = carla_root or os.environ.get(ROOT, "")
+        self._folder = find_scenario_runner_folder(folder)
+        self._python = python or os.environ.get(PYTHON_VARIABLE, "") or sys.executable
+        self._carla_root = carla_root or os.environ.get(CARLA_ROOT_VARIABLE, "")
 
-    def run(
+    def run_file(
         self,
         file: Path,
         drivers: Path,
         options: Mapping[str, object],
-        tracker: Tracker,
+        tracker: EntityTracker,
         *,
         duration: float,
         until_collision: bool,
@@ -71,21 +71,21 @@ class ScenarioRunner:
         log = file.with_name("scenario_runner.log")
         with log.open("wb") as output:
             process = subprocess.Popen(
-                command, cwd=file.parent, env=self._environment(file.parent, drivers), stdin=subprocess.DEVNULL,
+                command, cwd=file.parent, env=self._environment_variables(file.parent, drivers), stdin=subprocess.DEVNULL,
                 stdout=output, stderr=subprocess.STDOUT,
             )  # fmt: skip
             try:
-                stopped = _watch(process, tracker, duration, until_collision, silence)
+                stopped = _wait_for_end(process, tracker, duration, until_collision, silence)
             finally:
-                _end(process)
+                _end_process(process)
         output_text = log.read_text(encoding="utf-8", errors="replace")
-        if tracker.missing or not (stopped or any(last_line in output_text for last_line in _ENDED)):
-            last_line = _last_words(output_text)
+        if tracker.missing or not (stopped or any(last_line in output_text for last_line in _END_MESSAGES)):
+            last_line = _last_error_line(output_text)
             # A time-out may not happen again when the scenario is retried.
             error_class = SimulatorError if "time-out of" in last_line else SimulationError
             raise error_class(f"ScenarioRunner did not run it to the end: {last_line}")
 
-    def _environment(self, folder: Path, drivers: Path) -> dict[str, str]:
+    def _environment_variables(self, folder: Path, drivers: Path) -> dict[str, str]:
         roots = [self._folder, drivers]
         if self._carla_root:
             roots.append(Path(self._carla_root) / "PythonAPI" / "carla")
@@ -93,36 +93,36 @@ class ScenarioRunner:
         return os.environ | {
             "PYTHONPATH": os.pathsep.join([*map(str, roots), *filter(None, [python_path])]),
             # ScenarioRunner stores recordings relative to this folder.
-            RUNNER: str(folder),
+            RUNNER_VARIABLE: str(folder),
             "PYTHONUNBUFFERED": "1",
         }
 
 
-def scenario_runner_folder(given: str) -> Path:
+def find_scenario_runner_folder(explicit_folder: str) -> Path:
     """Return ScenarioRunner's folder: `given`, or that in the variable ``SCENARIO_RUNNER_ROOT``.
 
     Its files are only read. Raises `InputError` if it is not found, or older than cornercase needs.
     """
-    text = given or os.environ.get(RUNNER, "")
+    text = explicit_folder or os.environ.get(RUNNER_VARIABLE, "")
     if not text:
-        raise InputError(_UNKNOWN)
+        raise InputError(_NOT_FOUND_MESSAGE)
     folder = Path(text)
     if not (folder / "scenario_runner.py").is_file():
-        raise InputError(f"{folder}: contains no scenario_runner.py; set {RUNNER} to the folder of ScenarioRunner.")
+        raise InputError(f"{folder}: contains no scenario_runner.py; set {RUNNER_VARIABLE} to the folder of ScenarioRunner.")
     missing = [
-        description for name, (pattern, description) in _NEEDED.items() if not pattern.search(_source(folder / name))
+        description for name, (pattern, description) in _REQUIRED_SOURCE.items() if not pattern.search(_read_source(folder / name))
     ]
     if missing:
-        version = _VERSION.search(_source(folder / _CHANGES))
+        version = _VERSION_PATTERN.search(_read_source(folder / _CHANGELOG_FILE))
         runner_name = "ScenarioRunner" if version is None else f"ScenarioRunner {version[1]}"
         raise InputError(
             f"{folder}: {runner_name} lacks {' and '.join(missing)}; cornercase needs that of CARLA 0.9.16: get it by"
-            f" {_GET_IT} and set {RUNNER} to its folder."
+            f" {_DOWNLOAD_COMMAND} and set {RUNNER_VARIABLE} to its folder."
         )
     return folder.resolve()
 
 
-def _source(path: Path) -> str:
+def _read_source(path: Path) -> str:
     """Text of a file; empty if there is none."""
     try:
         return path.read_text(encoding="utf-8", errors="replace")
@@ -130,43 +130,43 @@ def _source(path: Path) -> str:
         return ""
 
 
-def _watch(
-    process: subprocess.Popen[bytes], tracker: Tracker, duration: float, until_collision: bool, silence: float
+def _wait_for_end(
+    process: subprocess.Popen[bytes], tracker: EntityTracker, duration: float, until_collision: bool, silence: float
 ) -> bool:
     """Wait until the run or the parent process has ended; return True if the run must be stopped."""
-    has_parent, frames, last_frame_time = parent_watch(), 0, time.monotonic()
+    has_parent, frames, last_frame_time = make_parent_check(), 0, time.monotonic()
     while process.poll() is None and has_parent():
-        tracker.look()
+        tracker.find_entities()
         elapsed, ended = tracker.progress()
         if ended:
             with suppress(subprocess.TimeoutExpired):
-                process.wait(_ENDING)
+                process.wait(_END_TIMEOUT)
             return False
-        if tracker.frames > frames:
-            frames, last_frame_time = tracker.frames, time.monotonic()
+        if tracker.n_frames > frames:
+            frames, last_frame_time = tracker.n_frames, time.monotonic()
         elif time.monotonic() - last_frame_time > silence:
             # Without a server, ScenarioRunner may wait forever.
             raise SimulatorError(f"CARLA sent no frame for {silence:g} s")
-        if (until_collision and tracker.collided) or elapsed > duration:
+        if (until_collision and tracker.has_collision) or elapsed > duration:
             return True
         # Collision sensors should exist before the first step, so poll faster until then.
-        time.sleep(_POLL if not tracker.missing else _POLL / 10)
+        time.sleep(_POLL_INTERVAL if not tracker.missing else _POLL_INTERVAL / 10)
     return False
 
 
-def _end(process: subprocess.Popen[bytes]) -> None:
+def _end_process(process: subprocess.Popen[bytes]) -> None:
     """Terminate ScenarioRunner so that it can clean up; kill it if it does not end."""
     if process.poll() is None:
         process.terminate()
         with suppress(subprocess.TimeoutExpired):
-            process.wait(_ENDING)
+            process.wait(_END_TIMEOUT)
     if process.poll() is None:
-        end_process_tree(process.pid)
+        kill_process_tree(process.pid)
         process.wait()
 
 
-def _last_words(said: str) -> str:
+def _last_error_line(output: str) -> str:
     """Return the last error line of ScenarioRunner's output, else its last line."""
-    lines = [line.strip() for line in said.splitlines() if line.strip()]
-    errors = [line for line in lines if _ERROR.match(line)]
+    lines = [line.strip() for line in output.splitlines() if line.strip()]
+    errors = [line for line in lines if _ERROR_PATTERN.match(line)]
     return (errors or lines or ["it printed nothing"])[-1][:300]

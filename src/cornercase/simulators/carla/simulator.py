@@ -12,38 +12,38 @@ from importlib.util import find_spec
 from pathlib import Path
 from typing import Final, Literal
 
-from cornercase._common.errors import InputError, SimulationError, SimulatorError, suggestion
-from cornercase._common.ledger import Notice, merged
+from cornercase._common.errors import InputError, SimulationError, SimulatorError, suggest_name
+from cornercase._common.ledger import Notice, merge_notices
 from cornercase.drivers import Driver
 from cornercase.recordings import Recording, read_carla_log
-from cornercase.scenario import ConcreteScenario, Scenario, Value
-from cornercase.simulators.base import Availability, Simulator, checked_seed, checked_settings
-from cornercase.simulators.carla.dialect import BEHAVIORS, Agents
-from cornercase.simulators.carla.openscenario_1_0 import Run, carla_map, concrete_tree, write_1_0
-from cornercase.simulators.carla.runner import ScenarioRunner, scenario_runner_folder
-from cornercase.simulators.carla.server import Server
-from cornercase.simulators.carla.table import Status, findings
-from cornercase.simulators.carla.tracker import Tracker
-from cornercase.simulators.hosts import address
+from cornercase.scenario import ConcreteScenario, ScenarioFile, Value
+from cornercase.simulators.base import Availability, Simulator, check_seed, check_settings
+from cornercase.simulators.carla.dialect import BEHAVIORS, DrivingAgents
+from cornercase.simulators.carla.openscenario_1_0 import ConversionOptions, carla_map_name, make_concrete_tree, write_openscenario_1_0
+from cornercase.simulators.carla.runner import ScenarioRunnerProcess, find_scenario_runner_folder
+from cornercase.simulators.carla.server import CarlaServer
+from cornercase.simulators.carla.table import HandlingStatus, find_unsupported
+from cornercase.simulators.carla.tracker import EntityTracker
+from cornercase.simulators.hosts import worker_address
 
-_MISSING: Final = (
+_MISSING_CLIENT_MESSAGE: Final = (
     "CARLA's client is not installed; pip install 'cornercase[carla]' with Python 3.11 or 3.12, on Linux or Windows on"
     " x86-64."
 )
 # A server uses its port and the next two.
-_PORTS_EACH: Final = 4
+_PORTS_PER_SERVER: Final = 4
 # Road file of a run, in a folder that is not on Python's path.
-_ROAD: Final = "road/road.xodr"
+_ROAD_FILE: Final = "road/road.xodr"
 # Statuses that cause a notice, and what is done instead.
-_INSTEAD: Final = {
-    Status.WITHOUT_EFFECT: "",
-    Status.APPROXIMATE: "; an entity that reacts to an agent does that, any other one moves along a trajectory",
-    Status.SAMPLED: "; the entity moves along a trajectory of the builtin simulator",
+_REPLACEMENT_BY_STATUS: Final = {
+    HandlingStatus.WITHOUT_EFFECT: "",
+    HandlingStatus.APPROXIMATE: "; an entity that reacts to an agent does that, any other one moves along a trajectory",
+    HandlingStatus.SAMPLED: "; the entity moves along a trajectory of the builtin simulator",
 }
 # Categories for which ScenarioRunner would choose any vehicle.
-_UNKNOWN: Final = ("semitrailer", "trailer", "train", "tram")
+_UNSUPPORTED_CATEGORIES: Final = ("semitrailer", "trailer", "train", "tram")
 # The server is considered lost after this many times `patience` without a frame.
-_SILENCE: Final = 3
+_SILENCE_FACTOR: Final = 3
 
 
 class CarlaSimulator(Simulator):
@@ -100,8 +100,8 @@ class CarlaSimulator(Simulator):
     """
 
     name = "carla"
-    needs = ("worker", "ego")
-    values_by = "file"
+    requires = ("worker", "ego")
+    parameter_passing = "file"
 
     def __init__(
         self,
@@ -126,55 +126,55 @@ class CarlaSimulator(Simulator):
         open_loop: bool = False,
         patience: float = 20.0,
     ) -> None:
-        settings = checked_settings(time_step, duration, on_collision, None)
+        settings = check_settings(time_step, duration, on_collision, None)
         if find_spec("carla") is None:
-            raise InputError(_MISSING)
+            raise InputError(_MISSING_CLIENT_MESSAGE)
         for entity, driver in (drivers or {}).items():
             if driver not in BEHAVIORS:
                 raise InputError(
-                    f"`drivers` {entity}: CARLA does not have this driver; {suggestion(str(driver), BEHAVIORS)}"
+                    f"`drivers` {entity}: CARLA does not have this driver; {suggest_name(str(driver), BEHAVIORS)}"
                 )
         if record not in ("client", "recorder"):
-            raise InputError(f"record={record}: {suggestion(str(record), ('client', 'recorder'))}")
+            raise InputError(f"record={record}: {suggest_name(str(record), ('client', 'recorder'))}")
         if not patience > 0.0:
             raise InputError(f"patience={patience:g}: give a time above 0 s.")
-        self._time_step, self._duration, self._stops = time_step, duration, on_collision == "stop"
+        self._time_step, self._duration, self._stop_on_collision = time_step, duration, on_collision == "stop"
         self._drivers = {entity: str(driver) for entity, driver in (drivers or {}).items()}
         self._ego, self._record, self._seed, self._undriven = ego, record, seed, bool(undriven)
         self._open_loop = bool(open_loop)
-        self._server = Server(*address(hosts, port, worker, _PORTS_EACH), patience)
-        self._runner = ScenarioRunner(scenario_runner, python, carla_root)
+        self._server = CarlaServer(*worker_address(hosts, port, worker, _PORTS_PER_SERVER), patience)
+        self._runner = ScenarioRunnerProcess(scenario_runner, python, carla_root)
         self._traffic_port, self._folder = 8000 + worker, folder
-        self._read: Scenario | None = None
-        self._agent = None if not agent else _file(agent, "agent")
-        self._agent_config = None if not agent_config else _file(agent_config, "agent_config")
+        self._last_scenario: ScenarioFile | None = None
+        self._agent = None if not agent else _existing_file(agent, "agent")
+        self._agent_config = None if not agent_config else _existing_file(agent_config, "agent_config")
         self.settings: dict[str, object] = settings | {
             "drivers": self._drivers,
             "ego": ego,
             "record": record,
-            "seed": checked_seed(seed, "CARLA's traffic manager"),
+            "seed": check_seed(seed, "CARLA's traffic manager"),
             "carla": version("carla"),
             # Recordings also depend on the agent.
-            "agent": _fingerprint(self._agent),
-            "agent_config": _fingerprint(self._agent_config),
+            "agent": _file_fingerprint(self._agent),
+            "agent_config": _file_fingerprint(self._agent_config),
         }
 
     @classmethod
-    def notices(cls, scenario: Scenario, values: Mapping[str, Value] | None = None) -> tuple[Notice, ...]:
+    def notices(cls, scenario: ScenarioFile, values: Mapping[str, Value] | None = None) -> tuple[Notice, ...]:
         """List content that is left out, changed or replaced by a trajectory for ScenarioRunner."""
-        root = concrete_tree(scenario, values or {})
+        root = make_concrete_tree(scenario, values or {})
         ignored = (
             Notice(
-                (finding.what,),
-                finding.row.note + _INSTEAD[finding.row.status],
+                (finding.description,),
+                finding.row.note + _REPLACEMENT_BY_STATUS[finding.row.status],
                 scenario.path,
                 (),
-                matters=finding.row.matters,
+                affects_result=finding.row.matters,
             )
-            for finding in findings(root)
-            if finding.row.status in _INSTEAD
+            for finding in find_unsupported(root)
+            if finding.row.status in _REPLACEMENT_BY_STATUS
         )
-        return merged((*scenario.axes_notices(), *ignored))
+        return merge_notices((*scenario.left_handed_notices(), *ignored))
 
     @classmethod
     def availability(cls) -> Availability:
@@ -182,10 +182,10 @@ class CarlaSimulator(Simulator):
         try:
             client_version, missing = version("carla"), ""
         except PackageNotFoundError:
-            client_version, missing = "", _MISSING
+            client_version, missing = "", _MISSING_CLIENT_MESSAGE
         if not missing:
             try:
-                scenario_runner_folder("")
+                find_scenario_runner_folder("")
             except InputError as error:
                 missing = str(error)
         return Availability(
@@ -200,24 +200,24 @@ class CarlaSimulator(Simulator):
     def run(self, concretes: Sequence[ConcreteScenario]) -> Iterator[Recording | SimulationError]:
         """Run scenarios; `InputError` also if no server answers or its version differs from the client's."""
         for concrete in concretes:
-            scenario = self._read = concrete.scenario(self._read)
-            behaviors = self._behaviors(scenario)
+            scenario = self._last_scenario = concrete.load_file(self._last_scenario)
+            behaviors = self._behavior_agents(scenario)
             try:
-                yield self._run(scenario, concrete, behaviors)
+                yield self._run_scenario(scenario, concrete, behaviors)
             except SimulationError as error:
                 if isinstance(error, SimulatorError):
-                    self._server.forget()
+                    self._server.reset_client()
                 yield error
             except RuntimeError as error:
                 # CARLA's client raises RuntimeError if the server is gone or does not answer in time.
-                self._server.forget()
+                self._server.reset_client()
                 yield SimulatorError(f"CARLA on {self._server.host}:{self._server.port}: {error}")
 
-    def require_means(self, scenario: Scenario) -> None:
+    def check_supported(self, scenario: ScenarioFile) -> None:
         """Refuse a scenario with entities or drivers that CARLA does not have."""
-        self._behaviors(scenario)
+        self._behavior_agents(scenario)
 
-    def _behaviors(self, scenario: Scenario) -> dict[str, str]:
+    def _behavior_agents(self, scenario: ScenarioFile) -> dict[str, str]:
         """Behaviour agents by entity."""
         scenario.require_entity(self._ego, "ego")
         for entity in self._drivers:
@@ -226,7 +226,7 @@ class CarlaSimulator(Simulator):
         for element in scenario.root.iterfind("Entities/ScenarioObject"):
             name = element.get("name", "")
             vehicle = element.find("Vehicle")
-            if vehicle is not None and vehicle.get("vehicleCategory") in _UNKNOWN:
+            if vehicle is not None and vehicle.get("vehicleCategory") in _UNSUPPORTED_CATEGORIES:
                 raise InputError(
                     f"{scenario.path}: '{name}' is a {vehicle.get('vehicleCategory')}, which CARLA does not have;"
                     " use another category."
@@ -241,44 +241,44 @@ class CarlaSimulator(Simulator):
                 )
         return behaviors
 
-    def _run(self, scenario: Scenario, concrete: ConcreteScenario, behaviors: Mapping[str, str]) -> Recording:
+    def _run_scenario(self, scenario: ScenarioFile, concrete: ConcreteScenario, behaviors: Mapping[str, str]) -> Recording:
         if self._folder:
             Path(self._folder).mkdir(parents=True, exist_ok=True)
         folder = Path(tempfile.mkdtemp(prefix="cornercase-", dir=self._folder or None))
         try:
-            return self._run_in(folder, scenario, concrete, behaviors)
+            return self._run_in_folder(folder, scenario, concrete, behaviors)
         finally:
             if not self._folder:
                 shutil.rmtree(folder, ignore_errors=True)
 
-    def _run_in(
-        self, folder: Path, scenario: Scenario, concrete: ConcreteScenario, behaviors: Mapping[str, str]
+    def _run_in_folder(
+        self, folder: Path, scenario: ScenarioFile, concrete: ConcreteScenario, behaviors: Mapping[str, str]
     ) -> Recording:
         file, drivers = folder / "cornercase.xosc", folder / "drivers"
-        write_1_0(
+        write_openscenario_1_0(
             scenario, concrete.values, file, ego=self._ego,
-            run=Run(
-                Agents(behaviors, self._agent, self._agent_config), self._time_step, self._duration,
-                open_loop=self._open_loop, road_file=_ROAD, controllers=drivers.name,
+            options=ConversionOptions(
+                DrivingAgents(behaviors, self._agent, self._agent_config), self._time_step, self._duration,
+                open_loop=self._open_loop, road_file=_ROAD_FILE, controllers=drivers.name,
             ),
         )  # fmt: skip
         drivers.mkdir(exist_ok=True)
-        server, road = self._server, scenario.road_file(concrete.values)
-        town = carla_map(scenario, concrete.values)
-        server.prepare(town or (None if road is None else folder / _ROAD))
-        with Tracker(server.client(), scenario.entities, self._ego, self._time_step) as tracker:
+        server, road = self._server, scenario.road_path_for(concrete.values)
+        town = carla_map_name(scenario, concrete.values)
+        server.prepare_map(town or (None if road is None else folder / _ROAD_FILE))
+        with EntityTracker(server.get_client(), scenario.entities, self._ego, self._time_step) as tracker:
             try:
-                self._runner.run(
-                    file, drivers, self._options(), tracker, duration=self._duration, until_collision=self._stops,
-                    silence=_SILENCE * server.patience,
+                self._runner.run_file(
+                    file, drivers, self._scenario_runner_options(), tracker, duration=self._duration, until_collision=self._stop_on_collision,
+                    silence=_SILENCE_FACTOR * server.patience,
                 )  # fmt: skip
             finally:
-                server.calm()
+                server.leave_synchronous_mode()
             if self._record == "client":
-                return tracker.recording(file, self._duration, self._stops)
-        return self._of_recorder(folder / "cornercase.log")
+                return tracker.make_recording(file, self._duration, self._stop_on_collision)
+        return self._read_recorder_file(folder / "cornercase.log")
 
-    def _options(self) -> dict[str, object]:
+    def _scenario_runner_options(self) -> dict[str, object]:
         server = self._server
         options: dict[str, object] = {
             "--host": server.host, "--port": server.port, "--timeout": server.patience,
@@ -288,8 +288,8 @@ class CarlaSimulator(Simulator):
         # Relative to the folder of the run.
         return options | ({"--record": "."} if self._record == "recorder" else {})
 
-    def _of_recorder(self, path: Path) -> Recording:
-        self._server.end_recording()
+    def _read_recorder_file(self, path: Path) -> Recording:
+        self._server.stop_recorder()
         if not path.is_file():
             raise SimulationError(
                 f"CARLA wrote no recording {path}; the server needs access to that folder; set it with carla:folder="
@@ -299,7 +299,7 @@ class CarlaSimulator(Simulator):
         except InputError as error:
             raise SimulationError(str(error)) from error
         end = self._duration
-        if self._stops and recording.collisions:
+        if self._stop_on_collision and recording.collisions:
             end = min(end, recording.collisions[0].time)
         count = int((recording.time <= end + 1e-9).sum())
         return replace(
@@ -310,12 +310,12 @@ class CarlaSimulator(Simulator):
         )
 
 
-def _file(text: str, option: str) -> Path:
+def _existing_file(text: str, option: str) -> Path:
     path = Path(text)
     if not path.is_file():
         raise InputError(f"{option}={text}: there is no such file.")
     return path.resolve()
 
 
-def _fingerprint(path: Path | None) -> str | None:
+def _file_fingerprint(path: Path | None) -> str | None:
     return None if path is None else f"{path.name} {hashlib.sha256(path.read_bytes()).hexdigest()[:16]}"

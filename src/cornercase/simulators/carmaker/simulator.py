@@ -8,29 +8,29 @@ from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Final, Literal
 
-from cornercase._common.errors import InputError, SimulationError, suggestion
+from cornercase._common.errors import InputError, SimulationError, suggest_name
 from cornercase.drivers import Driver
 from cornercase.recordings import EntityBox, Recording, read_erg
-from cornercase.scenario import ConcreteScenario, Scenario, Value
+from cornercase.scenario import ConcreteScenario, ScenarioFile, Value
 from cornercase.simulators.base import Availability, Simulator
-from cornercase.simulators.carmaker.bodies import read_bodies, warn_of_missing
-from cornercase.simulators.carmaker.cmapi import CarMakerApi, has_cmapi
-from cornercase.simulators.carmaker.port import CommandPort
-from cornercase.simulators.carmaker.port_run import WAITING, PortRun
-from cornercase.simulators.hosts import address
+from cornercase.simulators.carmaker.bodies import read_entity_boxes, warn_about_missing_boxes
+from cornercase.simulators.carmaker.cmapi import CmapiClient, is_cmapi_installed
+from cornercase.simulators.carmaker.port import TclClient
+from cornercase.simulators.carmaker.port_run import START_TIMEOUT, TclTestRun
+from cornercase.simulators.hosts import worker_address
 
-_PORT: Final = 16660
+_DEFAULT_PORT: Final = 16660
 # Time limit in s to connect to a CarMaker on this machine.
-_PATIENCE: Final = 0.2
-_MISSING: Final = (
-    f"IPG's Python module cmapi is not installed here, and no CarMaker listens on port {_PORT}; install the module from"
-    f" CarMaker's folder, or start CarMaker with -cmdport {_PORT}. One on another machine or port is named by options."
+_CONNECT_TIMEOUT: Final = 0.2
+_MISSING_MESSAGE: Final = (
+    f"IPG's Python module cmapi is not installed here, and no CarMaker listens on port {_DEFAULT_PORT}; install the module from"
+    f" CarMaker's folder, or start CarMaker with -cmdport {_DEFAULT_PORT}. One on another machine or port is named by options."
 )
 
 
-def _listens() -> bool:
+def _is_port_open() -> bool:
     try:
-        socket.create_connection(("127.0.0.1", _PORT), _PATIENCE).close()
+        socket.create_connection(("127.0.0.1", _DEFAULT_PORT), _CONNECT_TIMEOUT).close()
     except OSError:
         return False
     return True
@@ -78,8 +78,8 @@ class CarMakerSimulator(Simulator):
     """
 
     name = "carmaker"
-    needs = ("worker",)
-    values_by = "name"
+    requires = ("worker",)
+    parameter_passing = "name"
 
     def __init__(
         self,
@@ -91,7 +91,7 @@ class CarMakerSimulator(Simulator):
         testrun: str = "",
         project: str = "",
         hosts: str = "localhost",
-        port: int = _PORT,
+        port: int = _DEFAULT_PORT,
         worker: int = 0,
         via: Literal["auto", "cmapi", "port"] = "auto",
         speedup: float = 1.0,
@@ -109,8 +109,8 @@ class CarMakerSimulator(Simulator):
                     f"{folder}: there is no such folder; give that of the CarMaker project as project=DIR."
                 )
         if via not in ("auto", "cmapi", "port"):
-            raise InputError(f"via={via}: {suggestion(str(via), ('auto', 'cmapi', 'port'))}")
-        if via == "cmapi" and not has_cmapi():
+            raise InputError(f"via={via}: {suggest_name(str(via), ('auto', 'cmapi', 'port'))}")
+        if via == "cmapi" and not is_cmapi_installed():
             raise InputError(
                 "IPG's Python module cmapi cannot be imported; add the folder Python/python3.X of CarMaker's"
                 " installation to PYTHONPATH, or use carmaker:via=port."
@@ -122,18 +122,18 @@ class CarMakerSimulator(Simulator):
                 f"A duration of {duration:g} s at a speed-up of {speedup:g} is not possible; give both above 0."
             )
         self._testrun, self._project = testrun, Path(projects[worker % len(projects)])
-        self._host, self._port = address(hosts, port, worker)
-        self._patience = duration / speedup + WAITING
-        self._api_wanted = has_cmapi() if via == "auto" else via == "cmapi"
-        if self._api_wanted and worker >= len(projects):
+        self._host, self._port = worker_address(hosts, port, worker)
+        self._timeout = duration / speedup + START_TIMEOUT
+        self._uses_api = is_cmapi_installed() if via == "auto" else via == "cmapi"
+        if self._uses_api and worker >= len(projects):
             raise InputError(
                 f"`workers`: with cmapi each worker needs its own CarMaker project, and there are {len(projects)}; give"
                 " more as project=A+B, or use carmaker:via=port."
             )
-        self._api: CarMakerApi | None = None
-        self._line: CommandPort | None = None
-        self._read: Scenario | None = None
-        self._warned: Path | None = None
+        self._api: CmapiClient | None = None
+        self._tcl_client: TclClient | None = None
+        self._last_scenario: ScenarioFile | None = None
+        self._warned_path: Path | None = None
         self.settings: dict[str, object] = {"testrun": testrun, "duration": duration}
 
     @classmethod
@@ -141,7 +141,7 @@ class CarMakerSimulator(Simulator):
         """Return whether IPG's module is installed or a CarMaker listens on the default port."""
         return Availability(
             "",
-            "" if has_cmapi() or _listens() else _MISSING,
+            "" if is_cmapi_installed() or _is_port_open() else _MISSING_MESSAGE,
             (
                 "vehicle dynamics",
                 "traffic objects",
@@ -153,21 +153,21 @@ class CarMakerSimulator(Simulator):
     def run(self, concretes: Sequence[ConcreteScenario]) -> Iterator[Recording | SimulationError]:
         """Run scenarios; `InputError` also if CarMaker does not listen, has no licence or lacks an entity."""
         for concrete in concretes:
-            self._read = concrete.scenario(self._read)
-            self.require_means(self._read)
-            bodies = read_bodies(self._read, concrete.values)
-            if self._api_wanted:
-                yield self._run_by_api(concrete.values, bodies)
+            self._last_scenario = concrete.load_file(self._last_scenario)
+            self.check_supported(self._last_scenario)
+            bodies = read_entity_boxes(self._last_scenario, concrete.values)
+            if self._uses_api:
+                yield self._run_with_api(concrete.values, bodies)
                 continue
-            if self._line is None:
-                self._line = CommandPort(self._host, self._port)
+            if self._tcl_client is None:
+                self._tcl_client = TclClient(self._host, self._port)
             try:
-                port_run = PortRun(self._line, self._project, self._patience)
-                yield _recording(port_run.run(self._testrun, concrete.values), bodies)
+                port_run = TclTestRun(self._tcl_client, self._project, self._timeout)
+                yield _read_recording(port_run.run_testrun(self._testrun, concrete.values), bodies)
             except SimulationError as error:
                 # After an error, the answer to an old command may still arrive on this connection.
-                self._line.close()
-                self._line = None
+                self._tcl_client.close()
+                self._tcl_client = None
                 yield error
 
     def close(self) -> None:
@@ -175,11 +175,11 @@ class CarMakerSimulator(Simulator):
         if self._api is not None:
             self._api.close()
             self._api = None
-        if self._line is not None:
-            self._line.close()
-            self._line = None
+        if self._tcl_client is not None:
+            self._tcl_client.close()
+            self._tcl_client = None
 
-    def require_means(self, scenario: Scenario) -> None:
+    def check_supported(self, scenario: ScenarioFile) -> None:
         """Refuse a scenario with entities that CarMaker does not have."""
         for name in scenario.entities:
             if not re.fullmatch(r"Ego|T\d{2,}", name):
@@ -188,21 +188,21 @@ class CarMakerSimulator(Simulator):
                     " objects Ego, T00, T01, …, as in its result files."
                 )
         # Once per file.
-        if self._warned != scenario.path:
-            self._warned = scenario.path
-            warn_of_missing(scenario)
+        if self._warned_path != scenario.path:
+            self._warned_path = scenario.path
+            warn_about_missing_boxes(scenario)
 
-    def _run_by_api(self, values: Mapping[str, Value], bodies: Mapping[str, EntityBox]) -> Recording | SimulationError:
+    def _run_with_api(self, values: Mapping[str, Value], bodies: Mapping[str, EntityBox]) -> Recording | SimulationError:
         if self._api is None:
-            self._api = CarMakerApi(self._project, self._testrun, self._patience)
+            self._api = CmapiClient(self._project, self._testrun, self._timeout)
         try:
-            return _recording(self._api.run(values), bodies)
+            return _read_recording(self._api.run_testrun(values), bodies)
         except SimulationError as error:
             return error
 
 
-def _recording(path: Path, bodies: Mapping[str, EntityBox]) -> Recording:
+def _read_recording(path: Path, boxes: Mapping[str, EntityBox]) -> Recording:
     try:
-        return read_erg(path, bodies)
+        return read_erg(path, boxes)
     except InputError as error:
         raise SimulationError(str(error)) from error

@@ -8,18 +8,18 @@ from pathlib import Path
 from typing import Any, Final
 
 from cornercase._common.errors import InputError
-from cornercase._common.platform import bytes_of_path
+from cornercase._common.platform import encode_path
 from cornercase.scenario import Value
 
-VARIABLE: Final = "CORNERCASE_ESMINI"
-MISSING: Final = (
-    f"esmini's library is not found; download esmini from github.com/esmini/esmini and set {VARIABLE} to its"
+LIBRARY_VARIABLE: Final = "CORNERCASE_ESMINI"
+NOT_FOUND_MESSAGE: Final = (
+    f"esmini's library is not found; download esmini from github.com/esmini/esmini and set {LIBRARY_VARIABLE} to its"
     " libesminiLib.so, esminiLib.dll or libesminiLib.dylib."
 )
-_FILL: Final = 0xAA
+_FILL_BYTE: Final = 0xAA
 
 
-class State(ctypes.Structure):
+class ObjectState(ctypes.Structure):
     """State of an object, in the memory layout of esmini 3.6."""
 
     _fields_ = (
@@ -34,17 +34,17 @@ class State(ctypes.Structure):
     )  # fmt: skip
 
 
-CALLBACK: Final = ctypes.CFUNCTYPE(None, ctypes.c_void_p)
+PARAMETER_CALLBACK: Final = ctypes.CFUNCTYPE(None, ctypes.c_void_p)
 
 
-def library_path(given: str | None) -> Path:
+def find_library_path(library: str | None) -> Path:
     """Return the path of esmini's library: `given`, or that in the variable ``CORNERCASE_ESMINI``."""
-    text = given or os.environ.get(VARIABLE, "")
+    text = library or os.environ.get(LIBRARY_VARIABLE, "")
     if not text:
-        raise InputError(MISSING)
+        raise InputError(NOT_FOUND_MESSAGE)
     path = Path(text)
     if not path.is_file():
-        raise InputError(f"{path}: there is no such file; set {VARIABLE} to the path of esmini's library.")
+        raise InputError(f"{path}: there is no such file; set {LIBRARY_VARIABLE} to the path of esmini's library.")
     return path.resolve()
 
 
@@ -69,7 +69,7 @@ def load_library(path: Path) -> ctypes.CDLL:
         "SE_SetSeed": (None, [ctypes.c_uint]),
         "SE_CollisionDetection": (None, [ctypes.c_bool]),
         "SE_SetOptionPersistent": (number, [text]),
-        "SE_RegisterParameterDeclarationCallback": (None, [CALLBACK, ctypes.c_void_p]),
+        "SE_RegisterParameterDeclarationCallback": (None, [PARAMETER_CALLBACK, ctypes.c_void_p]),
         "SE_SetParameterString": (number, [text, text]),
         "SE_SetParameterDouble": (number, [text, ctypes.c_double]),
         "SE_SetParameterInt": (number, [text, number]),
@@ -86,44 +86,44 @@ def load_library(path: Path) -> ctypes.CDLL:
     return lib
 
 
-def state_of(lib: ctypes.CDLL, one: int) -> State:
+def read_state(lib: ctypes.CDLL, object_id: int) -> ObjectState:
     """Read the state of the object with the id `one`; `InputError` if esmini does not report it."""
-    state = State()
-    if lib.SE_GetObjectState(one, ctypes.addressof(state)) != 0:
+    state = ObjectState()
+    if lib.SE_GetObjectState(object_id, ctypes.addressof(state)) != 0:
         raise InputError("esmini does not report the state of one of its objects; use another version.")
     return state
 
 
-def require_layout(lib: ctypes.CDLL, one: int) -> None:
+def check_layout(lib: ctypes.CDLL, object_id: int) -> None:
     """Raise `InputError` if the library's states have another size or layout than expected."""
-    size = ctypes.sizeof(State)
-    buffer = (ctypes.c_ubyte * (2 * size)).from_buffer_copy(bytes([_FILL]) * (2 * size))
-    if lib.SE_GetObjectState(one, ctypes.addressof(buffer)) != 0:
+    size = ctypes.sizeof(ObjectState)
+    buffer = (ctypes.c_ubyte * (2 * size)).from_buffer_copy(bytes([_FILL_BYTE]) * (2 * size))
+    if lib.SE_GetObjectState(object_id, ctypes.addressof(buffer)) != 0:
         raise InputError("esmini does not report the state of one of its objects; use another version.")
     written = bytes(buffer)
     # The last field is an int, followed by padding up to the next multiple of 8 bytes.
-    if written[size - 8 : size - 4] == bytes([_FILL]) * 4 or written[size:] != bytes([_FILL]) * size:
+    if written[size - 8 : size - 4] == bytes([_FILL_BYTE]) * 4 or written[size:] != bytes([_FILL_BYTE]) * size:
         raise InputError("esmini's library has another layout than that of esmini 3.6; use esmini 3.6.")
-    if State.from_buffer_copy(written[:size]).id != one:
+    if ObjectState.from_buffer_copy(written[:size]).id != object_id:
         raise InputError("esmini's library has another layout than that of esmini 3.6; use esmini 3.6.")
 
 
-def set_parameter(lib: ctypes.CDLL, name: str, value: Value, kind: str) -> int:
+def set_parameter(lib: ctypes.CDLL, name: str, value: Value, parameter_type: str) -> int:
     """Set a scenario parameter, whose declared type is `kind`; returns 0 if esmini accepts it."""
     key = name.encode()
-    if kind == "double":
+    if parameter_type == "double":
         return int(lib.SE_SetParameterDouble(key, float(value)))
-    if kind in ("integer", "int", "unsignedInt", "unsignedShort"):
+    if parameter_type in ("integer", "int", "unsignedInt", "unsignedShort"):
         return int(lib.SE_SetParameterInt(key, round(float(value))))
-    if kind == "boolean":
+    if parameter_type == "boolean":
         return int(lib.SE_SetParameterBool(key, str(value).lower() in ("true", "1")))
     text = f"{value:g}" if isinstance(value, float) else str(value)
     return int(lib.SE_SetParameterString(key, text.encode()))
 
 
-def encoded_path(path: Path) -> bytes:
+def encode_path(path: Path) -> bytes:
     """Encode a path as esmini opens it; `InputError` for characters that it cannot open on this platform."""
     try:
-        return bytes_of_path(path)
+        return encode_path(path)
     except UnicodeEncodeError:
         raise InputError(f"{path}: esmini cannot open a path with such characters here; move the scenario.") from None

@@ -12,24 +12,24 @@ import numpy as np
 from cornercase._common.errors import InputError, SimulationError
 from cornercase.drivers import Driver
 from cornercase.recordings import Collision, Recording
-from cornercase.scenario import ConcreteScenario, Scenario, Value
-from cornercase.simulators.base import Availability, Simulator, checked_seed, checked_settings
+from cornercase.scenario import ConcreteScenario, ScenarioFile, Value
+from cornercase.simulators.base import Availability, Simulator, check_seed, check_settings
 from cornercase.simulators.esmini.library import (
-    CALLBACK,
-    MISSING,
-    State,
-    encoded_path,
-    library_path,
+    PARAMETER_CALLBACK,
+    NOT_FOUND_MESSAGE,
+    ObjectState,
+    encode_path,
+    find_library_path,
     load_library,
-    require_layout,
+    check_layout,
     set_parameter,
-    state_of,
+    read_state,
 )
 
-_CATEGORIES: Final = (
+_VEHICLE_CATEGORIES: Final = (
     "car", "van", "truck", "semitrailer", "trailer", "bus", "motorbike", "bicycle", "train", "tram",
 )  # fmt: skip
-_VEHICLE, _PEDESTRIAN = 1, 2
+_VEHICLE_TYPE, _PEDESTRIAN_TYPE = 1, 2
 
 
 class EsminiSimulator(Simulator):
@@ -60,8 +60,8 @@ class EsminiSimulator(Simulator):
     """
 
     name = "esmini"
-    repeats_itself = True
-    values_by = "file"
+    deterministic = True
+    parameter_passing = "file"
 
     def __init__(
         self,
@@ -79,15 +79,15 @@ class EsminiSimulator(Simulator):
             raise InputError(
                 "`drivers`: esmini does not support cornercase's drivers; name its own in the scenario file."
             )
-        self._path = library_path(library)
-        self._time_step, self._duration, self._stops = time_step, duration, on_collision == "stop"
+        self._path = find_library_path(library)
+        self._time_step, self._duration, self._stop_on_collision = time_step, duration, on_collision == "stop"
         self._seed, self._controllers, self._undriven = seed, bool(controllers), bool(undriven)
-        self._loaded: ctypes.CDLL | None = None
-        self._fits = False
-        self._read: Scenario | None = None
+        self._library: ctypes.CDLL | None = None
+        self._layout_checked = False
+        self._last_scenario: ScenarioFile | None = None
         self.settings: dict[str, object] = {
-            **checked_settings(time_step, duration, on_collision, None),
-            "seed": checked_seed(seed, "esmini"),
+            **check_settings(time_step, duration, on_collision, None),
+            "seed": check_seed(seed, "esmini"),
             "controllers": self._controllers,
             "library": self._path.name,
             "library size": self._path.stat().st_size,
@@ -97,7 +97,7 @@ class EsminiSimulator(Simulator):
     def availability(cls) -> Availability:
         """Return whether esmini's library is found."""
         try:
-            missing = "" if library_path(None) else MISSING
+            missing = "" if find_library_path(None) else NOT_FOUND_MESSAGE
         except InputError as error:
             missing = str(error)
         abilities = ("pedestrians", "its own controllers", "collisions go on or end the run", "deterministic")
@@ -105,26 +105,26 @@ class EsminiSimulator(Simulator):
 
     def run(self, concretes: Sequence[ConcreteScenario]) -> Iterator[Recording | SimulationError]:
         """Run scenarios; `InputError` also if the library has another memory layout."""
-        if self._loaded is None:
-            self._loaded = load_library(self._path)
+        if self._library is None:
+            self._library = load_library(self._path)
         for concrete in concretes:
-            scenario = self._read = concrete.scenario(self._read)
-            self.require_means(scenario)
+            scenario = self._last_scenario = concrete.load_file(self._last_scenario)
+            self.check_supported(scenario)
             try:
-                yield self._run(self._loaded, scenario, concrete.values)
+                yield self._run_scenario(self._library, scenario, concrete.values)
             finally:
-                self._loaded.SE_Close()
+                self._library.SE_Close()
 
-    def require_means(self, scenario: Scenario) -> None:
+    def check_supported(self, scenario: ScenarioFile) -> None:
         """Refuse a scenario with a driver of cornercase, left-handed axes, or a road file that esmini does not find."""
         if scenario.is_left_handed:
             raise InputError(
                 f"{scenario.path}: its description begins with 'CARLA:', so its axes are left-handed, which esmini does"
                 " not support; `cornercase convert` writes the scenario with right-handed axes."
             )
-        reference = scenario.road_reference()
-        road = scenario.road_at(reference) if reference else None
-        if road not in (None, scenario.beside(reference, "road file"), scenario.path.with_name(Path(reference).name)):
+        reference = scenario.road_reference_for()
+        road = scenario.road_path(reference) if reference else None
+        if road not in (None, scenario.resolve_path(reference, "road file"), scenario.path.with_name(Path(reference).name)):
             raise InputError(
                 f"{scenario.path}: names the road '{reference}', which was found as {road}, but esmini does not search"
                 " there; name that file in <LogicFile>."
@@ -137,95 +137,95 @@ class EsminiSimulator(Simulator):
             " esmini:undriven=true runs it with the storyboard only."
         )
 
-    def _run(self, lib: ctypes.CDLL, scenario: Scenario, values: Mapping[str, Value]) -> Recording | SimulationError:
+    def _run_scenario(self, lib: ctypes.CDLL, scenario: ScenarioFile, values: Mapping[str, Value]) -> Recording | SimulationError:
         parameter_types = {
             e.get("name", ""): e.get("parameterType", "")
             for e in scenario.root.iterfind("ParameterDeclarations/ParameterDeclaration")
         }
         rejected: list[str] = []
 
-        def declare(_: object) -> None:
+        def set_parameters(_: object) -> None:
             for name, value in values.items():
                 if set_parameter(lib, name, value, parameter_types.get(name, "")) != 0:
                     rejected.append(name)
 
         # Keep a reference until the run is over: esmini only stores the address.
-        callback = CALLBACK(declare)
+        callback = PARAMETER_CALLBACK(set_parameters)
         lib.SE_RegisterParameterDeclarationCallback(callback, None)
         lib.SE_SetSeed(self._seed)
         lib.SE_CollisionDetection(True)
-        if lib.SE_Init(encoded_path(scenario.path), 0 if self._controllers else 1, 0, 0, 0) != 0:
+        if lib.SE_Init(encode_path(scenario.path), 0 if self._controllers else 1, 0, 0, 0) != 0:
             return SimulationError("esmini cannot load the scenario; run it with esmini to see why")
         if rejected:
             return SimulationError(f"esmini does not take the parameter {rejected[0]}")
-        if not self._fits and lib.SE_GetNumberOfObjects() > 0:
-            require_layout(lib, lib.SE_GetId(0))
-            self._fits = True
-        log = _Log(lib)
+        if not self._layout_checked and lib.SE_GetNumberOfObjects() > 0:
+            check_layout(lib, lib.SE_GetId(0))
+            self._layout_checked = True
+        log = _StateLog(lib)
         steps = round(self._duration / self._time_step)
         cut_off = False
         for step in range(steps + 1):
-            collides = log.note(step * self._time_step)
-            if step == steps or (collides and self._stops):
+            collides = log.record_state(step * self._time_step)
+            if step == steps or (collides and self._stop_on_collision):
                 cut_off = step == steps and scenario.root.find("Storyboard/StopTrigger//Condition") is not None
                 break
             lib.SE_StepDT(self._time_step)
             # The step in which the storyboard stops is not recorded.
             if lib.SE_GetQuitFlag() != 0:
                 break
-        return log.recording(self._time_step, cut_off)
+        return log.make_recording(self._time_step, cut_off)
 
 
-class _Log:
+class _StateLog:
     """Records the state of all entities at each time step."""
 
     def __init__(self, lib: ctypes.CDLL) -> None:
         self._lib = lib
         self._rows: list[dict[str, tuple[float, float, float, float]]] = []
-        self._about: dict[str, tuple[str, float, float, float]] = {}
-        self._touching: set[tuple[str, str]] = set()
+        self._boxes: dict[str, tuple[str, float, float, float]] = {}
+        self._colliding_pairs: set[tuple[str, str]] = set()
         self._collisions: dict[tuple[str, str], float] = {}
 
-    def note(self, time: float) -> bool:
+    def record_state(self, time: float) -> bool:
         """Record the current state; return whether a collision between two entities begins."""
         lib, row, names = self._lib, {}, {}
         ids = [lib.SE_GetId(k) for k in range(lib.SE_GetNumberOfObjects())]
         for object_id in ids:
-            state = state_of(lib, object_id)
+            state = read_state(lib, object_id)
             name = names[object_id] = (lib.SE_GetObjectName(object_id) or b"").decode("utf-8", "replace")
             row[name] = (state.x, state.y, state.h, state.speed)
-            self._about.setdefault(name, (_kind(state), state.length, state.width, state.center_x))
+            self._boxes.setdefault(name, (_object_type(state), state.length, state.width, state.center_x))
         self._rows.append(row)
         touching = set()
         for object_id in ids:
             for k in range(max(lib.SE_GetObjectNumberOfCollisions(object_id), 0)):
                 if (other := lib.SE_GetObjectCollision(object_id, k)) in names:
-                    first, second = sorted((names[object_id], names[other]), key=list(self._about).index)
+                    first, second = sorted((names[object_id], names[other]), key=list(self._boxes).index)
                     touching.add((first, second))
-        new_pairs = touching - self._touching
-        self._touching = touching
+        new_pairs = touching - self._colliding_pairs
+        self._colliding_pairs = touching
         for pair in sorted(new_pairs):
             self._collisions.setdefault(pair, time)
         return bool(new_pairs)
 
-    def recording(self, time_step: float, cut_off: bool) -> Recording | SimulationError:
+    def make_recording(self, time_step: float, cut_off: bool) -> Recording | SimulationError:
         """Convert the recorded states to a recording."""
-        if not self._about:
+        if not self._boxes:
             return SimulationError("no entity is ever placed on the map")
         missing = (np.nan,) * 4
-        motion = np.array([[row.get(name, missing) for row in self._rows] for name in self._about])
+        motion = np.array([[row.get(name, missing) for row in self._rows] for name in self._boxes])
         x, y, heading, speed = np.moveaxis(motion, -1, 0)
         acceleration = np.zeros_like(speed)
         acceleration[:, 1:] = np.diff(speed, axis=1) / time_step
         is_present = np.isfinite(x)
         # No acceleration at an entity's first instant.
         acceleration = np.where(is_present, np.nan_to_num(acceleration), np.nan)
-        object_types, lengths, widths, centers = zip(*self._about.values(), strict=True)
+        object_types, lengths, widths, centers = zip(*self._boxes.values(), strict=True)
         collisions = sorted(self._collisions.items(), key=lambda item: item[1])
         return Recording(
             time=np.arange(len(self._rows)) * time_step,
-            names=tuple(self._about),
-            kinds=object_types,
+            names=tuple(self._boxes),
+            object_types=object_types,
             x=x,
             y=y,
             heading=heading,
@@ -235,13 +235,13 @@ class _Log:
             width=np.array(widths),
             center_x=np.array(centers),
             collisions=tuple(Collision(time, pair) for pair, time in collisions),
-            cut_off=cut_off,
+            is_truncated=cut_off,
         )
 
 
-def _kind(state: State) -> str:
-    if state.kind == _PEDESTRIAN:
+def _object_type(state: ObjectState) -> str:
+    if state.kind == _PEDESTRIAN_TYPE:
         return "pedestrian"
-    if state.kind != _VEHICLE:
+    if state.kind != _VEHICLE_TYPE:
         return "misc"
-    return _CATEGORIES[state.category] if 0 <= state.category < len(_CATEGORIES) else "car"
+    return _VEHICLE_CATEGORIES[state.category] if 0 <= state.category < len(_VEHICLE_CATEGORIES) else "car"

@@ -15,16 +15,16 @@ from xml.sax.saxutils import quoteattr
 import numpy as np
 
 from cornercase._common.errors import SimulationError
-from cornercase._common.geometry import within_half_turn
+from cornercase._common.geometry import wrap_angle
 from cornercase.simulators.builtin.tracks.lane import LaneTrack
-from cornercase.simulators.builtin.world.contacts import entity_corners
-from cornercase.simulators.builtin.world.motion import pull_entity
+from cornercase.simulators.builtin.world.contacts import all_box_corners
+from cornercase.simulators.builtin.world.motion import set_external_motion
 from cornercase.simulators.builtin.world.state import Entity, World
 
 # Parameters of SUMO's models, not calibrated. tau: time headway in s. jmTimegapMinor: time gap in s to traffic with the
 # right of way. impatience: how much a driver relies on that traffic to brake. jmIgnoreJunctionFoeProb: it completes a
 # turn that it has started.
-TYPES: Final[dict[str, dict[str, float]]] = {
+VEHICLE_TYPES: Final[dict[str, dict[str, float]]] = {
     "cautious": {
         "accel": 1.8, "decel": 3.5, "emergencyDecel": 8.0, "tau": 1.8, "minGap": 3.0, "speedFactor": 0.9,
         "jmTimegapMinor": 2.5, "impatience": 0.0,
@@ -39,17 +39,17 @@ TYPES: Final[dict[str, dict[str, float]]] = {
     },
 }  # fmt: skip
 # Entities that the storyboard moves do not yield, and go exactly where they are put.
-_MOVED: Final = {
+_MOVED_TYPE: Final = {
     "minGap": 0.0, "jmIgnoreFoeProb": 1.0, "jmIgnoreFoeSpeed": 100.0, "jmIgnoreJunctionFoeProb": 1.0,
 }  # fmt: skip
 
-_OPTIONS: Final = (
+_SUMO_OPTIONS: Final = (
     "--no-step-log", "true", "--no-warnings", "true", "--xml-validation", "never", "--collision.action", "none",
     "--time-to-teleport", "-1", "--step-method.ballistic", "true", "--default.speeddev", "0",
 )  # fmt: skip
 # Maximum offset in m from the middle of a lane for an entity that follows it.
-_BESIDE: Final = 0.3
-_AWAY: Final = 1e5
+_MAX_LANE_OFFSET: Final = 0.3
+_REMOTE_OFFSET: Final = 1e5
 
 
 class SumoCoupling:
@@ -66,12 +66,12 @@ class SumoCoupling:
 
         self._sumo: Any = libsumo
         self._types = types
-        self._known: dict[int, str] = {}
-        self._looked_up: dict[int, tuple[tuple[float, float, float], bool]] = {}
+        self._added: dict[int, str] = {}
+        self._lane_cache: dict[int, tuple[tuple[float, float, float], bool]] = {}
         self.error: SimulationError | None = None
         self._folder = tempfile.TemporaryDirectory(ignore_cleanup_errors=True)
         types_file = Path(self._folder.name) / "types.add.xml"
-        types_file.write_text(_types(), encoding="utf-8")
+        types_file.write_text(_format_vehicle_types(), encoding="utf-8")
         arguments = [
             "--additional-files",
             str(types_file),
@@ -81,7 +81,7 @@ class SumoCoupling:
             f"{time_step:g}",
             "--seed",
             str(seed),
-            *_OPTIONS,
+            *_SUMO_OPTIONS,
         ]
         arguments += ["--default.action-step-length", f"{time_step:g}"]
         # Loading is far faster than starting again.
@@ -94,7 +94,7 @@ class SumoCoupling:
         return self
 
     def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+        self, error_class: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
         self._folder.cleanup()
 
@@ -107,31 +107,31 @@ class SumoCoupling:
             return
         try:
             for e in np.flatnonzero(world.present[:, 0]).tolist():
-                if e not in self._known:
-                    self._add(world, e)
+                if e not in self._added:
+                    self._add_entity(world, e)
             if dt == 0.0:
                 return
-            for e, name in self._known.items():
+            for e, name in self._added.items():
                 if name in self._types:
-                    self._ask(world, e, name)
+                    self._set_max_speed(world, e, name)
                 else:
-                    self._show(world, e, name, dt)
+                    self._move_in_sumo(world, e, name, dt)
             self._sumo.simulationStep()
-            for e, name in self._known.items():
+            for e, name in self._added.items():
                 if name in self._types:
-                    self._take(world, e, name)
+                    self._move_from_sumo(world, e, name)
         except self._sumo.TraCIException as error:
-            self._fail(world, f"SUMO fails at {world.time:g} s ({error})")
+            self._stop_with_error(world, f"SUMO fails at {world.time:g} s ({error})")
 
-    def _fail(self, world: World, why: str) -> None:
-        self.error = SimulationError(why)
+    def _stop_with_error(self, world: World, reason: str) -> None:
+        self.error = SimulationError(reason)
         world.running[:] = False
 
-    def _add(self, world: World, e: int) -> None:
+    def _add_entity(self, world: World, e: int) -> None:
         sumo, entity = self._sumo, world.entities[e]
         name = entity.name
-        vehicle_type = self._vehicle_type(entity)
-        start, end = self._ends(world, e)
+        vehicle_type = self._make_vehicle_type(entity)
+        start, end = self._route_ends(world, e)
         route = sumo.simulation.findRoute(start[0], end[0]).edges or (start[0],)
         sumo.route.add(f"route {name}", route)
         sumo.vehicle.add(
@@ -146,126 +146,126 @@ class SumoCoupling:
             # No checks: it goes where the storyboard says.
             sumo.vehicle.setSpeedMode(name, 32)
             sumo.vehicle.setLaneChangeMode(name, 0)
-        self._known[e] = name
+        self._added[e] = name
 
-    def _vehicle_type(self, one: Entity) -> str:
-        sumo, name, temper = self._sumo, f"type {one.name}", self._types.get(one.name)
+    def _make_vehicle_type(self, entity: Entity) -> str:
+        sumo, name, temper = self._sumo, f"type {entity.name}", self._types.get(entity.name)
         sumo.vehicletype.copy(temper or "moved", name)
-        sumo.vehicletype.setLength(name, one.length)
-        sumo.vehicletype.setWidth(name, one.width)
+        sumo.vehicletype.setLength(name, entity.length)
+        sumo.vehicletype.setWidth(name, entity.width)
         if temper is not None:
-            type_settings = TYPES[temper]
-            sumo.vehicletype.setAccel(name, min(type_settings["accel"], one.max_acceleration))
-            sumo.vehicletype.setDecel(name, min(type_settings["decel"], one.max_deceleration))
+            type_settings = VEHICLE_TYPES[temper]
+            sumo.vehicletype.setAccel(name, min(type_settings["accel"], entity.max_acceleration))
+            sumo.vehicletype.setDecel(name, min(type_settings["decel"], entity.max_deceleration))
             sumo.vehicletype.setEmergencyDecel(
-                name, max(type_settings["decel"], min(type_settings["emergencyDecel"], one.max_deceleration))
+                name, max(type_settings["decel"], min(type_settings["emergencyDecel"], entity.max_deceleration))
             )
         return name
 
-    def _ends(self, world: World, e: int) -> tuple[tuple[str, float, int], tuple[str, float, int]]:
+    def _route_ends(self, world: World, e: int) -> tuple[tuple[str, float, int], tuple[str, float, int]]:
         """Start of an entity's front and end of its route, each as (edge, position, lane)."""
-        x, y = self._front(world, e)
+        x, y = self._front_position(world, e)
         begin = self._sumo.simulation.convertRoad(x, y)
-        track = self._lane_track(world, e)
+        track = self._lane_track_of(world, e)
         if track is None or begin[0].startswith(":"):
             # It may start on a junction. Its position is set in each step, so any edge will do.
             any_edge = next(edge for edge in self._sumo.edge.getIDList() if not edge.startswith(":"))
             return (any_edge, 0.0, 0), (any_edge, 0.0, 0)
         # The very end of a path may be just outside the network.
         end_s = np.array([max(track.length - 1.0, 0.0)])
-        end_x, end_y, _ = track.at(end_s, np.zeros(1), np.zeros(1, dtype=np.int64))
+        end_x, end_y, _ = track.pose_at(end_s, np.zeros(1), np.zeros(1, dtype=np.int64))
         return begin, self._sumo.simulation.convertRoad(float(end_x[0]), float(end_y[0]))
 
-    def _lane_track(self, world: World, e: int) -> LaneTrack | None:
+    def _lane_track_of(self, world: World, e: int) -> LaneTrack | None:
         k = int(world.track[e, 0])
         track = world.tracks[e][k] if 0 <= k < len(world.tracks[e]) else None
         return track if isinstance(track, LaneTrack) else None
 
-    def _ask(self, world: World, e: int, name: str) -> None:
+    def _set_max_speed(self, world: World, e: int, name: str) -> None:
         """Set the maximum speed of an entity that SUMO drives."""
         self._sumo.vehicle.setSpeed(name, -1.0)
         max_speed = min(float(world.target_speed[e, 0]), world.entities[e].max_speed)
         if math.isfinite(max_speed):
             self._sumo.vehicle.setMaxSpeed(name, max(max_speed, 0.01))
 
-    def _show(self, world: World, e: int, name: str, dt: float) -> None:
+    def _move_in_sumo(self, world: World, e: int, name: str, dt: float) -> None:
         """Move an entity in SUMO to its position at the end of the step."""
         speed, heading = float(world.speed[e, 0]), float(world.heading[e, 0])
-        x, y = self._front(world, e)
+        x, y = self._front_position(world, e)
         x, y = x + speed * dt * math.cos(heading), y + speed * dt * math.sin(heading)
-        follows_lane = self._lane_track(world, e) is not None and abs(float(world.offset[e, 0])) < _BESIDE
-        if not (follows_lane or self._on_lane(world, e)):
-            x, y = x + _AWAY, y + _AWAY
+        follows_lane = self._lane_track_of(world, e) is not None and abs(float(world.offset[e, 0])) < _MAX_LANE_OFFSET
+        if not (follows_lane or self._is_on_lane(world, e)):
+            x, y = x + _REMOTE_OFFSET, y + _REMOTE_OFFSET
         self._sumo.vehicle.setSpeed(name, max(speed, 0.0))
-        self._sumo.vehicle.moveToXY(name, "", -1, x, y, _compass(heading), keepRoute=1 if follows_lane else 2)
+        self._sumo.vehicle.moveToXY(name, "", -1, x, y, _to_compass(heading), keepRoute=1 if follows_lane else 2)
 
-    def _on_lane(self, world: World, e: int) -> bool:
+    def _is_on_lane(self, world: World, e: int) -> bool:
         """Return whether an entity's box reaches into a drivable lane; cached while it does not move."""
         if world.network is None:
             return True
         pose = (float(world.x[e, 0]), float(world.y[e, 0]), float(world.heading[e, 0]))
-        if e not in self._looked_up or self._looked_up[e][0] != pose:
-            self._looked_up[e] = (pose, self._reaches(world, e))
-        return self._looked_up[e][1]
+        if e not in self._lane_cache or self._lane_cache[e][0] != pose:
+            self._lane_cache[e] = (pose, self._reaches_lane(world, e))
+        return self._lane_cache[e][1]
 
-    def _reaches(self, world: World, e: int) -> bool:
+    def _reaches_lane(self, world: World, e: int) -> bool:
         assert world.network is not None
         entity = world.entities[e]
-        corners = entity_corners(world)[e, 0]
+        corners = all_box_corners(world)[e, 0]
         points = np.concatenate([corners, corners.mean(axis=0, keepdims=True)])
         positions = world.network.locate(points[:, 0], points[:, 1])
         for road, lane, s, offset in zip(positions.road, positions.lane, positions.s, positions.offset, strict=True):
             road_object = world.network.roads[int(road)]
             section = int(road_object.section_at(np.array([s]))[0])
             lane_object = road_object.sections[section][1].get(int(lane))
-            width = float(road_object.width(section, int(lane), np.array([s]))[0])
+            width = float(road_object.lane_width(section, int(lane), np.array([s]))[0])
             if (
                 lane_object is not None
-                and lane_object.drivable
+                and lane_object.is_drivable
                 and abs(float(offset)) <= 0.5 * width + 0.05 * entity.width
             ):
                 return True
         return False
 
-    def _front(self, world: World, e: int) -> tuple[float, float]:
+    def _front_position(self, world: World, e: int) -> tuple[float, float]:
         entity, heading = world.entities[e], float(world.heading[e, 0])
         front_offset = entity.center_x + 0.5 * entity.length
         return float(world.x[e, 0]) + front_offset * math.cos(heading), float(world.y[e, 0]) + front_offset * math.sin(
             heading
         )
 
-    def _take(self, world: World, e: int, name: str) -> None:
+    def _move_from_sumo(self, world: World, e: int, name: str) -> None:
         """Move an entity to where SUMO has driven it."""
         sumo = self._sumo
         if name not in sumo.vehicle.getIDList():
             # It has arrived at the end of its route, and stays there.
-            pull_entity(world, e, world.x[e], world.y[e], world.heading[e], np.zeros(1))
+            set_external_motion(world, e, world.x[e], world.y[e], world.heading[e], np.zeros(1))
             return
         x, y = sumo.vehicle.getPosition(name)
         heading = math.pi / 2 - math.radians(sumo.vehicle.getAngle(name))
         entity = world.entities[e]
         front_offset = entity.center_x + 0.5 * entity.length
-        pull_entity(
+        set_external_motion(
             world,
             e,
             np.array([x - front_offset * math.cos(heading)]),
             np.array([y - front_offset * math.sin(heading)]),
-            np.array([within_half_turn(heading)]),
+            np.array([wrap_angle(heading)]),
             np.array([sumo.vehicle.getSpeed(name)]),
         )
 
 
-def _compass(heading: float) -> float:
+def _to_compass(heading: float) -> float:
     """Convert a heading in rad to degrees clockwise from north."""
     return (90.0 - math.degrees(heading)) % 360.0
 
 
-def _types() -> str:
+def _format_vehicle_types() -> str:
     """Vehicle types as SUMO's XML; all are deterministic."""
     rows = [
         f"<vType id={quoteattr(name)} sigma='0' "
         + " ".join(f"{key}='{value:g}'" for key, value in settings.items())
         + "/>"
-        for name, settings in {**TYPES, "moved": _MOVED}.items()
+        for name, settings in {**VEHICLE_TYPES, "moved": _MOVED_TYPE}.items()
     ]
     return "<additional>\n" + "\n".join(rows) + "\n</additional>\n"

@@ -11,24 +11,24 @@ from pathlib import Path
 from typing import Final
 
 from cornercase._common.errors import InputError
-from cornercase._common.files import read_file, written_whole
-from cornercase._common.platform import find_program, user_cache
-from cornercase.scenario import Scenario, Value, parse_xml
+from cornercase._common.files import read_file, atomic_write
+from cornercase._common.platform import find_program, user_cache_folder
+from cornercase.scenario import ScenarioFile, Value, parse_xml
 
-_PATIENCE: Final = 120.0
+_CONVERSION_TIMEOUT: Final = 120.0
 
 
-def sumo_network(scenario: Scenario, given: str | None = None, values: Mapping[str, Value] | None = None) -> Path:
+def find_or_convert_network(scenario: ScenarioFile, network_file: str | None = None, values: Mapping[str, Value] | None = None) -> Path:
     """Return the ``.net.xml`` of a scenario: `given` if set, else converted from its OpenDRIVE file by netconvert.
 
     Converted files are cached in the user's cache by the hash of the OpenDRIVE file. `values` may select the road file.
     Raises `InputError` if there is no such file, the scenario has no roads, or netconvert is missing or fails.
     """
-    if given is not None:
-        if not Path(given).is_file():
-            raise InputError(f"{given}: there is no such network file; give a .net.xml.")
-        return Path(given)
-    roads = scenario.road_file(values)
+    if network_file is not None:
+        if not Path(network_file).is_file():
+            raise InputError(f"{network_file}: there is no such network file; give a .net.xml.")
+        return Path(network_file)
+    roads = scenario.road_path_for(values)
     if roads is None:
         raise InputError(f"{scenario.path}: has no road network in <RoadNetwork><LogicFile>, which SUMO needs.")
     if roads.name.endswith(".net.xml"):
@@ -38,15 +38,15 @@ def sumo_network(scenario: Scenario, given: str | None = None, values: Mapping[s
         )
     content = read_file(roads)
     key = hashlib.sha256(content).hexdigest()[:32]
-    cached = user_cache() / "cornercase" / "sumo" / f"{key}.net.xml"
+    cached = user_cache_folder() / "cornercase" / "sumo" / f"{key}.net.xml"
     if not cached.exists():
-        with written_whole(cached) as temporary:
-            _convert(roads, content, temporary)
+        with atomic_write(cached) as temporary:
+            _convert_roads(roads, content, temporary)
     return cached
 
 
-def _convert(roads: Path, content: bytes, target: Path) -> None:
-    program = _netconvert()
+def _convert_roads(roads: Path, content: bytes, target: Path) -> None:
+    program = _find_netconvert()
     # netconvert would resolve XML entities, so check the file with our own parser first.
     try:
         parse_xml(content, roads)
@@ -61,9 +61,9 @@ def _convert(roads: Path, content: bytes, target: Path) -> None:
         command += ["--offset.disable-normalization", "true", "--xml-validation", "never"]
         try:
             # It would also search the current folder for projection data.
-            done = subprocess.run(command, capture_output=True, timeout=_PATIENCE, check=False, cwd=folder)
+            done = subprocess.run(command, capture_output=True, timeout=_CONVERSION_TIMEOUT, check=False, cwd=folder)
         except subprocess.TimeoutExpired:
-            raise InputError(f"{roads}: netconvert did not convert it within {_PATIENCE:g} s.") from None
+            raise InputError(f"{roads}: netconvert did not convert it within {_CONVERSION_TIMEOUT:g} s.") from None
         if done.returncode != 0 or not output_file.exists():
             messages = done.stderr.decode("utf-8", "replace").splitlines()
             lines = [line for line in messages if "rror" in line] or messages or ["?"]
@@ -71,7 +71,7 @@ def _convert(roads: Path, content: bytes, target: Path) -> None:
         target.write_bytes(output_file.read_bytes())
 
 
-def _netconvert() -> str:
+def _find_netconvert() -> str:
     program = find_program("netconvert")
     if program is None and find_spec("sumo") is not None:
         import sumo

@@ -9,21 +9,21 @@ from importlib.util import find_spec
 
 import numpy as np
 
-from cornercase._common.errors import InputError, SimulationError, suggestion
+from cornercase._common.errors import InputError, SimulationError, suggest_name
 from cornercase._common.ledger import Notice
-from cornercase._common.texts import without_folders
+from cornercase._common.texts import remove_folders
 from cornercase._common.typing import FloatArray
-from cornercase.drivers import DRIVERS, Driver, Situation, is_registered
+from cornercase.drivers import DRIVERS, Driver, Situation, is_registered_driver
 from cornercase.recordings import Recording
-from cornercase.scenario import ConcreteScenario, Scenario, Value
-from cornercase.simulators.base import Availability, Simulator, checked_seed, checked_settings
+from cornercase.scenario import ConcreteScenario, ScenarioFile, Value
+from cornercase.simulators.base import Availability, Simulator, check_seed, check_settings
 from cornercase.simulators.builtin.batch import Batch
-from cornercase.simulators.builtin.effect import notices
-from cornercase.simulators.builtin.prepared import PreparedScenario, UnusableError
-from cornercase.simulators.sumo.coupling import TYPES, SumoCoupling
-from cornercase.simulators.sumo.network import sumo_network
+from cornercase.simulators.builtin.effect import read_and_collect_notices
+from cornercase.simulators.builtin.prepared import PreparedScenario, UnusableValuesError
+from cornercase.simulators.sumo.coupling import VEHICLE_TYPES, SumoCoupling
+from cornercase.simulators.sumo.network import find_or_convert_network
 
-_MISSING = "SUMO is not installed; pip install 'cornercase[sumo]'."
+_MISSING_MESSAGE = "SUMO is not installed; pip install 'cornercase[sumo]'."
 
 
 class SumoSimulator(Simulator):
@@ -56,8 +56,8 @@ class SumoSimulator(Simulator):
     """
 
     name = "sumo"
-    repeats_itself = True
-    values_by = "file"
+    deterministic = True
+    parameter_passing = "file"
 
     def __init__(
         self,
@@ -69,16 +69,16 @@ class SumoSimulator(Simulator):
         seed: int = 0,
         network: str | None = None,
     ) -> None:
-        settings = checked_settings(time_step, duration, on_collision, drivers)
+        settings = check_settings(time_step, duration, on_collision, drivers)
         if find_spec("libsumo") is None:
-            raise InputError(_MISSING)
+            raise InputError(_MISSING_MESSAGE)
         self._time_step, self._duration, self._on_collision = time_step, duration, on_collision
         self._drivers, self._seed, self._network = dict(drivers or {}), seed, network
         self._prepared: PreparedScenario | None = None
         self.settings: dict[str, object] = {
             **settings,
-            "seed": checked_seed(seed, "SUMO"),
-            "network": None if network is None else without_folders(network),
+            "seed": check_seed(seed, "SUMO"),
+            "network": None if network is None else remove_folders(network),
             "sumo": version("libsumo"),
         }
 
@@ -91,8 +91,8 @@ class SumoSimulator(Simulator):
             installed_version = ""
         return Availability(
             version=installed_version,
-            missing="" if installed_version else _MISSING,
-            abilities=(
+            problem="" if installed_version else _MISSING_MESSAGE,
+            features=(
                 "pedestrians",
                 "car-following",
                 "right of way",
@@ -102,42 +102,42 @@ class SumoSimulator(Simulator):
         )
 
     @classmethod
-    def notices(cls, scenario: Scenario, values: Mapping[str, Value] | None = None) -> tuple[Notice, ...]:
+    def notices(cls, scenario: ScenarioFile, values: Mapping[str, Value] | None = None) -> tuple[Notice, ...]:
         """List content without effect, as for the builtin simulator, whose storyboard is used."""
-        return notices(scenario, values)
+        return read_and_collect_notices(scenario, values)
 
     def run(self, concretes: Sequence[ConcreteScenario]) -> Iterator[Recording | SimulationError]:
         """Run scenarios, as `Simulator.run`."""
         prepared = self._prepared
         for concrete in concretes:
-            scenario = concrete.scenario(None if prepared is None else prepared.scenario)
+            scenario = concrete.load_file(None if prepared is None else prepared.scenario)
             if prepared is None or prepared.scenario is not scenario:
                 prepared = self._prepared = PreparedScenario(scenario)
             for entity in self._drivers:
                 scenario.require_entity(entity, "driven entity")
-            types = self._types(scenario)
+            types = self._vehicle_types(scenario)
             try:
-                yield self._run(prepared, concrete.values, types)
-            except UnusableError as error:
-                make_batch = partial(self._batch, prepared, {}, self._drivers, None)
-                yield SimulationError(prepared.what_is_wrong(error, concrete.values, make_batch))
+                yield self._run_scenario(prepared, concrete.values, types)
+            except UnusableValuesError as error:
+                make_batch = partial(self._make_batch, prepared, {}, self._drivers, None)
+                yield SimulationError(prepared.describe_value_error(error, concrete.values, make_batch))
 
-    def _run(
+    def _run_scenario(
         self, prepared: PreparedScenario, values: Mapping[str, Value], types: Mapping[str, str]
     ) -> Recording | SimulationError:
-        if problem := prepared.unusable([values]).get(0):
+        if problem := prepared.find_invalid_values([values]).get(0):
             return SimulationError(problem)
-        roads = prepared.scenario.road_file(values)
+        roads = prepared.scenario.road_path_for(values)
         if roads is not None and not roads.is_file():
-            self._batch(prepared, values, self._drivers, None)  # raises an error that names the parameter
-        network = sumo_network(prepared.scenario, self._network, values)
+            self._make_batch(prepared, values, self._drivers, None)  # raises an error that names the parameter
+        network = find_or_convert_network(prepared.scenario, self._network, values)
         with SumoCoupling(network, types, self._time_step, self._seed) as coupling:
-            batch = self._batch(prepared, values, {**self._drivers, **dict.fromkeys(types, _LeftToSumo())}, coupling)
+            batch = self._make_batch(prepared, values, {**self._drivers, **dict.fromkeys(types, _SumoDriver())}, coupling)
             batch.run()
-        self.notice(batch.remarks)
+        self.notify(batch.remarks)
         return coupling.error or batch.results([0])[0]
 
-    def _batch(
+    def _make_batch(
         self,
         prepared: PreparedScenario,
         values: Mapping[str, Value],
@@ -148,21 +148,21 @@ class SumoSimulator(Simulator):
             prepared, [values], self._time_step, self._duration, self._on_collision == "stop", drivers, coupling
         )
 
-    def require_means(self, scenario: Scenario) -> None:
+    def check_supported(self, scenario: ScenarioFile) -> None:
         """Refuse a scenario with an unknown driver."""
-        self._types(scenario)
+        self._vehicle_types(scenario)
 
-    def _types(self, scenario: Scenario) -> dict[str, str]:
+    def _vehicle_types(self, scenario: ScenarioFile) -> dict[str, str]:
         """Vehicle types of the entities that SUMO drives."""
         all_drivers = {**scenario.drivers, **self._drivers}
         for name, driver in all_drivers.items():
-            if isinstance(driver, str) and driver not in TYPES and not is_registered(driver):
-                hint = suggestion(driver.partition(":")[0], (*TYPES, *DRIVERS.names()))
+            if isinstance(driver, str) and driver not in VEHICLE_TYPES and not is_registered_driver(driver):
+                hint = suggest_name(driver.partition(":")[0], (*VEHICLE_TYPES, *DRIVERS.names()))
                 raise InputError(f"{scenario.path}: '{name}' asks for the driver '{driver}'; {hint}")
-        return {name: driver for name, driver in all_drivers.items() if isinstance(driver, str) and driver in TYPES}
+        return {name: driver for name, driver in all_drivers.items() if isinstance(driver, str) and driver in VEHICLE_TYPES}
 
 
-class _LeftToSumo(Driver):
+class _SumoDriver(Driver):
     """Driver that decides nothing, so that the storyboard leaves the entity to SUMO."""
 
     def acceleration(self, situation: Situation) -> FloatArray:

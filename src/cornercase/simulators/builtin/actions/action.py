@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from cornercase._common.typing import BoolArray
-from cornercase.simulators.builtin.frames.table import UNKNOWN
+from cornercase.simulators.builtin.frames.table import PYTHON_ACTION
 from cornercase.simulators.builtin.world.state import World
 
 
@@ -16,12 +16,12 @@ class Action:
     """
 
     domains: tuple[str, ...] = ()
-    remembered: tuple[str, ...] = ()
-    keeps_time: bool = False
+    shared_arrays: tuple[str, ...] = ()
+    has_own_timing: bool = False
 
-    def options(self) -> tuple[int, ...]:
+    def kernel_options(self) -> tuple[int, ...]:
         """Kind, entity and options for the kernels, which need not know every action."""
-        return (UNKNOWN,)
+        return (PYTHON_ACTION,)
 
     def start(self, world: World, where: BoolArray) -> None:
         """Start in the scenarios of the mask."""
@@ -31,8 +31,8 @@ class Action:
         """Act for one time step; return where it has ended, shape (N,)."""
         return where.copy()
 
-    def look_up(self, world: World, where: BoolArray) -> None:
+    def look_up_positions(self, world: World, where: BoolArray) -> None:
         """Look up what kernels cannot before the coming frame, in the scenarios of a mask."""
 
-    def leave(self, world: World, where: BoolArray) -> None:
+    def release(self, world: World, where: BoolArray) -> None:
         """Release the entity when the action is ended early, in the scenarios of a mask."""

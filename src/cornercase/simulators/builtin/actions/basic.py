@@ -8,8 +8,8 @@ from typing import Any, Final
 import numpy as np
 from lxml import etree
 
-from cornercase._common.errors import InputError, suggestion
-from cornercase._common.recorded_xml import adapt
+from cornercase._common.errors import InputError, suggest_name
+from cornercase._common.recorded_xml import note_adaptation
 from cornercase._common.typing import BoolArray
 from cornercase.scenario import Scope
 from cornercase.simulators.builtin.actions.action import Action
@@ -19,19 +19,19 @@ from cornercase.simulators.builtin.actions.lateral import LaneChangeAction, Lane
 from cornercase.simulators.builtin.actions.longitudinal import (
     LongitudinalDistanceAction,
     SpeedAction,
-    child,
+    require_child,
 )
 from cornercase.simulators.builtin.actions.speed_profile import SpeedProfileAction
 from cornercase.simulators.builtin.actions.synchronise import SynchronizeAction
 from cornercase.simulators.builtin.actions.trailer import read_trailer_action
-from cornercase.simulators.builtin.paths.positions import entity_index, read_position, read_route
-from cornercase.simulators.builtin.world.held import as_held, nobody_asks
+from cornercase.simulators.builtin.paths.positions import read_entity_index, read_position, read_route
+from cornercase.simulators.builtin.world.held import read_text_value, is_unused_by_conditions
 from cornercase.simulators.builtin.world.lanes import assign_route, place_entity
 from cornercase.simulators.builtin.world.signals import (
     SIGNAL_CONDITIONS,
     SignalController,
-    named_controller,
-    named_phase,
+    require_signal_controller,
+    require_phase_index,
 )
 from cornercase.simulators.builtin.world.state import LATERAL, LONGITUDINAL, World
 
@@ -42,37 +42,37 @@ WITHOUT_EFFECT: Final = (
 )  # fmt: skip
 
 
-_HOLDERS: Final = (
+_GROUPING_TAGS: Final = (
     "LongitudinalAction", "LateralAction", "RoutingAction", "InfrastructureAction", "TrafficSignalAction",
 )  # fmt: skip
 
 
 def read_action(element: etree._Element, scope: Scope, world: World, entity: int | None) -> Action | None:
     """Read a ``PrivateAction`` of an entity (by row) or a ``GlobalAction``; None if it has no effect."""
-    inner = inner_action(element)
+    inner = find_action_element(element)
     if element.tag in WITHOUT_EFFECT:
         return None
     if inner is element:
-        adapt(element, f"<{element.tag}> without an action", "is skipped", f"<{element.tag}> holds an action")
+        note_adaptation(element, f"<{element.tag}> without an action", "is skipped", f"<{element.tag}> holds an action")
         return None
     if inner.tag in WITHOUT_EFFECT:
         return None
     if inner.tag in _GLOBAL_READERS:
         return _GLOBAL_READERS[inner.tag](inner, scope, world, entity)
-    if inner.tag not in _READERS:
+    if inner.tag not in _PRIVATE_READERS:
         raise InputError(
-            f"{scope.source}, line {inner.sourceline}: <{inner.tag}> is not supported by the builtin simulator;"
-            f" it runs {', '.join((*_READERS, *_GLOBAL_READERS))}."
+            f"{scope.file_name}, line {inner.sourceline}: <{inner.tag}> is not supported by the builtin simulator;"
+            f" it runs {', '.join((*_PRIVATE_READERS, *_GLOBAL_READERS))}."
         )
     if entity is None:
-        raise InputError(f"{scope.source}, line {inner.sourceline}: <{inner.tag}> needs an entity that acts.")
-    return _READERS[inner.tag](inner, scope, world, entity)
+        raise InputError(f"{scope.file_name}, line {inner.sourceline}: <{inner.tag}> needs an entity that acts.")
+    return _PRIVATE_READERS[inner.tag](inner, scope, world, entity)
 
 
-def inner_action(element: etree._Element) -> etree._Element:
+def find_action_element(element: etree._Element) -> etree._Element:
     """Find the action inside its grouping elements; the element itself if there is none."""
     inner = next(iter(element.iterchildren("*")), None)
-    while inner is not None and inner.tag in _HOLDERS:
+    while inner is not None and inner.tag in _GROUPING_TAGS:
         inner = next(iter(inner.iterchildren("*")), None)
     return element if inner is None else inner
 
@@ -84,13 +84,13 @@ class TeleportAction(Action):
 
     def __init__(self, element: etree._Element, scope: Scope, world: World, entity: int) -> None:
         self._entity = entity
-        self._position = read_position(child(element, "Position", scope), scope, world)
+        self._position = read_position(require_child(element, "Position", scope), scope, world)
 
     def start(self, world: World, where: BoolArray) -> None:
         # Relative positions follow the route of the placed entity.
-        world.actor = self._entity
+        world.positioned_entity = self._entity
         pose = self._position(world)
-        world.actor = None
+        world.positioned_entity = None
         place_entity(world, self._entity, pose, where)
 
 
@@ -115,7 +115,7 @@ class AcquirePositionAction(Action):
 
     def __init__(self, element: etree._Element, scope: Scope, world: World, entity: int) -> None:
         self._entity = entity
-        self._position = read_position(child(element, "Position", scope), scope, world)
+        self._position = read_position(require_child(element, "Position", scope), scope, world)
 
     def start(self, world: World, where: BoolArray) -> None:
         pose = self._position(world)
@@ -125,17 +125,17 @@ class AcquirePositionAction(Action):
             assign_route(world, self._entity, (int(road),), where & (pose.road == road))
 
 
-class PresenceAction(Action):
+class EntityAction(Action):
     """Adds an entity to the traffic or removes it."""
 
     def __init__(self, element: etree._Element, scope: Scope, world: World, entity: int | None) -> None:
-        self._entity = entity_index(element, scope, world)
+        self._entity = read_entity_index(element, scope, world)
         add = element.find("AddEntityAction")
         self._position = None
         if add is not None:
-            self._position = read_position(child(add, "Position", scope), scope, world)
+            self._position = read_position(require_child(add, "Position", scope), scope, world)
         elif element.find("DeleteEntityAction") is None:
-            raise InputError(f"{scope.source}, line {element.sourceline}: <EntityAction> neither adds nor deletes.")
+            raise InputError(f"{scope.file_name}, line {element.sourceline}: <EntityAction> neither adds nor deletes.")
 
     def start(self, world: World, where: BoolArray) -> None:
         if self._position is None:
@@ -147,12 +147,12 @@ class PresenceAction(Action):
             world.moved[self._entity][added] = False
 
 
-class ValueAction(Action):
+class SetOrModifyAction(Action):
     """Sets or modifies a variable or, in files before 1.2, a parameter."""
 
     def __init__(self, element: etree._Element, scope: Scope, values: dict[str, Any], name: str) -> None:
         self._name, self._values = name, values
-        where = f"{scope.source}, line {element.sourceline}: <{element.tag}>"
+        where = f"{scope.file_name}, line {element.sourceline}: <{element.tag}>"
         self._operation: Callable[[Any, Any], Any] = np.add
         change, source = element.find("SetAction"), None
         if change is not None:
@@ -167,8 +167,8 @@ class ValueAction(Action):
             source = inner
             self._operation = np.multiply if inner.tag == "MultiplyByValue" else np.add
         numeric = values[self._name].dtype.kind == "f"
-        text = "" if numeric else as_held(source, scope, values[self._name])
-        self._value = scope.number(source, "value") if numeric else np.full(scope.scenarios, text)
+        text = "" if numeric else read_text_value(source, scope, values[self._name])
+        self._value = scope.read_numbers(source, "value") if numeric else np.full(scope.n_scenarios, text)
         if not numeric and not self._set:
             raise InputError(f"{where}: '{self._name}' is not a number and can only be set.")
 
@@ -179,57 +179,57 @@ class ValueAction(Action):
         self._values[self._name] = np.where(where, new, values)
 
 
-def _read_value(element: etree._Element, scope: Scope, world: World, entity: int | None) -> Action | None:
+def _read_variable_action(element: etree._Element, scope: Scope, world: World, entity: int | None) -> Action | None:
     attribute = "variableRef" if element.tag == "VariableAction" else "parameterRef"
     noun, values = attribute.removesuffix("Ref"), world.variables if attribute == "variableRef" else world.parameters
     name = element.get(attribute, "").lstrip("$")
     if name in values:
-        return ValueAction(element, scope, values, name)
-    if nobody_asks(element, f"{noun.capitalize()}Condition"):
+        return SetOrModifyAction(element, scope, values, name)
+    if is_unused_by_conditions(element, f"{noun.capitalize()}Condition"):
         why = f"is skipped, as there is no {noun} '{name}', and no condition uses it"
-        adapt(element, f"<{element.tag}>", why, f"{attribute} names a {noun} that is declared")
+        note_adaptation(element, f"<{element.tag}>", why, f"{attribute} names a {noun} that is declared")
         return None
-    where = f"{scope.source}, line {element.sourceline}: <{element.tag}>"
-    raise InputError(f"{where}: there is no {noun} '{name}'; {suggestion(name, values)}")
+    where = f"{scope.file_name}, line {element.sourceline}: <{element.tag}>"
+    raise InputError(f"{where}: there is no {noun} '{name}'; {suggest_name(name, values)}")
 
 
-class SignalControllerAction(Action):
+class TrafficSignalControllerAction(Action):
     """Starts a phase of a traffic signal controller, which continues from there."""
 
     def __init__(self, controller: SignalController, phase: int) -> None:
         self._controller, self._phase = controller, phase
 
     def start(self, world: World, where: BoolArray) -> None:
-        self._controller.go_to(self._phase, world.time, where)
-        self._controller.switch(world.signals, world.time, world.running)
+        self._controller.start_phase(self._phase, world.time, where)
+        self._controller.update_signals(world.signals, world.time, world.running)
 
 
-def _read_signal_controller(element: etree._Element, scope: Scope, world: World, entity: int | None) -> Action | None:
-    where = f"{scope.source}, line {element.sourceline}: <{element.tag}>"
-    name = scope.text(element, "trafficSignalControllerRef")
-    phase = scope.text(element, "phase")
+def _read_signal_controller_action(element: etree._Element, scope: Scope, world: World, entity: int | None) -> Action | None:
+    where = f"{scope.file_name}, line {element.sourceline}: <{element.tag}>"
+    name = scope.read_text(element, "trafficSignalControllerRef")
+    phase = scope.read_text(element, "phase")
     controller = world.signal_controllers.get(name)
-    if (controller is None or phase not in controller.names) and nobody_asks(element, *SIGNAL_CONDITIONS):
+    if (controller is None or phase not in controller.names) and is_unused_by_conditions(element, *SIGNAL_CONDITIONS):
         lacking = f"signal controller '{name}'" if controller is None else f"phase '{phase}' of '{name}'"
         why = f"is skipped, as there is no {lacking}, and no condition uses signals"
-        adapt(element, f"<{element.tag}>", why, "it names a signal controller of the file, and a phase of it")
+        note_adaptation(element, f"<{element.tag}>", why, "it names a signal controller of the file, and a phase of it")
         return None
-    controller = named_controller(world.signal_controllers, name, where)
-    return SignalControllerAction(controller, named_phase(controller, phase, where))
+    controller = require_signal_controller(world.signal_controllers, name, where)
+    return TrafficSignalControllerAction(controller, require_phase_index(controller, phase, where))
 
 
-class SignalAction(Action):
+class TrafficSignalStateAction(Action):
     """Switches a traffic signal; only conditions read it."""
 
     def __init__(self, element: etree._Element, scope: Scope, world: World, entity: int | None) -> None:
-        self._name, self._state = scope.text(element, "name"), scope.text(element, "state")
+        self._name, self._state = scope.read_text(element, "name"), scope.read_text(element, "state")
 
     def start(self, world: World, where: BoolArray) -> None:
         before = world.signals.get(self._name, np.full(world.scenarios, ""))
         world.signals[self._name] = np.where(where, self._state, before)
 
 
-_READERS: Final[dict[str, Callable[[etree._Element, Scope, World, int], Action | None]]] = {
+_PRIVATE_READERS: Final[dict[str, Callable[[etree._Element, Scope, World, int], Action | None]]] = {
     "TeleportAction": TeleportAction,
     "SpeedAction": SpeedAction,
     "SpeedProfileAction": SpeedProfileAction,
@@ -249,9 +249,9 @@ _READERS: Final[dict[str, Callable[[etree._Element, Scope, World, int], Action |
 }
 
 _GLOBAL_READERS: Final[dict[str, Callable[[etree._Element, Scope, World, int | None], Action | None]]] = {
-    "EntityAction": PresenceAction,
-    "VariableAction": _read_value,
-    "ParameterAction": _read_value,
-    "TrafficSignalStateAction": SignalAction,
-    "TrafficSignalControllerAction": _read_signal_controller,
+    "EntityAction": EntityAction,
+    "VariableAction": _read_variable_action,
+    "ParameterAction": _read_variable_action,
+    "TrafficSignalStateAction": TrafficSignalStateAction,
+    "TrafficSignalControllerAction": _read_signal_controller_action,
 }

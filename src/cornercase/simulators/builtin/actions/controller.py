@@ -7,14 +7,14 @@ from weakref import WeakKeyDictionary
 import numpy as np
 from lxml import etree
 
-from cornercase._common.arguments import shown
-from cornercase._common.errors import InputError, PartError, SimulationError
-from cornercase._common.interrupts import requests_heard
-from cornercase._common.parts import failure_of, format_instant, is_built_in, raise_if_request
-from cornercase._common.recorded_xml import named, unrecorded
-from cornercase._common.texts import quoted_name
+from cornercase._common.arguments import repr_short
+from cornercase._common.errors import InputError, PluginError, SimulationError
+from cornercase._common.interrupts import count_requests
+from cornercase._common.parts import make_scenario_failure, format_time_of_failure, is_built_in, reraise_termination_request
+from cornercase._common.recorded_xml import find_by_name, find_untracked
+from cornercase._common.texts import quote_name
 from cornercase._common.typing import BoolArray, FloatArray
-from cornercase.drivers import DrivenPath, Driver, Situation, decides_in_fleet, driver_of_file, limit_driver
+from cornercase.drivers import DrivenPath, Driver, Situation, is_compiled, create_driver_named_in_file, limit_driver_acceleration
 from cornercase.roads import LanePath
 from cornercase.scenario import DRIVER_PROPERTY, Scope
 from cornercase.simulators.builtin.actions.action import Action
@@ -23,12 +23,12 @@ from cornercase.simulators.builtin.tracks.track import Track, Trajectory
 from cornercase.simulators.builtin.world.state import World
 
 # Trajectories for drivers, in m: sample spacing, straight extension beyond the end, and longest length.
-_SPACING, _BEYOND, _LONGEST = 0.5, 200.0, 2000.0
+_SAMPLE_SPACING, _EXTENSION_LENGTH, _MAX_LENGTH = 0.5, 200.0, 2000.0
 
 # Excess in m/s² that may come from rounding.
 _ROUNDING = 1e-9
 
-_DRIVEN: WeakKeyDictionary[LanePath, DrivenPath] = WeakKeyDictionary()
+_LANE_PATH_CACHE: WeakKeyDictionary[LanePath, DrivenPath] = WeakKeyDictionary()
 
 
 class DriverError(Exception):
@@ -40,10 +40,10 @@ class DriverError(Exception):
 
     def __init__(self, error: SimulationError, splits: bool) -> None:
         super().__init__(str(error))
-        self.error, self.splits = error, splits
+        self.error, self.can_bisect = error, splits
 
 
-class Driving:
+class DriverControl:
     """One entity of a batch and the driver that decides its speed along lanes and trajectories while active.
 
     A trajectory with times leaves the driver nothing to decide. `number` is its index in `World.drivers`; `in_fleet`
@@ -57,44 +57,44 @@ class Driving:
         world.drivers.append(self)
         self._others = [a for a in range(len(world.entities)) if a != entity]
         self._paths: dict[int, DrivenPath] = {}
-        self._begun: dict[int, int] = {}
-        self.exceeded: dict[str, str] = {}
-        self.in_fleet = decides_in_fleet(driver)
+        self._sampled_versions: dict[int, int] = {}
+        self.limit_notices: dict[str, str] = {}
+        self.in_fleet = is_compiled(driver)
         self._failure: DriverError | None = None
         if self.in_fleet:
             self._join_fleet()
 
     def _join_fleet(self) -> None:
         driver, entity = self.driver, self._world.entities[self.entity]
-        assert decides_in_fleet(driver)
+        assert is_compiled(driver)
         try:
-            self._start()
+            self._start_driver()
         except DriverError as failure:
             # The fleet needs a started driver.
             self._failure = failure
             built_in = next(base for base in type(driver).__mro__ if is_built_in(base) and issubclass(base, Driver))
             built_in.start(driver, self._world.scenarios, len(self._others))
-        for limit, value in limit_driver(driver, entity.max_acceleration, entity.max_deceleration).items():
-            self._note(limit, f"it would go up to {value:.6g} m/s²")
+        for limit, value in limit_driver_acceleration(driver, entity.max_acceleration, entity.max_deceleration).items():
+            self._record_exceeded_limit(limit, f"it would go up to {value:.6g} m/s²")
 
-    def begin(self) -> None:
+    def reset_driver(self) -> None:
         """Reset the driver when the batch starts; user code may fail or end the process here."""
         if self._failure is not None:
             raise self._failure
         if not self.in_fleet:
-            self._start()
+            self._start_driver()
 
-    def _start(self) -> None:
-        requests = requests_heard()
+    def _start_driver(self) -> None:
+        requests = count_requests()
         try:
             self.driver.start(self._world.scenarios, len(self._others))
         except BaseException as error:
-            raise DriverError(failure_of(self._name, error, requests, 0.0), splits=True) from error
+            raise DriverError(make_scenario_failure(self._display_name, error, requests, 0.0), splits=True) from error
 
     @property
-    def _name(self) -> str:
+    def _display_name(self) -> str:
         """Name of the driver in errors and notices."""
-        driver_class, entity = type(self.driver), quoted_name(self._world.names[self.entity])
+        driver_class, entity = type(self.driver), quote_name(self._world.names[self.entity])
         return f"the driver of {entity}" + (
             "" if is_built_in(driver_class) else f" ({driver_class.__module__}:{driver_class.__qualname__})"
         )
@@ -107,26 +107,26 @@ class Driving:
             return
         for k, track in enumerate(world.tracks[e]):
             rows = active & (world.track[e] == k)
-            timed = isinstance(track, Trajectory) and track.time is not None
+            timed = isinstance(track, Trajectory) and track.times is not None
             if rows.any() and not timed:
-                situation = self._situation(k, track, dt, rows)
-                acceleration = self._decided(situation)
+                situation = self._make_situation(k, track, dt, rows)
+                acceleration = self._call_driver(situation)
                 for i in np.flatnonzero(rows & ~np.isfinite(acceleration)).tolist():
-                    instant = format_instant(situation.time)
-                    why = f"{self._name} returned {acceleration[i]:g}{instant}, which is not an acceleration in m/s²"
-                    world.fail(np.arange(world.scenarios) == i, PartError(why))
+                    instant = format_time_of_failure(situation.time)
+                    why = f"{self._display_name} returned {acceleration[i]:g}{instant}, which is not an acceleration in m/s²"
+                    world.fail(np.arange(world.scenarios) == i, PluginError(why))
                 if not self.in_fleet:
-                    acceleration = self._possible(acceleration, rows & np.isfinite(acceleration), situation.time)
+                    acceleration = self._clip_acceleration(acceleration, rows & np.isfinite(acceleration), situation.time)
                 speed = np.maximum(world.speed[e] + acceleration * dt, 0.0)
                 world.speed[e][rows] = np.minimum(speed, world.entities[e].max_speed)[rows]
 
-    def _decided(self, situation: Situation) -> FloatArray:
+    def _call_driver(self, situation: Situation) -> FloatArray:
         """Call the driver, which may be user code, and check its accelerations."""
-        expected, requests = self._world.scenarios, requests_heard()
+        expected, requests = self._world.scenarios, count_requests()
         try:
             returned = self.driver.acceleration(situation)
         except BaseException as error:
-            raise DriverError(failure_of(self._name, error, requests, situation.time), splits=True) from error
+            raise DriverError(make_scenario_failure(self._display_name, error, requests, situation.time), splits=True) from error
         try:
             acceleration: FloatArray = np.asarray(returned).astype(np.float64, casting="same_kind")
             # A single number would be broadcast to all scenarios.
@@ -134,31 +134,31 @@ class Driving:
                 raise ValueError
             return acceleration
         except BaseException as error:
-            raise_if_request(error, requests)
+            reraise_termination_request(error, requests)
             expectation = "for the scenario" if expected == 1 else f"for each of {expected} scenarios"
-            instant = format_instant(situation.time)
-            why = f"{self._name} returned no acceleration {expectation}{instant}, but {_shown(returned)}"
-            raise DriverError(PartError(why), splits=False) from error
+            instant = format_time_of_failure(situation.time)
+            why = f"{self._display_name} returned no acceleration {expectation}{instant}, but {_safe_repr(returned)}"
+            raise DriverError(PluginError(why), splits=False) from error
 
-    def _possible(self, acceleration: FloatArray, rows: BoolArray, time: float) -> FloatArray:
+    def _clip_acceleration(self, acceleration: FloatArray, rows: BoolArray, time: float) -> FloatArray:
         """Clip accelerations to what the vehicle can do."""
         entity = self._world.entities[self.entity]
         highest, lowest = entity.max_acceleration, -entity.max_deceleration
         for limit, excess in (("acceleration", acceleration - highest), ("deceleration", lowest - acceleration)):
             worst = float(excess[rows].max(initial=0.0))
-            if limit not in self.exceeded and worst > _ROUNDING:
+            if limit not in self.limit_notices and worst > _ROUNDING:
                 requested = worst + (entity.max_acceleration if limit == "acceleration" else entity.max_deceleration)
-                self._note(limit, f"first {requested:.6g} m/s²{format_instant(time)}")
+                self._record_exceeded_limit(limit, f"first {requested:.6g} m/s²{format_time_of_failure(time)}")
         return np.clip(acceleration, lowest, highest)
 
-    def _note(self, limit: str, asked: str) -> None:
+    def _record_exceeded_limit(self, limit: str, requested: str) -> None:
         entity = self._world.entities[self.entity]
         bound = entity.max_acceleration if limit == "acceleration" else entity.max_deceleration
-        self.exceeded[limit] = (
-            f"{self._name} exceeds the {limit} of {bound:.6g} m/s² in <Performance>, and is limited to it; {asked}"
+        self.limit_notices[limit] = (
+            f"{self._display_name} exceeds the {limit} of {bound:.6g} m/s² in <Performance>, and is limited to it; {requested}"
         )
 
-    def _situation(self, k: int, track: Track, dt: float, rows: BoolArray) -> Situation:
+    def _make_situation(self, track_number: int, track: Track, dt: float, rows: BoolArray) -> Situation:
         world, e, others = self._world, self.entity, self._others
         box, boxes = world.entities[e], [world.entities[a] for a in others]
         is_visible = (world.present & world.visible)[others].T
@@ -166,7 +166,7 @@ class Driving:
         return Situation(
             time=float(world.time[rows].max()),
             time_step=dt,
-            path=self.path(k, track),
+            path=self.path_of_track(track_number, track),
             distance=world.distance[e].copy(),
             x=world.x[e].copy(),
             y=world.y[e].copy(),
@@ -184,49 +184,49 @@ class Driving:
             others_length=np.array([other.length for other in boxes]),
             others_width=np.array([other.width for other in boxes]),
             others_center_x=np.array([other.center_x for other in boxes]),
-            others_kind=tuple(other.kind for other in boxes),
+            others_object_type=tuple(other.kind for other in boxes),
             active=rows.copy(),
         )
 
-    def path(self, k: int, track: Track) -> DrivenPath:
+    def path_of_track(self, track_number: int, track: Track) -> DrivenPath:
         """Path for the driver of one of its entity's tracks."""
         if isinstance(track, LaneTrack):
-            if k not in self._paths:
-                self._paths[k] = _along_lane(track.path)
-        elif isinstance(track, Trajectory) and self._begun.get(k) != track.version:
+            if track_number not in self._paths:
+                self._paths[track_number] = _lane_path(track.path)
+        elif isinstance(track, Trajectory) and self._sampled_versions.get(track_number) != track.version:
             # A restarted trajectory may have another shape.
-            self._paths[k], self._begun[k] = _sampled(track), track.version
-        return self._paths[k]
+            self._paths[track_number], self._sampled_versions[track_number] = _sample_trajectory(track), track.version
+        return self._paths[track_number]
 
 
-def _shown(given: object) -> str:
+def _safe_repr(value: object) -> str:
     try:
-        return shown(given)
+        return repr_short(value)
     except Exception:
-        return f"a {type(given).__name__}"
+        return f"a {type(value).__name__}"
 
 
-def _along_lane(line: LanePath) -> DrivenPath:
+def _lane_path(lane_path: LanePath) -> DrivenPath:
     """Path along a lane, cached so that plans along it serve all batches."""
-    if line not in _DRIVEN:
-        _DRIVEN[line] = DrivenPath(line.distance, line.x, line.y, line.heading, line.curvature)
-    return _DRIVEN[line]
+    if lane_path not in _LANE_PATH_CACHE:
+        _LANE_PATH_CACHE[lane_path] = DrivenPath(lane_path.distance, lane_path.x, lane_path.y, lane_path.heading, lane_path.curvature)
+    return _LANE_PATH_CACHE[lane_path]
 
 
-def _sampled(track: Trajectory) -> DrivenPath:
+def _sample_trajectory(track: Trajectory) -> DrivenPath:
     """Samples of a trajectory that may differ between scenarios.
 
     Distances are the same in all scenarios and extend further than a driver looks, so that what it sees in one scenario
     does not depend on the others.
     """
-    ends = np.minimum(track.lengths, _LONGEST)
-    distances = _SPACING * np.arange(int(np.ceil((ends.max() + _BEYOND) / _SPACING)) + 1)
+    ends = np.minimum(track.lengths, _MAX_LENGTH)
+    distances = _SAMPLE_SPACING * np.arange(int(np.ceil((ends.max() + _EXTENSION_LENGTH) / _SAMPLE_SPACING)) + 1)
     scenarios = np.arange(len(ends))
     x, y, heading, curvature = (np.empty((len(ends), len(distances))) for _ in range(4))
     for k, distance in enumerate(distances):
         at = np.full(len(ends), distance)
-        x[:, k], y[:, k], heading[:, k] = track.at(at, np.zeros(len(ends)), scenarios)
-        curvature[:, k] = np.where(at <= ends, track.curvature(at, scenarios), 0.0)
+        x[:, k], y[:, k], heading[:, k] = track.pose_at(at, np.zeros(len(ends)), scenarios)
+        curvature[:, k] = np.where(at <= ends, track.curvature_at(at, scenarios), 0.0)
     return DrivenPath(np.tile(distances, (len(ends), 1)), x, y, np.unwrap(heading, axis=1), curvature)
 
 
@@ -243,48 +243,48 @@ class ControllerAction(Action):
         activate = element if element.tag == "ActivateControllerAction" else element.find("ActivateControllerAction")
         self._driver, self._activated = None, None
         if assign is not None:
-            self._driver = self._assigned(assign, scope, world)
-            self._activated = _flag(assign, "activateLongitudinal", scope)
+            self._driver = self._read_assigned_driver(assign, scope, world)
+            self._activated = _read_optional_flag(assign, "activateLongitudinal", scope)
         if activate is not None:
-            self._activated = _flag(activate, "longitudinal", scope)
+            self._activated = _read_optional_flag(activate, "longitudinal", scope)
 
     def start(self, world: World, where: BoolArray) -> None:
-        if not world.kept[self._entity]:
-            world.control(self._entity, where, self._driver, self._activated)
+        if not world.has_fixed_driver[self._entity]:
+            world.assign_control(self._entity, where, self._driver, self._activated)
 
-    def _assigned(self, assign: etree._Element, scope: Scope, world: World) -> int:
+    def _read_assigned_driver(self, assign: etree._Element, scope: Scope, world: World) -> int:
         # Other programs' controllers are reported as having no effect, so they must not count as read.
-        holder = next(iter(unrecorded(assign, "ObjectController")), assign)
-        controller = next(iter(unrecorded(holder, "Controller")), None)
+        holder = next(iter(find_untracked(assign, "ObjectController")), assign)
+        controller = next(iter(find_untracked(holder, "Controller")), None)
         reference = holder.find("CatalogReference")
         if controller is None and reference is not None:
-            controller, scope = scope.from_catalog(reference, "Controller")
+            controller, scope = scope.resolve_catalog_reference(reference, "Controller")
         if controller is None:
             return -1
-        property_element = named(unrecorded(controller, "Properties", "Property"), DRIVER_PROPERTY)
+        property_element = find_by_name(find_untracked(controller, "Properties", "Property"), DRIVER_PROPERTY)
         if property_element is None:
             return -1
-        driver = registered_driver(scope.text(property_element, "value"), scope.source)
-        return Driving(world, self._entity, driver).number
+        driver = create_file_driver(scope.read_text(property_element, "value"), scope.file_name)
+        return DriverControl(world, self._entity, driver).number
 
 
 class VisibilityAction(Action):
     """Hides an entity from others in the traffic, or shows it again."""
 
     def __init__(self, element: etree._Element, scope: Scope, world: World, entity: int) -> None:
-        self._entity, self._seen = entity, scope.flag(element, "traffic", True)
+        self._entity, self._seen = entity, scope.read_boolean(element, "traffic", True)
 
     def start(self, world: World, where: BoolArray) -> None:
         world.visible[self._entity][where] = self._seen
 
 
-def registered_driver(name: str, where: str) -> Driver:
+def create_file_driver(name: str, location: str) -> Driver:
     """Create the registered driver that a file names; `location` starts the error message."""
     try:
-        return driver_of_file(name)
+        return create_driver_named_in_file(name)
     except InputError as error:
-        raise InputError(f"{where}: {error}") from None
+        raise InputError(f"{location}: {error}") from None
 
 
-def _flag(element: etree._Element, name: str, scope: Scope) -> bool | None:
-    return None if element.get(name) is None else scope.flag(element, name, False)
+def _read_optional_flag(element: etree._Element, name: str, scope: Scope) -> bool | None:
+    return None if element.get(name) is None else scope.read_boolean(element, name, False)

@@ -5,15 +5,15 @@ from __future__ import annotations
 from lxml import etree
 
 from cornercase._common.errors import InputError
-from cornercase._common.recorded_xml import adapt
+from cornercase._common.recorded_xml import note_adaptation
 from cornercase._common.typing import BoolArray
 from cornercase.scenario import Scope
 from cornercase.simulators.builtin.actions.action import Action
-from cornercase.simulators.builtin.paths.positions import entity_index
-from cornercase.simulators.builtin.tracks.track import FREE
+from cornercase.simulators.builtin.paths.positions import read_entity_index
+from cornercase.simulators.builtin.tracks.track import NO_TRACK
 from cornercase.simulators.builtin.world.lanes import attach_to_lane
 from cornercase.simulators.builtin.world.state import World
-from cornercase.simulators.builtin.world.towing import front_first, read_tow
+from cornercase.simulators.builtin.world.towing import sort_front_to_back, read_tow
 
 
 class ConnectTrailerAction(Action):
@@ -24,7 +24,7 @@ class ConnectTrailerAction(Action):
 
     def start(self, world: World, where: BoolArray) -> None:
         new = where & (world.pulled_by[self._trailer] != self._vehicle)
-        _leave(world, self._vehicle, new)
+        _disconnect_trailer(world, self._vehicle, new)
         world.pulled_by[self._trailer][new] = self._vehicle
 
 
@@ -35,7 +35,7 @@ class DisconnectTrailerAction(Action):
         self._vehicle = vehicle
 
     def start(self, world: World, where: BoolArray) -> None:
-        _leave(world, self._vehicle, where)
+        _disconnect_trailer(world, self._vehicle, where)
 
 
 def read_trailer_action(element: etree._Element, scope: Scope, world: World, entity: int) -> Action | None:
@@ -44,22 +44,22 @@ def read_trailer_action(element: etree._Element, scope: Scope, world: World, ent
     if leaves is not None:
         return DisconnectTrailerAction(entity)
     if connects is None:
-        adapt(element, "<TrailerAction> without an action", "is skipped", "it connects or disconnects a trailer")
+        note_adaptation(element, "<TrailerAction> without an action", "is skipped", "it connects or disconnects a trailer")
         return None
-    trailer = entity_index(connects, scope, world, "trailerRef")
+    trailer = read_entity_index(connects, scope, world, "trailerRef")
     if trailer == entity:
-        raise InputError(f"{scope.source}, line {connects.sourceline}: '{world.names[entity]}' cannot pull itself.")
+        raise InputError(f"{scope.file_name}, line {connects.sourceline}: '{world.names[entity]}' cannot pull itself.")
     if not any((tow.vehicle, tow.trailer) == (entity, trailer) for tow in world.tows):
         try:
-            world.tows = front_first([*world.tows, read_tow(entity, trailer, world.entities)])
+            world.tows = sort_front_to_back([*world.tows, read_tow(entity, trailer, world.entities)])
         except InputError as error:
-            why = f"is skipped, as in esmini: {str(error).removeprefix(f'{scope.source}: ').removesuffix('.')}"
-            adapt(connects, "<ConnectTrailerAction>", why, "the vehicle has a <TrailerHitch>, the trailer a coupler")
+            why = f"is skipped, as in esmini: {str(error).removeprefix(f'{scope.file_name}: ').removesuffix('.')}"
+            note_adaptation(connects, "<ConnectTrailerAction>", why, "the vehicle has a <TrailerHitch>, the trailer a coupler")
             return None
     return ConnectTrailerAction(entity, trailer)
 
 
-def _leave(world: World, vehicle: int, where: BoolArray) -> None:
+def _disconnect_trailer(world: World, vehicle: int, where: BoolArray) -> None:
     """Disconnect the trailer of a vehicle."""
     for tow in world.tows:
         released = where & (world.pulled_by[tow.trailer] == vehicle)
@@ -67,4 +67,4 @@ def _leave(world: World, vehicle: int, where: BoolArray) -> None:
             world.pulled_by[tow.trailer][released] = -1
             attach_to_lane(world, tow.trailer, released)
             # As in esmini, a trailer off the road stops.
-            world.speed[tow.trailer][released & (world.track[tow.trailer] == FREE)] = 0.0
+            world.speed[tow.trailer][released & (world.track[tow.trailer] == NO_TRACK)] = 0.0

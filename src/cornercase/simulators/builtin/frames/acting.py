@@ -12,27 +12,27 @@ import numpy as np
 
 from cornercase._common.compiling import kernel
 from cornercase._common.typing import BoolArray, FloatArray, IntArray
-from cornercase.simulators.builtin.frames.motion import advance, set_speed, settle
+from cornercase.simulators.builtin.frames.motion import advance_along_track, set_speed, place_on_track
 from cornercase.simulators.builtin.frames.scene import MAX_ACCELERATION, MAX_DECELERATION, MAX_SPEED
-from cornercase.simulators.builtin.frames.synchronising import ACTED, ENDED, keep_distance, synchronise
+from cornercase.simulators.builtin.frames.synchronising import ACTION_APPLIED, ACTION_NOT_APPLIED, apply_distance_action, apply_synchronize_action
 from cornercase.simulators.builtin.frames.table import (
-    CHANGING,
+    N_SAVED,
     DISTANCE_ACTION,
-    LANE_CHANGE,
-    LANE_OFFSET,
+    LANE_CHANGE_ACTION,
+    LANE_OFFSET_ACTION,
     SPEED_ACTION,
-    SYNCHRONISATION,
+    SYNCHRONIZE_ACTION,
     TRAJECTORY_ACTION,
-    UNKNOWN,
+    PYTHON_ACTION,
 )
 from cornercase.simulators.builtin.tracks.place_kernels import (
     trajectory_direction,
-    trajectory_distance_at,
-    trajectory_end,
+    trajectory_distance_at_time,
+    trajectory_end_time,
     trajectory_length,
-    trajectory_oriented,
+    trajectory_has_heading,
 )
-from cornercase.simulators.builtin.tracks.pool import LANE, OTHER
+from cornercase.simulators.builtin.tracks.pool import LANE_TRACK, PYTHON_TRACK
 from cornercase.simulators.builtin.world.layout import (
     AT_END_SINCE,
     DECIDED,
@@ -48,171 +48,171 @@ from cornercase.simulators.builtin.world.layout import (
     TARGET_SPEED,
     TRACK,
     TURN,
-    UNASKED,
+    UNKNOWN_ROAD_SPEED,
     X,
     Y,
 )
 
 _CUBIC, _SINUSOIDAL, _STEP = 1, 2, 3
 _RATE, _DISTANCE = 1, 2
-_TINY: Final = 1e-6
+_EPSILON: Final = 1e-6
 # Lane offsets, and the extent of a change (s or m), are accurate to about 1e-5.
-_SHORT: Final = 1e-4
+_EXTENT_TOLERANCE: Final = 1e-4
 # rad; heading of an entity that moves only sideways: a little less than a right angle.
-_SIDEWAYS: Final = 0.5 * math.pi - 1e-3
+_SIDEWAYS_HEADING: Final = 0.5 * math.pi - 1e-3
 
 # Rows that actions change of their own entity: those that control speed, follow a trajectory, or move laterally.
-_OF_SPEED: Final = (TARGET_SPEED, SPEED, LAST_S)
-_OF_TRAJECTORY: Final = (SPEED, X, Y, HEADING, DISTANCE, TURN)
-_OF_PLACE: Final = (SPEED, X, Y, HEADING, DISTANCE, TURN, OFFSET, PACE, AT_END_SINCE)
+_SPEED_ACTION_ROWS: Final = (TARGET_SPEED, SPEED, LAST_S)
+_TRAJECTORY_ACTION_ROWS: Final = (SPEED, X, Y, HEADING, DISTANCE, TURN)
+_LATERAL_ACTION_ROWS: Final = (SPEED, X, Y, HEADING, DISTANCE, TURN, OFFSET, PACE, AT_END_SINCE)
 # Number of memory values, the first ones, that usually change from step to step.
-_FEW: Final = 4
+_N_SAVED_USUALLY: Final = 4
 
 _kernel = kernel(error_model="numpy", _nrt=False)
 # Inlined, since it is called once and passing the tables would cost more than the work.
-_part = kernel(error_model="numpy", _nrt=False, forceinline=True)
+_inlined_kernel = kernel(error_model="numpy", _nrt=False, forceinline=True)
 
 
-class Kept(NamedTuple):
+class SavedState(NamedTuple):
     """What J actions may change of one scenario, saved before each action."""
 
-    live: IntArray  # (J + 1,): running actions in order, then -1
+    running: IntArray  # (J + 1,): running actions in order, then -1
     floats: FloatArray  # (J, 10)
     flag: BoolArray  # (J,)
     memory: FloatArray  # (J, 8)
 
 
 @kernel(error_model="numpy")
-def room_to_keep(actions):
+def alloc_saved(n_actions):
     """Allocate the saved state of a scenario's actions."""
-    floats, flag = np.empty((actions, len(_OF_PLACE) + 1)), np.empty(actions, dtype=np.bool_)
-    return Kept(np.empty(actions + 1, dtype=np.int64), floats, flag, np.empty((actions, CHANGING)))
+    floats, flag = np.empty((n_actions, len(_LATERAL_ACTION_ROWS) + 1)), np.empty(n_actions, dtype=np.bool_)
+    return SavedState(np.empty(n_actions + 1, dtype=np.int64), floats, flag, np.empty((n_actions, N_SAVED)))
 
 
-@_part
-def take_up(actions, kept, n):
+@_inlined_kernel
+def list_running_actions(actions, saved, n):
     """List the running actions of a scenario."""
     count = 0
     for j in range(actions.options.shape[0]):
         if actions.running[n, j]:
-            kept.live[count] = j
+            saved.live[count] = j
             count += 1
-    kept.live[count] = -1
+    saved.live[count] = -1
 
 
-@_part
-def act(scene, tracks, roads, actions, kept, n, dt):
+@_inlined_kernel
+def apply_actions(scene, tracks, roads, actions, saved, n, dt):
     """Apply all actions of a scenario for one time step.
 
     Returns `ACTION_APPLIED`, or the outcome of the first action that could not be applied; then all changes are undone.
     """
     i = 0
-    while kept.live[i] >= 0:
-        j = kept.live[i]
-        action_type, is_applied, outcome = actions.options[j, 0], False, ENDED
-        _keep(scene, actions, kept, n, j)
+    while saved.live[i] >= 0:
+        j = saved.live[i]
+        action_type, is_applied, outcome = actions.options[j, 0], False, ACTION_NOT_APPLIED
+        _save(scene, actions, saved, n, j)
         if action_type == SPEED_ACTION:
-            is_applied = _change_speed(scene, actions, n, j, dt)
+            is_applied = _apply_speed_action(scene, actions, n, j, dt)
         elif action_type == TRAJECTORY_ACTION:
-            is_applied = _follow_trajectory(scene, tracks, actions, n, j, dt)
-        elif action_type == LANE_CHANGE:
-            is_applied = _change_lane(scene, tracks, actions, n, j, dt)
-        elif action_type == LANE_OFFSET:
-            is_applied = _change_offset(scene, tracks, actions, n, j, dt)
-        elif action_type == SYNCHRONISATION:
-            outcome = synchronise(scene, tracks, roads, actions, n, j, dt)
-            is_applied = outcome == ACTED
+            is_applied = _apply_trajectory_action(scene, tracks, actions, n, j, dt)
+        elif action_type == LANE_CHANGE_ACTION:
+            is_applied = _apply_lane_change(scene, tracks, actions, n, j, dt)
+        elif action_type == LANE_OFFSET_ACTION:
+            is_applied = _apply_lane_offset(scene, tracks, actions, n, j, dt)
+        elif action_type == SYNCHRONIZE_ACTION:
+            outcome = apply_synchronize_action(scene, tracks, roads, actions, n, j, dt)
+            is_applied = outcome == ACTION_APPLIED
         elif action_type == DISTANCE_ACTION:
-            is_applied = keep_distance(scene, actions, n, j, dt)
+            is_applied = apply_distance_action(scene, actions, n, j, dt)
         if not is_applied:
             while i >= 0:
-                _take_back(scene, actions, kept, n, kept.live[i])
+                _restore(scene, actions, saved, n, saved.live[i])
                 i -= 1
             return outcome
         i += 1
-    return ACTED
+    return ACTION_APPLIED
 
 
-@_part
-def _keep(scene, actions, kept, n, j):
+@_inlined_kernel
+def _save(scene, actions, saved, n, j):
     state, e, action_type, master = scene.floats[n], actions.options[j, 1], actions.options[j, 0], actions.options[j, 2]
-    if action_type == UNKNOWN:
+    if action_type == PYTHON_ACTION:
         return
-    kept.flag[j] = scene.flags[n, _flag_of(action_type), e]
+    saved.flag[j] = scene.flags[n, _flag_row(action_type), e]
     # Loops of a fixed length are fastest.
     if action_type == TRAJECTORY_ACTION:
-        for k in range(len(_OF_TRAJECTORY)):
-            kept.floats[j, k] = state[_OF_TRAJECTORY[k], e]
-        kept.memory[j, 1] = actions.memory[n, j, 1]
+        for k in range(len(_TRAJECTORY_ACTION_ROWS)):
+            saved.floats[j, k] = state[_TRAJECTORY_ACTION_ROWS[k], e]
+        saved.memory[j, 1] = actions.memory[n, j, 1]
         return
-    if _decides_speed(action_type):
-        for k in range(len(_OF_SPEED)):
-            kept.floats[j, k] = state[_OF_SPEED[k], e]
+    if _is_speed_controlling(action_type):
+        for k in range(len(_SPEED_ACTION_ROWS)):
+            saved.floats[j, k] = state[_SPEED_ACTION_ROWS[k], e]
     else:
-        for k in range(len(_OF_PLACE)):
-            kept.floats[j, k] = state[_OF_PLACE[k], e]
-    for k in range(_FEW):
-        kept.memory[j, k] = actions.memory[n, j, k]
-    if action_type == SYNCHRONISATION:
+        for k in range(len(_LATERAL_ACTION_ROWS)):
+            saved.floats[j, k] = state[_LATERAL_ACTION_ROWS[k], e]
+    for k in range(_N_SAVED_USUALLY):
+        saved.memory[j, k] = actions.memory[n, j, k]
+    if action_type == SYNCHRONIZE_ACTION:
         # It also locates its master on the road.
-        kept.floats[j, len(_OF_PLACE)] = state[LAST_S, master]
+        saved.floats[j, len(_LATERAL_ACTION_ROWS)] = state[LAST_S, master]
     elif action_type == SPEED_ACTION:
-        for k in range(_FEW, CHANGING):
-            kept.memory[j, k] = actions.memory[n, j, k]
+        for k in range(_N_SAVED_USUALLY, N_SAVED):
+            saved.memory[j, k] = actions.memory[n, j, k]
 
 
-@_part
-def _decides_speed(kind):
-    return kind in (SPEED_ACTION, SYNCHRONISATION, DISTANCE_ACTION)
+@_inlined_kernel
+def _is_speed_controlling(action_type):
+    return action_type in (SPEED_ACTION, SYNCHRONIZE_ACTION, DISTANCE_ACTION)
 
 
-@_part
-def _flag_of(kind):
-    return DECIDED if _decides_speed(kind) else MOVED
+@_inlined_kernel
+def _flag_row(action_type):
+    return DECIDED if _is_speed_controlling(action_type) else MOVED
 
 
 @_kernel
-def _take_back(scene, actions, kept, n, j):
+def _restore(scene, actions, saved, n, j):
     state, e, action_type, master = scene.floats[n], actions.options[j, 1], actions.options[j, 0], actions.options[j, 2]
-    if action_type == UNKNOWN:
+    if action_type == PYTHON_ACTION:
         return
-    scene.flags[n, _flag_of(action_type), e] = kept.flag[j]
+    scene.flags[n, _flag_row(action_type), e] = saved.flag[j]
     if action_type == TRAJECTORY_ACTION:
-        for k in range(len(_OF_TRAJECTORY)):
-            state[_OF_TRAJECTORY[k], e] = kept.floats[j, k]
-        actions.memory[n, j, 1] = kept.memory[j, 1]
+        for k in range(len(_TRAJECTORY_ACTION_ROWS)):
+            state[_TRAJECTORY_ACTION_ROWS[k], e] = saved.floats[j, k]
+        actions.memory[n, j, 1] = saved.memory[j, 1]
         return
-    if _decides_speed(action_type):
-        for k in range(len(_OF_SPEED)):
-            state[_OF_SPEED[k], e] = kept.floats[j, k]
+    if _is_speed_controlling(action_type):
+        for k in range(len(_SPEED_ACTION_ROWS)):
+            state[_SPEED_ACTION_ROWS[k], e] = saved.floats[j, k]
     else:
-        for k in range(len(_OF_PLACE)):
-            state[_OF_PLACE[k], e] = kept.floats[j, k]
-    for k in range(CHANGING if action_type == SPEED_ACTION else _FEW):
-        actions.memory[n, j, k] = kept.memory[j, k]
-    if action_type == SYNCHRONISATION:
-        state[LAST_S, master] = kept.floats[j, len(_OF_PLACE)]
-        state[ROAD_SPEED, e] = state[ROAD_SPEED, master] = UNASKED
+        for k in range(len(_LATERAL_ACTION_ROWS)):
+            state[_LATERAL_ACTION_ROWS[k], e] = saved.floats[j, k]
+    for k in range(N_SAVED if action_type == SPEED_ACTION else _N_SAVED_USUALLY):
+        actions.memory[n, j, k] = saved.memory[j, k]
+    if action_type == SYNCHRONIZE_ACTION:
+        state[LAST_S, master] = saved.floats[j, len(_LATERAL_ACTION_ROWS)]
+        state[ROAD_SPEED, e] = state[ROAD_SPEED, master] = UNKNOWN_ROAD_SPEED
 
 
 @_kernel
-def _shaped(shape, part):
-    part = min(max(part, 0.0), 1.0)
+def _transition_value(shape, fraction):
+    fraction = min(max(fraction, 0.0), 1.0)
     if shape == _CUBIC:
-        return part * part * (3.0 - 2.0 * part)
-    return 0.5 - 0.5 * math.cos(math.pi * part) if shape == _SINUSOIDAL else part
+        return fraction * fraction * (3.0 - 2.0 * fraction)
+    return 0.5 - 0.5 * math.cos(math.pi * fraction) if shape == _SINUSOIDAL else fraction
 
 
 @_kernel
-def _steepness(shape, part):
-    part = min(max(part, 0.0), 1.0)
+def _transition_slope(shape, fraction):
+    fraction = min(max(fraction, 0.0), 1.0)
     if shape == _CUBIC:
-        return 6.0 * part * (1.0 - part)
-    return 0.5 * math.pi * math.sin(math.pi * part) if shape == _SINUSOIDAL else 1.0
+        return 6.0 * fraction * (1.0 - fraction)
+    return 0.5 * math.pi * math.sin(math.pi * fraction) if shape == _SINUSOIDAL else 1.0
 
 
 @_kernel
-def _change_speed(scene, actions, n, j, dt):
+def _apply_speed_action(scene, actions, n, j, dt):
     """NumPy version: `SpeedAction.step`. Memory: from, to, parameter, span, stretch, reached, value, rate."""
     options, memory, state = actions.options[j], actions.memory[n, j], scene.floats[n]
     e, shape, dimension, reference, factor, continuous = options[1:7]
@@ -225,14 +225,14 @@ def _change_speed(scene, actions, n, j, dt):
             memory[3] = (
                 0.0
                 if shape == _STEP
-                else max(peak_rate * abs(memory[1] - memory[0]) / max(abs(memory[7]), _TINY), _TINY)
+                else max(peak_rate * abs(memory[1] - memory[0]) / max(abs(memory[7]), _EPSILON), _EPSILON)
             )
     begin, end, span, stretch = memory[0], memory[1], memory[3], memory[4]
     current, has_driver = state[SPEED, e], scene.flags[n, DRIVEN, e]
-    is_complete = span > 0.0 and memory[2] > span - _TINY
+    is_complete = span > 0.0 and memory[2] > span - _EPSILON
     parameter = min(max(memory[2] + dt / stretch, 0.0), span)
-    is_immediate = span < _TINY and (shape == _STEP or dimension != _RATE)
-    wanted = end if is_immediate else begin + _shaped(shape, parameter / max(span, _TINY)) * (end - begin)
+    is_immediate = span < _EPSILON and (shape == _STEP or dimension != _RATE)
+    wanted = end if is_immediate else begin + _transition_value(shape, parameter / max(span, _EPSILON)) * (end - begin)
     requested = end if is_complete else wanted
     if has_driver:
         speed = requested
@@ -240,7 +240,7 @@ def _change_speed(scene, actions, n, j, dt):
         speed = min(max(requested, current - limits[MAX_DECELERATION] * dt), current + limits[MAX_ACCELERATION] * dt)
     else:
         speed = current if is_complete else wanted
-    is_late = abs(speed - requested) > _TINY * dt and not is_complete and dt > 0.0
+    is_late = abs(speed - requested) > _EPSILON * dt and not is_complete and dt > 0.0
     if is_complete:
         parameter = memory[2]
     elif is_late:
@@ -250,7 +250,7 @@ def _change_speed(scene, actions, n, j, dt):
     else:
         speed = requested
     memory[2] = parameter
-    if parameter > span - _TINY and abs(speed - end) < _TINY:
+    if parameter > span - _EPSILON and abs(speed - end) < _EPSILON:
         memory[5], speed = 1.0, end
     set_speed(scene, n, e, speed)
     if scene.time[n] == 0.0:
@@ -259,30 +259,30 @@ def _change_speed(scene, actions, n, j, dt):
 
 
 @_kernel
-def _follow_trajectory(scene, tracks, actions, n, j, dt):
+def _apply_trajectory_action(scene, tracks, actions, n, j, dt):
     """NumPy version: `FollowTrajectoryAction.step`. Memory: sign, whether it was oriented, clock offset."""
     options, memory, state = actions.options[j], actions.memory[n, j], scene.floats[n]
     e, is_timed = options[1], options[2]
     track = scene.numbers[n, TRACK, e]
     row = tracks.row[e, track] if track >= 0 else -1
-    if row < 0 or tracks.kind[row] == LANE or tracks.kind[row] == OTHER:
+    if row < 0 or tracks.kind[row] == LANE_TRACK or tracks.kind[row] == PYTHON_TRACK:
         return False
     before = state[DISTANCE, e]
     if is_timed:
-        time, end_time = scene.time[n] + dt + memory[2], trajectory_end(tracks, row, n)
-        if time > end_time - _TINY:
+        time, end_time = scene.time[n] + dt + memory[2], trajectory_end_time(tracks, row, n)
+        if time > end_time - _EPSILON:
             return False
-        distance = trajectory_distance_at(tracks, row, n, time)
+        distance = trajectory_distance_at_time(tracks, row, n, time)
         if dt > 0.0:
-            is_against = math.cos(state[HEADING, e] - trajectory_direction(tracks, row, n, before)) < -_TINY
+            is_against = math.cos(state[HEADING, e] - trajectory_direction(tracks, row, n, before)) < -_EPSILON
             size = abs(distance - before) / dt
             state[SPEED, e] = -size if (distance < before) != is_against else size
     else:
         step, length = state[SPEED, e] * memory[0] * dt, trajectory_length(tracks, row, n)
         distance = min(max(before + step, 0.0), length)
-        if (distance > length - _TINY and step > 0.0) or (distance < _TINY and step < 0.0):
+        if (distance > length - _EPSILON and step > 0.0) or (distance < _EPSILON and step < 0.0):
             return False
-    is_oriented = trajectory_oriented(tracks, row, n, distance)
+    is_oriented = trajectory_has_heading(tracks, row, n, distance)
     if not is_oriented and memory[1] > 0.0:
         # From here on only the line gives the heading; the storyboard handles that.
         return False
@@ -290,44 +290,44 @@ def _follow_trajectory(scene, tracks, actions, n, j, dt):
     state[TURN, e] = 0.0 if is_oriented or memory[0] > 0.0 else math.pi
     state[DISTANCE, e] = distance
     scene.flags[n, MOVED, e] = True
-    settle(scene, tracks, n, e, row)
+    place_on_track(scene, tracks, n, e, row)
     return True
 
 
 @_kernel
-def _change_lane(scene, tracks, actions, n, j, dt):
+def _apply_lane_change(scene, tracks, actions, n, j, dt):
     """NumPy version: `LaneChangeAction.step`. Memory: from, to, done, extent."""
     options, memory, state, flags = actions.options[j], actions.memory[n, j], scene.floats[n], scene.flags[n]
     e, shape, dimension = options[1], options[2], options[3]
     track = scene.numbers[n, TRACK, e]
     row = tracks.row[e, track] if track >= 0 else -1
     begin, end, extent = memory[0], memory[1], memory[3]
-    if row < 0 or extent <= _TINY:
+    if row < 0 or extent <= _EPSILON:
         return False
     speed, change = state[SPEED, e], end - begin
     path = ahead = abs(speed) * dt
-    if abs(speed) > _TINY:
-        rate = change / extent * _steepness(shape, memory[2] / extent)
+    if abs(speed) > _EPSILON:
+        rate = change / extent * _transition_slope(shape, memory[2] / extent)
         if dimension == _DISTANCE:
             ahead = path / math.sqrt(1.0 + rate * rate)
             done = memory[2] + ahead
-            fraction = _shaped(shape, done / extent)
+            fraction = _transition_value(shape, done / extent)
             # As in esmini, the heading is that of driving forwards, even if the entity drives backwards.
             turn = math.atan(rate)
         else:
             across = min(dt * abs(rate), path)
             side = 1.0 if rate > 0.0 else -1.0 if rate < 0.0 else 0.0
             ahead = math.sqrt(max(path * path - across * across, 0.0))
-            if dt * abs(rate) > path + _TINY:
+            if dt * abs(rate) > path + _EPSILON:
                 # An entity that is too slow for the change moves only sideways, at constant speed.
                 done = memory[2] + path * extent / abs(change)
-                fraction, turn = min(max(done / extent, 0.0), 1.0), side * _SIDEWAYS
+                fraction, turn = min(max(done / extent, 0.0), 1.0), side * _SIDEWAYS_HEADING
             else:
                 done = memory[2] + dt
-                fraction, turn = _shaped(shape, done / extent), math.atan2(side * across, ahead)
+                fraction, turn = _transition_value(shape, done / extent), math.atan2(side * across, ahead)
             turn = turn if speed > 0.0 else -turn
         offset = begin + fraction * change
-        if done > extent - _SHORT or abs(offset - end) < _TINY:
+        if done > extent - _EXTENT_TOLERANCE or abs(offset - end) < _EPSILON:
             return False
         memory[2], state[OFFSET, e], state[TURN, e] = done, offset, turn
     else:
@@ -336,28 +336,28 @@ def _change_lane(scene, tracks, actions, n, j, dt):
     flags[MOVED, e] = True
     previous_step = scene.last_step[n]
     arrived = scene.time[n] + previous_step if previous_step > 0.0 else math.inf
-    advance(scene, tracks, n, e, row, ahead if speed > 0.0 else -ahead if speed < 0.0 else 0.0, arrived)
+    advance_along_track(scene, tracks, n, e, row, ahead if speed > 0.0 else -ahead if speed < 0.0 else 0.0, arrived)
     # It ends at the end of the road, even between lanes.
-    return not (abs(speed) > _TINY and math.isfinite(state[AT_END_SINCE, e]))
+    return not (abs(speed) > _EPSILON and math.isfinite(state[AT_END_SINCE, e]))
 
 
 @_kernel
-def _change_offset(scene, tracks, actions, n, j, dt):
+def _apply_lane_offset(scene, tracks, actions, n, j, dt):
     """NumPy version: `LaneOffsetAction.step`. Memory: from, to, elapsed, duration."""
     options, memory, state = actions.options[j], actions.memory[n, j], scene.floats[n]
     e, shape = options[1], options[2]
     begin, end, elapsed, duration = memory[0], memory[1], memory[2], memory[3]
-    if not duration > 0.0 or elapsed > duration - _TINY:
+    if not duration > 0.0 or elapsed > duration - _EPSILON:
         return False
-    offset = begin + _shaped(shape, elapsed / duration) * (end - begin)
-    if abs(offset - end) < _TINY:
+    offset = begin + _transition_value(shape, elapsed / duration) * (end - begin)
+    if abs(offset - end) < _EPSILON:
         return False
-    slope = (end - begin) / duration * _steepness(shape, elapsed / duration)
+    slope = (end - begin) / duration * _transition_slope(shape, elapsed / duration)
     speed = state[SPEED, e]
     state[OFFSET, e] = offset
-    state[TURN, e] = math.atan(slope / (speed if abs(speed) > _TINY else _TINY))
+    state[TURN, e] = math.atan(slope / (speed if abs(speed) > _EPSILON else _EPSILON))
     memory[2] = elapsed + dt
     track = scene.numbers[n, TRACK, e]
     if track >= 0:
-        settle(scene, tracks, n, e, tracks.row[e, track])
+        place_on_track(scene, tracks, n, e, tracks.row[e, track])
     return True

@@ -8,20 +8,20 @@ from __future__ import annotations
 import math
 
 from cornercase._common.compiling import kernel
-from cornercase.simulators.builtin.frames.scene import CENTER_X, LENGTH, REACH, WIDTH
+from cornercase.simulators.builtin.frames.scene import CENTER_X, LENGTH, MAX_EXTENT, WIDTH
 from cornercase.simulators.builtin.world.layout import HEADING, PRESENT, X, Y
 
 _kernel = kernel(error_model="numpy", _nrt=False)
 
 
 @kernel(error_model="numpy", _nrt=False, forceinline=True)
-def overlap(scene, n, a, b):
+def entities_overlap(scene, n, a, b):
     """Whether the boxes of two entities of a scenario overlap; False if one is absent."""
     state, boxes = scene.floats[n], scene.boxes
     if not (scene.flags[n, PRESENT, a] and scene.flags[n, PRESENT, b]):
         return False
     # Boxes cannot overlap if their reference points are farther apart than this.
-    dx, dy, max_distance = state[X, a] - state[X, b], state[Y, a] - state[Y, b], boxes[a, REACH] + boxes[b, REACH]
+    dx, dy, max_distance = state[X, a] - state[X, b], state[Y, a] - state[Y, b], boxes[a, MAX_EXTENT] + boxes[b, MAX_EXTENT]
     return dx * dx + dy * dy <= max_distance * max_distance and _boxes_overlap(state, boxes, a, b)
 
 
@@ -36,25 +36,25 @@ def _boxes_overlap(state, boxes, a, b):
         return False
     box_a = (x_a, y_a, cos_a, sin_a, 0.5 * boxes[a, LENGTH], 0.5 * boxes[a, WIDTH])
     box_b = (x_b, y_b, cos_b, sin_b, 0.5 * boxes[b, LENGTH], 0.5 * boxes[b, WIDTH])
-    return not (_apart_along(box_a, box_b) or _apart_along(box_b, box_a))
+    return not (_is_separated_along(box_a, box_b) or _is_separated_along(box_b, box_a))
 
 
 @_kernel
-def _apart_along(one, two):
+def _is_separated_along(box, other):
     """Whether an edge of the first box separates the boxes (separating axes)."""
     for side in range(2):
         # Corners in order: front right, front left, rear left, rear right.
-        begin, end = _corner(one, side), _corner(one, side + 1)
+        begin, end = _corner(box, side), _corner(box, side + 1)
         axis_x, axis_y = end[0] - begin[0], end[1] - begin[1]
-        low, high = _reach(one, axis_x, axis_y)
-        other_low, other_high = _reach(two, axis_x, axis_y)
+        low, high = _project_box(box, axis_x, axis_y)
+        other_low, other_high = _project_box(other, axis_x, axis_y)
         if not (high >= other_low and other_high >= low):
             return True
     return False
 
 
 @_kernel
-def _reach(box, axis_x, axis_y):
+def _project_box(box, axis_x, axis_y):
     low, high = math.inf, -math.inf
     for k in range(4):
         x, y = _corner(box, k)

@@ -9,11 +9,11 @@ import math
 from typing import Final
 
 from cornercase._common.compiling import kernel
-from cornercase.simulators.builtin.frames.boxes import overlap
-from cornercase.simulators.builtin.frames.scene import PAGE
-from cornercase.simulators.builtin.tracks.lane_kernels import advance_lane, goes_over
-from cornercase.simulators.builtin.tracks.place_kernels import place_on
-from cornercase.simulators.builtin.tracks.pool import LANE, OTHER
+from cornercase.simulators.builtin.frames.boxes import entities_overlap
+from cornercase.simulators.builtin.frames.scene import PAGE_LENGTH
+from cornercase.simulators.builtin.tracks.lane_kernels import advance_on_lane, needs_next_lane
+from cornercase.simulators.builtin.tracks.place_kernels import pose_on_track
+from cornercase.simulators.builtin.tracks.pool import LANE_TRACK, PYTHON_TRACK
 from cornercase.simulators.builtin.world.layout import (
     ACCELERATION,
     AT_END_SINCE,
@@ -48,24 +48,24 @@ from cornercase.simulators.builtin.world.layout import (
     Y,
 )
 
-MOVED_BY_OTHERS, AWAKE, SETTLED, RESTING = range(4)
+EXTERNALLY_MOVED, AWAKE, SETTLED, RESTING = range(4)
 """Activity of an entity: moved by an action, a driver or a vehicle that tows it; moving by itself; unchanged on its
 track in the last frame; at rest, so that frames change nothing."""
 
 # m; an entity this close to the end of a road is at the end.
-_ON_END: Final = 1e-3
+_END_TOLERANCE: Final = 1e-3
 # m/s; an entity that is slower stands still.
-_STILL: Final = 1e-6
+_STANDSTILL_SPEED: Final = 1e-6
 # m/s; a standing entity that drifts more slowly keeps its speed of 0.
-_DRIFT: Final = 1e-3
+_MIN_DRIFT_SPEED: Final = 1e-3
 
 _kernel = kernel(error_model="numpy", _nrt=False)
 # Inlined, since it is called once and passing the tables would cost more than the work.
-_part = kernel(error_model="numpy", _nrt=False, forceinline=True)
+_inlined_kernel = kernel(error_model="numpy", _nrt=False, forceinline=True)
 
 
-@_part
-def move(scene, tracks, n, dt, rest):
+@_inlined_kernel
+def move_entities(scene, tracks, n, dt, activity):
     """Advance every entity of a scenario by one time step at its present speed, and the clock.
 
     With `dt` 0, entities are only placed on their tracks. `activity`, shape (E,), is updated. Returns whether an entity
@@ -77,34 +77,34 @@ def move(scene, tracks, n, dt, rest):
         if numbers[PULLED_BY, int(scene.tows[t, 1])] == int(scene.tows[t, 0]):
             flags[MOVED, int(scene.tows[t, 1])] = True
     for e in range(entities):
-        if rest[e] == RESTING or not flags[PRESENT, e]:
+        if activity[e] == RESTING or not flags[PRESENT, e]:
             continue
         track = numbers[TRACK, e]
         row = tracks.row[e, track] if track >= 0 else -1
         if not flags[MOVED, e]:
             distance, at_end_since = state[DISTANCE, e], state[AT_END_SINCE, e]
-            _go(scene, tracks, n, e, row, dt)
-            if rest[e] == AWAKE and state[DISTANCE, e] == distance and state[AT_END_SINCE, e] == at_end_since:
-                rest[e] = SETTLED
-        if row >= 0 and tracks.kind[row] == LANE:
-            needs_lane = needs_lane or goes_over(tracks, row, state[DISTANCE, e])
-    _stop_at_ends(scene, tracks, n, dt, rest)
+            _move_along_track(scene, tracks, n, e, row, dt)
+            if activity[e] == AWAKE and state[DISTANCE, e] == distance and state[AT_END_SINCE, e] == at_end_since:
+                activity[e] = SETTLED
+        if row >= 0 and tracks.kind[row] == LANE_TRACK:
+            needs_lane = needs_lane or needs_next_lane(tracks, row, state[DISTANCE, e])
+    _stop_at_road_ends(scene, tracks, n, dt, activity)
     for t in range(scene.tows.shape[0]):
         if numbers[PULLED_BY, int(scene.tows[t, 1])] == int(scene.tows[t, 0]):
-            _pull_trailer(scene, n, t)
+            _move_trailer(scene, n, t)
     for e in range(entities):
-        if rest[e] != RESTING:
-            _measure(state, flags, e, dt)
+        if activity[e] != RESTING:
+            _update_kinematics(state, flags, e, dt)
     scene.time[n] += dt
     scene.last_step[n] = dt
     # As in esmini, no standstill begins before the first frame with a duration.
     now = scene.time[n] if dt > 0.0 else math.inf
     for e in range(entities):
-        if rest[e] == RESTING:
+        if activity[e] == RESTING:
             continue
-        if rest[e] == SETTLED:
-            rest[e] = RESTING if dt > 0.0 and _rests(state, flags, e) else AWAKE
-        moving = abs(state[SPEED, e]) > _STILL
+        if activity[e] == SETTLED:
+            activity[e] = RESTING if dt > 0.0 and _is_resting(state, flags, e) else AWAKE
+        moving = abs(state[SPEED, e]) > _STANDSTILL_SPEED
         state[STANDING_SINCE, e] = math.inf if moving else min(state[STANDING_SINCE, e], now)
         state[FROM_X, e], state[FROM_Y, e], state[FROM_HEADING, e] = state[X, e], state[Y, e], state[HEADING, e]
         flags[MOVED, e] = flags[JUMPED, e] = flags[DECIDED, e] = False
@@ -112,22 +112,22 @@ def move(scene, tracks, n, dt, rest):
     return needs_lane
 
 
-@_part
-def _rests(f, b, e):
+@_inlined_kernel
+def _is_resting(state, flags, e):
     """Whether an entity that did not move stood before, too, so that the next frame computes the same."""
-    is_moving = f[SPEED, e] != 0.0 or f[VELOCITY, e] != 0.0 or f[GONE_X, e] != 0.0 or f[GONE_Y, e] != 0.0
-    is_changing = f[PULL_X, e] != 0.0 or f[PULL_Y, e] != 0.0 or f[HEADING, e] != f[FROM_HEADING, e]
-    return not (is_moving or is_changing or b[JUMPED, e])
+    is_moving = state[SPEED, e] != 0.0 or state[VELOCITY, e] != 0.0 or state[GONE_X, e] != 0.0 or state[GONE_Y, e] != 0.0
+    is_changing = state[PULL_X, e] != 0.0 or state[PULL_Y, e] != 0.0 or state[HEADING, e] != state[FROM_HEADING, e]
+    return not (is_moving or is_changing or flags[JUMPED, e])
 
 
-@_part
-def _go(scene, tracks, n, e, row, dt):
+@_inlined_kernel
+def _move_along_track(scene, tracks, n, e, row, dt):
     state, flags = scene.floats[n], scene.flags[n]
     step = (state[SPEED, e] if math.isnan(state[PACE, e]) else state[PACE, e]) * dt
     size = math.sqrt(max(step * step - state[SIDEWAYS, e] * state[SIDEWAYS, e], 0.0))
     step = math.copysign(size, step) if step != 0.0 else 0.0
     if row >= 0:
-        advance(scene, tracks, n, e, row, step, scene.time[n] + dt if dt > 0.0 else math.inf)
+        advance_along_track(scene, tracks, n, e, row, step, scene.time[n] + dt if dt > 0.0 else math.inf)
         return
     # An entity stops at the end of its trajectory if there is no road on which to continue.
     if flags[STRANDED, e]:
@@ -139,31 +139,31 @@ def _go(scene, tracks, n, e, row, dt):
 
 
 @_kernel
-def advance(scene, tracks, n, e, row, way, arrived):
+def advance_along_track(scene, tracks, n, e, row, step, arrival_time):
     """Move an entity along its track by `step` m (negative: backwards), and to its lateral offset.
 
     `arrival_time` is the time in s since when it is at the end of its road, if it gets there.
     """
     state = scene.floats[n]
-    if tracks.kind[row] == LANE:
-        distance = advance_lane(tracks, row, state[DISTANCE, e], state[OFFSET, e], way)
+    if tracks.kind[row] == LANE_TRACK:
+        distance = advance_on_lane(tracks, row, state[DISTANCE, e], state[OFFSET, e], step)
         at_end_since = state[AT_END_SINCE, e]
-        is_backwards = way < 0.0 or (way == 0.0 and math.isfinite(at_end_since))
-        is_at_end = distance >= tracks.length[row] - _ON_END or (distance <= _ON_END and is_backwards)
-        state[AT_END_SINCE, e] = min(at_end_since, arrived) if is_at_end else math.inf
+        is_backwards = step < 0.0 or (step == 0.0 and math.isfinite(at_end_since))
+        is_at_end = distance >= tracks.length[row] - _END_TOLERANCE or (distance <= _END_TOLERANCE and is_backwards)
+        state[AT_END_SINCE, e] = min(at_end_since, arrival_time) if is_at_end else math.inf
         state[DISTANCE, e] = distance
-    elif tracks.kind[row] == OTHER:
+    elif tracks.kind[row] == PYTHON_TRACK:
         return
     else:
-        state[DISTANCE, e] += way
-    settle(scene, tracks, n, e, row)
+        state[DISTANCE, e] += step
+    place_on_track(scene, tracks, n, e, row)
 
 
 @_kernel
-def settle(scene, tracks, n, e, row):
+def place_on_track(scene, tracks, n, e, row):
     """Set an entity's pose from its distance and offset on its track."""
     state = scene.floats[n]
-    x, y, heading = place_on(tracks, row, n, state[DISTANCE, e], state[OFFSET, e])
+    x, y, heading = pose_on_track(tracks, row, n, state[DISTANCE, e], state[OFFSET, e])
     state[X, e], state[Y, e], state[HEADING, e] = x, y, heading + state[TURN, e]
 
 
@@ -177,25 +177,25 @@ def set_speed(scene, n, e, speed):
     flags[DECIDED, e] = True
 
 
-@_part
-def _stop_at_ends(scene, tracks, n, dt, rest):
+@_inlined_kernel
+def _stop_at_road_ends(scene, tracks, n, dt, activity):
     """Stop entities at the end of their road if the last step moved them neither ahead nor sideways, as in esmini."""
     state, flags = scene.floats[n], scene.flags[n]
     for e in range(state.shape[1]):
-        if rest[e] == RESTING or not (flags[PRESENT, e] and state[AT_END_SINCE, e] < scene.time[n] + 0.5 * dt):
+        if activity[e] == RESTING or not (flags[PRESENT, e] and state[AT_END_SINCE, e] < scene.time[n] + 0.5 * dt):
             continue
         track = scene.numbers[n, TRACK, e]
-        on_lane = track >= 0 and tracks.kind[tracks.row[e, track]] == LANE
-        if on_lane and math.hypot(state[GONE_X, e], state[GONE_Y, e]) < _STILL:
+        on_lane = track >= 0 and tracks.kind[tracks.row[e, track]] == LANE_TRACK
+        if on_lane and math.hypot(state[GONE_X, e], state[GONE_Y, e]) < _STANDSTILL_SPEED:
             state[SPEED, e], flags[DECIDED, e] = 0.0, True
 
 
 @_kernel
-def _pull_trailer(scene, n, t):
+def _move_trailer(scene, n, tow):
     """Move a trailer behind its vehicle: its axle follows the hitch as on a rod."""
     state, flags = scene.floats[n], scene.flags[n]
-    e, trailer = int(scene.tows[t, 0]), int(scene.tows[t, 1])
-    hitch, coupler = scene.tows[t, 2], scene.tows[t, 3]
+    e, trailer = int(scene.tows[tow, 0]), int(scene.tows[tow, 1])
+    hitch, coupler = scene.tows[tow, 2], scene.tows[tow, 3]
     flags[PRESENT, trailer] = flags[PRESENT, e]
     if not flags[PRESENT, trailer]:
         return
@@ -208,44 +208,44 @@ def _pull_trailer(scene, n, t):
     state[SPEED, trailer] = state[SPEED, e]
 
 
-@_part
-def _measure(f, b, e, dt):
+@_inlined_kernel
+def _update_kinematics(state, flags, e, dt):
     """Update velocity, acceleration and odometer of an entity from its displacement."""
     if not dt > 0.0:
-        f[GONE_X, e], f[GONE_Y, e] = _held(f, e)
+        state[GONE_X, e], state[GONE_Y, e] = _velocity_along_heading(state, e)
         return
-    moved_x, moved_y = f[X, e] - f[FROM_X, e], f[Y, e] - f[FROM_Y, e]
+    moved_x, moved_y = state[X, e] - state[FROM_X, e], state[Y, e] - state[FROM_Y, e]
     chord = math.hypot(moved_x, moved_y)
     # A jump counts neither as distance nor as velocity.
-    if b[JUMPED, e] or not math.isfinite(chord):
+    if flags[JUMPED, e] or not math.isfinite(chord):
         chord = 0.0
-    previous_x, previous_y = f[GONE_X, e], f[GONE_Y, e]
-    f[GONE_X, e], f[GONE_Y, e] = _held(f, e) if b[JUMPED, e] else (moved_x / dt, moved_y / dt)
-    f[PULL_X, e], f[PULL_Y, e] = (f[GONE_X, e] - previous_x) / dt, (f[GONE_Y, e] - previous_y) / dt
-    f[ODOMETER, e] += chord
-    f[VELOCITY, e] = chord / dt
+    previous_x, previous_y = state[GONE_X, e], state[GONE_Y, e]
+    state[GONE_X, e], state[GONE_Y, e] = _velocity_along_heading(state, e) if flags[JUMPED, e] else (moved_x / dt, moved_y / dt)
+    state[PULL_X, e], state[PULL_Y, e] = (state[GONE_X, e] - previous_x) / dt, (state[GONE_Y, e] - previous_y) / dt
+    state[ODOMETER, e] += chord
+    state[VELOCITY, e] = chord / dt
     # As in esmini, a standing entity that is only moved sideways gets that speed.
-    if abs(f[SPEED, e]) < _STILL and f[VELOCITY, e] > _DRIFT and not (b[DECIDED, e] or b[MOVED, e] or b[DRIVEN, e]):
-        f[SPEED, e] = f[VELOCITY, e]
+    if abs(state[SPEED, e]) < _STANDSTILL_SPEED and state[VELOCITY, e] > _MIN_DRIFT_SPEED and not (flags[DECIDED, e] or flags[MOVED, e] or flags[DRIVEN, e]):
+        state[SPEED, e] = state[VELOCITY, e]
 
 
-@_part
-def _held(f, e):
-    return f[SPEED, e] * math.cos(f[HEADING, e]), f[SPEED, e] * math.sin(f[HEADING, e])
+@_inlined_kernel
+def _velocity_along_heading(state, e):
+    return state[SPEED, e] * math.cos(state[HEADING, e]), state[SPEED, e] * math.sin(state[HEADING, e])
 
 
-@_part
-def record(scene, n, first, dt, rest):
+@_inlined_kernel
+def record_frame(scene, n, first_scenario, dt, activity):
     """Record the state of all entities of a scenario; return whether a collision has begun.
 
     `first_scenario` is the first of the scenarios that run together with `n`; `activity` as in `move_entities`.
     """
     state, flags, numbers, frame = scene.floats[n], scene.flags[n], scene.numbers[n], scene.frames[n]
     entities = state.shape[1]
-    number, column = frame // PAGE, frame % PAGE
+    number, column = frame // PAGE_LENGTH, frame % PAGE_LENGTH
     if column == 0:
-        scene.page[n, number] = first * scene.page.shape[1] + scene.taken[first]
-        scene.taken[first] += 1
+        scene.page[n, number] = first_scenario * scene.page.shape[1] + scene.taken[first_scenario]
+        scene.taken[first_scenario] += 1
     page = scene.pages[scene.page[n, number]]
     for e in range(entities):
         if dt > 0.0:
@@ -257,9 +257,9 @@ def record(scene, n, first, dt, rest):
     collides = False
     for first_entity in range(entities):
         for other in range(first_entity + 1, entities):
-            if rest[first_entity] == RESTING and rest[other] == RESTING:
+            if activity[first_entity] == RESTING and activity[other] == RESTING:
                 continue
-            is_overlapping = overlap(scene, n, first_entity, other)
+            is_overlapping = entities_overlap(scene, n, first_entity, other)
             # Entities that overlap from the start collide in the first frame.
             is_coupled = numbers[PULLED_BY, first_entity] == other or numbers[PULLED_BY, other] == first_entity
             is_new = is_overlapping and not is_coupled and not (frame > 0 and scene.overlaps[n, first_entity, other])

@@ -9,50 +9,50 @@ import numpy as np
 
 from cornercase._common.typing import BoolArray, FloatArray, IntArray
 
-UNKNOWN, SPEED_ACTION, TRAJECTORY_ACTION, LANE_CHANGE, LANE_OFFSET, SYNCHRONISATION, DISTANCE_ACTION = range(7)
+PYTHON_ACTION, SPEED_ACTION, TRAJECTORY_ACTION, LANE_CHANGE_ACTION, LANE_OFFSET_ACTION, SYNCHRONIZE_ACTION, DISTANCE_ACTION = range(7)
 """Types of actions. A `PYTHON_ACTION` has no kernel; only whether it runs is known here."""
 
-SHAPES: Final = ("linear", "cubic", "sinusoidal", "step")
+DYNAMICS_SHAPES: Final = ("linear", "cubic", "sinusoidal", "step")
 """Transition shapes, indexed by their numbers in compiled code."""
-DIMENSIONS: Final = ("time", "rate", "distance")
+DYNAMICS_DIMENSIONS: Final = ("time", "rate", "distance")
 """Transition dimensions, indexed by their numbers in compiled code."""
 
-OPTIONS: Final = 8
+N_OPTIONS: Final = 8
 """Number of integers that describe an action: type, entity and type-specific ones."""
-MEMORY: Final = 24
+MEMORY_SIZE: Final = 24
 """Number of values that an action can remember of each scenario."""
-CHANGING: Final = 8
+N_SAVED: Final = 8
 """Number of these, the first ones, that can change from step to step."""
 
 
-class Actions(NamedTuple):
+class ActionTable(NamedTuple):
     """J actions in N scenarios, in the order in which they are applied."""
 
     options: IntArray  # (J, 8): type, entity and type-specific integers
     memory: FloatArray  # (N, J, 24): what an action remembers of a scenario
-    running: BoolArray  # (N, J)
+    is_running: BoolArray  # (N, J)
 
 
-class Compilable(Protocol):
+class CompilableAction(Protocol):
     """An action that may have a compiled kernel, and arrays (N,) named in `memory_attributes` that both share."""
 
-    remembered: tuple[str, ...]
+    memory_attributes: tuple[str, ...]
 
-    def options(self) -> tuple[int, ...]:
+    def kernel_options(self) -> tuple[int, ...]:
         """Type, entity and type-specific integers of the action; only `PYTHON_ACTION` for one without a kernel."""
         ...
 
 
-def gather_actions(found: Sequence[Compilable | None], scenarios: int) -> Actions:
+def build_action_table(actions: Sequence[CompilableAction | None], n_scenarios: int) -> ActionTable:
     """Build the action tables (None: the action ends at once); arrays that actions remember move into them."""
-    options = np.zeros((len(found), OPTIONS), dtype=np.int64)
-    memory = np.zeros((scenarios, len(found), MEMORY))
-    for j, action in enumerate(found):
+    options = np.zeros((len(actions), N_OPTIONS), dtype=np.int64)
+    memory = np.zeros((n_scenarios, len(actions), MEMORY_SIZE))
+    for j, action in enumerate(actions):
         if action is not None:
-            values = action.options()
-            assert len(values) <= OPTIONS
+            values = action.kernel_options()
+            assert len(values) <= N_OPTIONS
             options[j, : len(values)] = values
-            for k, name in enumerate(action.remembered):
+            for k, name in enumerate(action.memory_attributes):
                 memory[:, j, k] = getattr(action, name)
                 setattr(action, name, memory[:, j, k])
-    return Actions(options, memory, np.zeros((scenarios, len(found)), dtype=np.bool_))
+    return ActionTable(options, memory, np.zeros((n_scenarios, len(actions)), dtype=np.bool_))

@@ -12,25 +12,25 @@ import numpy as np
 from lxml import etree
 
 from cornercase._common.errors import InputError
-from cornercase._common.places import place_of, placed
-from cornercase._common.recorded_xml import adapt
+from cornercase._common.places import format_location, locate_input_errors
+from cornercase._common.recorded_xml import note_adaptation
 from cornercase._common.typing import BoolArray
-from cornercase.scenario import Scenario, Scope
-from cornercase.simulators.builtin.actions.basic import inner_action, read_action
-from cornercase.simulators.builtin.paths.positions import entities_in, entity_index
-from cornercase.simulators.builtin.storyboard.element import RUNNING, STANDBY, Element, Starter, Watch
-from cornercase.simulators.builtin.storyboard.events import Event, Group, RunningAction
+from cornercase.scenario import ScenarioFile, Scope
+from cornercase.simulators.builtin.actions.basic import find_action_element, read_action
+from cornercase.simulators.builtin.paths.positions import read_entity_refs, read_entity_index
+from cornercase.simulators.builtin.storyboard.element import RUNNING, STANDBY, Element, ElementTrigger, StateWatcher
+from cornercase.simulators.builtin.storyboard.events import Event, ElementGroup, ActionElement
 from cornercase.simulators.builtin.storyboard.triggers import Trigger, read_trigger
-from cornercase.simulators.builtin.world.contacts import find_contacts
-from cornercase.simulators.builtin.world.motion import velocity_ahead
+from cornercase.simulators.builtin.world.contacts import update_overlaps
+from cornercase.simulators.builtin.world.motion import heading_velocity
 from cornercase.simulators.builtin.world.state import World
 
 E = TypeVar("E", bound="Element")
 
 # Elements of <Init>, in their order of execution.
-_INIT: Final = ("GlobalAction", "UserDefinedAction", "Private")
-_PLACING: Final = ("TeleportAction", "AddEntityAction")
-_RELATIVE: Final = ("RelativeLanePosition", "RelativeRoadPosition", "RelativeObjectPosition", "RelativeWorldPosition")
+_INIT_TAGS: Final = ("GlobalAction", "UserDefinedAction", "Private")
+_PLACING_TAGS: Final = ("TeleportAction", "AddEntityAction")
+_RELATIVE_POSITION_TAGS: Final = ("RelativeLanePosition", "RelativeRoadPosition", "RelativeObjectPosition", "RelativeWorldPosition")
 
 
 class Storyboard:
@@ -39,48 +39,48 @@ class Storyboard:
     `actions`: all of its actions in the order in which they act.
     """
 
-    def __init__(self, scenario: Scenario, scope: Scope, world: World) -> None:
+    def __init__(self, scenario: ScenarioFile, scope: Scope, world: World) -> None:
         self._scenario, self._world = scenario, world
         self._elements: dict[tuple[str, str], list[tuple[Element, tuple[str, ...]]]] = {}
         self._parents: list[str] = []
-        self._watches: list[tuple[str, str, Watch, str]] = []
+        self._watches: list[tuple[str, str, StateWatcher, str]] = []
         # By entity; None for global actions.
-        self._actions: dict[int | None, list[RunningAction]] = {}
-        self.actions: list[RunningAction] = []
+        self._actions: dict[int | None, list[ActionElement]] = {}
+        self.actions: list[ActionElement] = []
         self._triggered: list[Element] = []
         root = scenario.root.find("Storyboard")
         assert root is not None
-        self._init = list(self._read_init(root, scope))
-        self._stopped = np.zeros(scope.scenarios, dtype=np.bool_)
-        self._going = ~self._stopped
+        self._init_actions = list(self._read_init(root, scope))
+        self._stopped = np.zeros(scope.n_scenarios, dtype=np.bool_)
+        self._is_active = ~self._stopped
         self.stories = [self._read_story(story, scope) for story in root.iterfind("Story")]
-        self._momentary = [action for action in self.actions if action.momentary]
+        self._momentary = [action for action in self.actions if action.is_instantaneous]
         self._stop = read_trigger(root.find("StopTrigger"), scope, world, self)
         for kind, reference, watch, where in self._watches:
-            element = self.named(kind, reference)
+            element = self.find_element(kind, reference)
             if element is None:
                 raise InputError(f"{where}: there is no {kind} '{reference}' in the storyboard.")
-            element.watch(watch)
+            element.add_watcher(watch)
 
-    def waits(self) -> Iterator[tuple[Starter, BoolArray]]:
+    def iter_pending_triggers(self) -> Iterator[tuple[ElementTrigger, BoolArray]]:
         """Yield all triggers in a fixed order, and where each may fire in the next frame."""
         yield self._stop, np.ones(self._world.scenarios, dtype=np.bool_)
         for element in self._triggered:
-            yield from element.waits()
+            yield from element.iter_pending_triggers()
 
-    def starting(self) -> BoolArray:
+    def waits_without_trigger(self) -> BoolArray:
         """Scenarios in which an element without a start trigger waits for the next frame, shape (N,)."""
         result = self._stopped.copy()
         for element in self._triggered:
-            if element.starts_by_itself:
+            if element.has_no_start_trigger:
                 result |= element.state == STANDBY
         return result
 
-    def watch(self, kind: str, name: str, watch: Watch, where: str) -> None:
+    def watch_element(self, kind: str, name: str, watch: StateWatcher, location: str) -> None:
         """Connect a condition to the element of a kind and name once all elements are read."""
-        self._watches.append((kind, name, watch, where))
+        self._watches.append((kind, name, watch, location))
 
-    def named(self, kind: str, name: str) -> Element | None:
+    def find_element(self, kind: str, name: str) -> Element | None:
         """Find the element of a kind and name; names may include those of parents, as in ``Act::Group``."""
         path = tuple(name.split("::"))
         for element, parents in self._elements.get((kind, path[-1]), ()):
@@ -90,18 +90,18 @@ class Storyboard:
                 return element
         return None
 
-    def look(self, dt: float) -> None:
+    def evaluate_triggers(self, dt: float) -> None:
         """Evaluate all triggers at the start of a frame of `dt` s, and start elements.
 
         `dt` is 0 in the first frame, which places entities.
         """
         world = self._world
         if dt == 0.0:
-            for action in self._init:
+            for action in self._init_actions:
                 action.start(world.running.copy())
             # Nothing has moved yet, but conditions on velocities and collisions already apply.
-            world.gone[0][:], world.gone[1][:] = velocity_ahead(world)
-            find_contacts(world)
+            world.step_velocity[0][:], world.step_velocity[1][:] = heading_velocity(world)
+            update_overlaps(world)
             for story in self.stories:
                 story.start(world.running.copy())
         stopped = self._stop.fires(world, world.running.copy())
@@ -110,11 +110,11 @@ class Storyboard:
         if dt > 0.0:
             world.running &= ~ends
         # A storyboard that stops in the first frame does nothing in it; the frame is recorded.
-        self._going = ~stopped
+        self._is_active = ~stopped
         for story in self.stories:
-            story.evaluate(world, world.running & self._going)
+            story.evaluate_triggers(world, world.running & self._is_active)
 
-    def unfinished(self) -> BoolArray:
+    def would_continue(self) -> BoolArray:
         """Scenarios that would end later although all elements have run, shape (N,).
 
         The storyboard, or a running act, has a stop trigger that may fire, or an entity follows a trajectory with
@@ -122,144 +122,144 @@ class Storyboard:
         """
         all_scenarios = np.ones(self._world.scenarios, dtype=np.bool_)
         result = self._stop.may_fire(self._world)
-        for act in (act for story in self.stories for act in story.children if isinstance(act, Group)):
-            result |= act.has_end(self._world)
+        for act in (act for story in self.stories for act in story.children if isinstance(act, ElementGroup)):
+            result |= act.has_pending_stop(self._world)
         for action in self.actions:
-            if action.action is not None and action.action.keeps_time:
+            if action.action is not None and action.action.has_own_timing:
                 result |= action.state == RUNNING
         # It may fire in the last frame, in which triggers are not evaluated.
         return result & ~self._stopped & ~self._stop.fires(self._world, all_scenarios)
 
-    def look_up(self, where: BoolArray) -> None:
+    def look_up_positions(self, where: BoolArray) -> None:
         """Look up what kernels cannot before the actions act, in the scenarios of a mask."""
         for action in self.actions:
-            action.look_up(where)
+            action.look_up_positions(where)
 
-    def end_momentary(self) -> None:
+    def end_instantaneous_actions(self) -> None:
         """End the actions that were done when they started; later actions cannot tell the difference."""
         for action in self._momentary:
             action.step(0.0, self._world.running)
 
-    def act(self, dt: float) -> None:
+    def step_actions(self, dt: float) -> None:
         """Let all actions act for a step of `dt` s."""
         running = self._world.running
-        for action in self._init:
+        for action in self._init_actions:
             action.step(dt, running)
         for story in self.stories:
-            story.step(dt, running & self._going)
+            story.step(dt, running & self._is_active)
 
-    def _read_init(self, root: etree._Element, scope: Scope) -> Iterator[RunningAction]:
+    def _read_init(self, root: etree._Element, scope: Scope) -> Iterator[ActionElement]:
         actions = root.find("Init/Actions")
         if actions is None:
             return
-        elements = [child for tag in _INIT for child in actions.iterfind(tag)]
-        for element in _in_order_of_reference(elements, scope):
+        elements = [child for tag in _INIT_TAGS for child in actions.iterfind(tag)]
+        for element in _sort_init_actions(elements, scope):
             if element.tag != "Private":
-                yield self._action("init", element, scope, None)
+                yield self._read_action("init", element, scope, None)
                 continue
-            for entity in self._entities(element, scope):
+            for entity in self._read_entities(element, scope):
                 for private_action in element.iterfind("PrivateAction"):
-                    yield self._action("init", private_action, scope, entity)
+                    yield self._read_action("init", private_action, scope, entity)
 
-    def _entities(self, element: etree._Element, scope: Scope) -> list[int]:
-        members = self._world.selections.get(scope.text(element, "entityRef"))
-        return [entity_index(element, scope, self._world)] if members is None else members
+    def _read_entities(self, element: etree._Element, scope: Scope) -> list[int]:
+        members = self._world.selections.get(scope.read_text(element, "entityRef"))
+        return [read_entity_index(element, scope, self._world)] if members is None else members
 
-    def _read_story(self, story: etree._Element, scope: Scope) -> Group:
-        scope = scope.within(story)
+    def _read_story(self, story: etree._Element, scope: Scope) -> ElementGroup:
+        scope = scope.nested_scope(story)
         name = story.get("name", "")
-        with self._inside(name), placed(story, scope.source):
+        with self._inside_parent(name), locate_input_errors(story, scope.file_name):
             acts = [self._read_act(act, scope) for act in story.iterfind("Act")]
-        return self._known(Group("story", name, scope.scenarios, acts))
+        return self._register_element(ElementGroup("story", name, scope.n_scenarios, acts))
 
-    def _read_act(self, act: etree._Element, scope: Scope) -> Group:
+    def _read_act(self, act: etree._Element, scope: Scope) -> ElementGroup:
         name = act.get("name", "")
-        with self._inside(name), placed(act, scope.source):
+        with self._inside_parent(name), locate_input_errors(act, scope.file_name):
             groups = [self._read_group(group, scope) for group in act.iterfind("ManeuverGroup")]
-        start = self._start_trigger(act, scope)
+        start = self._read_start_trigger(act, scope)
         ending = read_trigger(act.find("StopTrigger"), scope, self._world, self)
-        stop = None if ending.empty else ending
-        return self._known(Group("act", name, scope.scenarios, groups, start, stop))
+        stop = None if ending.is_empty else ending
+        return self._register_element(ElementGroup("act", name, scope.n_scenarios, groups, start, stop))
 
-    def _start_trigger(self, element: etree._Element, scope: Scope) -> Trigger | None:
+    def _read_start_trigger(self, element: etree._Element, scope: Scope) -> Trigger | None:
         """Start trigger of an act or event; None, which fires immediately, if missing or empty."""
         trigger = read_trigger(element.find("StartTrigger"), scope, self._world, self)
-        return None if trigger.empty else trigger
+        return None if trigger.is_empty else trigger
 
-    def _read_group(self, group: etree._Element, scope: Scope) -> Group:
+    def _read_group(self, group: etree._Element, scope: Scope) -> ElementGroup:
         name, holder = group.get("name", ""), group.find("Actors")
-        select = holder is not None and scope.flag(holder, "selectTriggeringEntities", False)
-        actors = [] if holder is None else entities_in(holder, scope, self._world)
+        select = holder is not None and scope.read_boolean(holder, "selectTriggeringEntities", False)
+        actors = [] if holder is None else read_entity_refs(holder, scope, self._world)
         maneuvers = []
         for element in group.iterchildren("Maneuver", "CatalogReference"):
             if element.tag == "CatalogReference":
-                maneuver, inner = scope.from_catalog(element, "Maneuver")
+                maneuver, inner = scope.resolve_catalog_reference(element, "Maneuver")
             else:
-                maneuver, inner = element, scope.within(element)
+                maneuver, inner = element, scope.nested_scope(element)
             maneuver_name = maneuver.get("name", "")
-            with self._inside(name), self._inside(maneuver_name):
+            with self._inside_parent(name), self._inside_parent(maneuver_name):
                 events = []
                 for event in maneuver.iterfind("Event"):
-                    with placed(event, inner.source):
+                    with locate_input_errors(event, inner.file_name):
                         events.append(self._read_event(event, inner, actors, select))
-            with self._inside(name):
-                maneuvers.append(self._known(Group("maneuver", maneuver_name, scope.scenarios, events)))
-        times = scope.whole_number(group, "maximumExecutionCount", 1, least=1)
-        return self._known(Group("maneuverGroup", name, scope.scenarios, maneuvers, times=times))
+            with self._inside_parent(name):
+                maneuvers.append(self._register_element(ElementGroup("maneuver", maneuver_name, scope.n_scenarios, events)))
+        times = scope.read_integer(group, "maximumExecutionCount", 1, minimum=1)
+        return self._register_element(ElementGroup("maneuverGroup", name, scope.n_scenarios, maneuvers, max_executions=times))
 
-    def _read_event(self, event: etree._Element, scope: Scope, actors: list[int], select: bool) -> Event:
-        trigger = self._start_trigger(event, scope)
+    def _read_event(self, event: etree._Element, scope: Scope, actors: list[int], select_triggering_entities: bool) -> Event:
+        trigger = self._read_start_trigger(event, scope)
         # Triggering entities may act too, besides the named actors.
         choices: dict[int, Callable[[], BoolArray] | None] = {}
-        if select and trigger is not None:
-            choices = {e: partial(trigger.triggered_by, e) for e in trigger.entities}
+        if select_triggering_entities and trigger is not None:
+            choices = {e: partial(trigger.is_triggered_by, e) for e in trigger.entities}
         choices |= dict.fromkeys(actors)
         actions = []
         for action in event.iterfind("Action"):
             name = action.get("name", "")
             if action.find("*") is None:
-                adapt(action, "<Action> without an action", "is skipped", "<Action> holds an action")
+                note_adaptation(action, "<Action> without an action", "is skipped", "<Action> holds an action")
             for element in action.iterchildren("*"):
                 private = element.tag == "PrivateAction"
                 for actor, chosen in choices.items() if private else [(None, None)]:
-                    running = self._action(name, element, scope, actor, chosen)
+                    running = self._read_action(name, element, scope, actor, chosen)
                     actions.append(running)
-                    with self._inside(event.get("name", "")):
-                        self._known(running)
-        times = scope.whole_number(event, "maximumExecutionCount", 1, least=1)
-        priority = scope.text(event, "priority", "parallel")
-        return self._known(Event(event.get("name", ""), scope.scenarios, actions, trigger, times, priority))
+                    with self._inside_parent(event.get("name", "")):
+                        self._register_element(running)
+        times = scope.read_integer(event, "maximumExecutionCount", 1, minimum=1)
+        priority = scope.read_text(event, "priority", "parallel")
+        return self._register_element(Event(event.get("name", ""), scope.n_scenarios, actions, trigger, times, priority))
 
-    def _action(
+    def _read_action(
         self,
         name: str,
         element: etree._Element,
         scope: Scope,
         entity: int | None,
-        chosen: Callable[[], BoolArray] | None = None,
-    ) -> RunningAction:
-        rivals, action_element = self._actions.setdefault(entity, []), inner_action(element)
-        with placed(action_element, scope.source):
+        takes_part: Callable[[], BoolArray] | None = None,
+    ) -> ActionElement:
+        rivals, action_element = self._actions.setdefault(entity, []), find_action_element(element)
+        with locate_input_errors(action_element, scope.file_name):
             action = read_action(element, scope, self._world, entity)
         # The name of the scenario file itself is omitted.
         scenario_file = str(self._scenario.path)
         location = (
             f"line {action_element.sourceline}"
-            if scope.source == scenario_file
-            else place_of(action_element, scope.source)
+            if scope.file_name == scenario_file
+            else format_location(action_element, scope.file_name)
         )
         holder = "<Init>" if next(action_element.iterancestors("Init"), None) is not None else f"'{name}'"
         location += f": <{action_element.tag}> of {holder}"
-        self.actions.append(RunningAction(name, scope.scenarios, action, self._world, rivals, chosen, location))
+        self.actions.append(ActionElement(name, scope.n_scenarios, action, self._world, rivals, takes_part, location))
         return self.actions[-1]
 
-    def _known(self, element: E) -> E:
+    def _register_element(self, element: E) -> E:
         self._elements.setdefault((element.kind, element.name), []).append((element, tuple(self._parents)))
         self._triggered.append(element)
         return element
 
     @contextmanager
-    def _inside(self, name: str) -> Iterator[None]:
+    def _inside_parent(self, name: str) -> Iterator[None]:
         self._parents.append(name)
         try:
             yield
@@ -267,9 +267,9 @@ class Storyboard:
             self._parents.pop()
 
 
-def _in_order_of_reference(actions: list[etree._Element], scope: Scope) -> list[etree._Element]:
+def _sort_init_actions(actions: list[etree._Element], scope: Scope) -> list[etree._Element]:
     """Sort initial actions so that entities are placed before others are placed relative to them."""
-    remaining = [_Initial.of(element, scope) for element in actions]
+    remaining = [_InitAction.from_element(element, scope) for element in actions]
     ordered: list[etree._Element] = []
     while remaining:
         adding = {action.entity for action in remaining if action.adds}
@@ -287,7 +287,7 @@ def _in_order_of_reference(actions: list[etree._Element], scope: Scope) -> list[
 
 
 @dataclass(frozen=True, eq=False)
-class _Initial:
+class _InitAction:
     """An initial action: its entity, the entities it refers to, and whether it adds or places its entity."""
 
     element: etree._Element
@@ -297,10 +297,10 @@ class _Initial:
     places: bool
 
     @classmethod
-    def of(cls, element: etree._Element, scope: Scope) -> _Initial:
+    def from_element(cls, element: etree._Element, scope: Scope) -> _InitAction:
         adding = element.find("EntityAction")
         entity = (element if adding is None else adding).get("entityRef", "")
-        placing = list(element.iter(*_PLACING))
-        positions = (position for action in placing for position in action.iter(*_RELATIVE))
-        references = frozenset(scope.text(position, "entityRef") for position in positions)
+        placing = list(element.iter(*_PLACING_TAGS))
+        positions = (position for action in placing for position in action.iter(*_RELATIVE_POSITION_TAGS))
+        references = frozenset(scope.read_text(position, "entityRef") for position in positions)
         return cls(element, entity, references - {entity}, adding is not None, bool(placing))

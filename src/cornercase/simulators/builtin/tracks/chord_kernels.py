@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import math
 
-from cornercase._common.addresses import floats_at, integers_at
+from cornercase._common.addresses import floats_at_address, ints_at_address
 from cornercase._common.compiling import kernel
 from cornercase.simulators.builtin.tracks import columns
 
@@ -15,10 +15,10 @@ _kernel = kernel(error_model="numpy", forceinline=True, _nrt=False)
 
 
 @_kernel
-def place_on_chords(tracks, g, n, distance, offset):
+def pose_on_spline(tracks, row, n, distance, offset):
     """x, y (m) and heading (rad) at a distance along a spline, and an offset to the left."""
-    length, chord = chords_length(tracks, g, n), floats_at(tracks.address[g, columns.CHORD], n + 1)[n]
-    last = integers_at(tracks.address[g, columns.LAST], n + 1)[n]
+    length, chord = spline_length(tracks, row, n), floats_at_address(tracks.address[row, columns.CHORD], n + 1)[n]
+    last = ints_at_address(tracks.address[row, columns.LAST_CHORD], n + 1)[n]
     clipped = min(max(distance, 0.0), length)
     # NaN maps to chord 0, and stays NaN in the result.
     position = clipped / chord
@@ -26,12 +26,12 @@ def place_on_chords(tracks, g, n, distance, offset):
     before = chord * k
     span = min(before + chord, length) - before
     fraction = (clipped - before) / (span if span > 0.0 else 1.0)
-    after = k + min(1, tracks.size[g] - 1)
+    after = k + min(1, tracks.size[row] - 1)
     point_x, point_y = (
-        _mixed(tracks, g, n, columns.X, k, after, fraction),
-        _mixed(tracks, g, n, columns.Y, k, after, fraction),
+        _interpolate(tracks, row, n, columns.X, k, after, fraction),
+        _interpolate(tracks, row, n, columns.Y, k, after, fraction),
     )
-    heading = _mixed(tracks, g, n, columns.HEADING, k, after, fraction)
+    heading = _interpolate(tracks, row, n, columns.HEADING, k, after, fraction)
     beyond = distance - clipped
     if beyond != 0.0 or offset != 0.0:
         cos, sin = math.cos(heading), math.sin(heading)
@@ -40,24 +40,24 @@ def place_on_chords(tracks, g, n, distance, offset):
 
 
 @_kernel
-def chords_length(tracks, g, n):
+def spline_length(tracks, row, n):
     """Length of a spline in m."""
-    return floats_at(tracks.address[g, columns.LENGTH], n + 1)[n]
+    return floats_at_address(tracks.address[row, columns.LENGTH], n + 1)[n]
 
 
 @_kernel
-def chords_last_time(tracks, g, n):
+def spline_end_time(tracks, row, n):
     """Time in s at which a spline with times ends, on its own clock."""
-    count = tracks.bends[g]
-    return floats_at(tracks.address[g, columns.TIME] + 8 * count * n, count)[count - 1]
+    count = tracks.bends[row]
+    return floats_at_address(tracks.address[row, columns.TIME] + 8 * count * n, count)[count - 1]
 
 
 @_kernel
-def distance_on_chords_at(tracks, g, n, time):
+def spline_distance_at_time(tracks, row, n, time):
     """Distance in m along a spline at a time in s of its own clock."""
-    count = tracks.bends[g]
-    times = floats_at(tracks.address[g, columns.TIME] + 8 * count * n, count)
-    table = floats_at(tracks.address[g, columns.DISTANCE] + 8 * count * n, count)
+    count = tracks.bends[row]
+    times = floats_at_address(tracks.address[row, columns.TIME] + 8 * count * n, count)
+    table = floats_at_address(tracks.address[row, columns.DISTANCE] + 8 * count * n, count)
     k = 0
     while k + 2 < count and times[k + 1] <= time:
         k += 1
@@ -67,7 +67,7 @@ def distance_on_chords_at(tracks, g, n, time):
 
 
 @_kernel
-def _mixed(tracks, g, n, column, k, after, part):
-    count = tracks.size[g]
-    values = floats_at(tracks.address[g, column] + (0 if tracks.alike[g] else 8 * count * n), count)
-    return values[k] + part * (values[after] - values[k])
+def _interpolate(tracks, row, n, column, k, after, fraction):
+    count = tracks.size[row]
+    values = floats_at_address(tracks.address[row, column] + (0 if tracks.alike[row] else 8 * count * n), count)
+    return values[k] + fraction * (values[after] - values[k])

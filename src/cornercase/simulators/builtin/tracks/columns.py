@@ -17,25 +17,25 @@ HEADING: Final = 3
 CURVATURE: Final = 4
 S: Final = 5
 ROAD: Final = 6
-NUMBER: Final = 7
-ALONG: Final = 8
-REFERENCE: Final = 10
-CENTER: Final = 11
-BEND_AT: Final = 12
-BEND: Final = 13
+LANE_NUMBER: Final = 7
+RUNS_ALONG_S: Final = 8
+REFERENCE_DISTANCE: Final = 10
+CENTER_OFFSET: Final = 11
+CURVATURE_DISTANCE: Final = 12
+REFERENCE_CURVATURE: Final = 13
 """Columns of lanes."""
 
 DIRECTION: Final = 4
-FACING: Final = 5
+VERTEX_HEADING: Final = 5
 TIME: Final = 6
 SPEED: Final = 7
-RATE: Final = 8
+SEGMENT_ACCELERATION: Final = 8
 """Columns of polylines; splines have their times in the same column."""
 
 LENGTH: Final = 4
 CHORD: Final = 5
-LAST: Final = 7
+LAST_CHORD: Final = 7
 """Columns of splines, with a row of chord or segment ends per scenario."""
 
-COLUMNS: Final = 14
+N_COLUMNS: Final = 14
 """Number of columns."""

@@ -9,13 +9,13 @@ import numpy as np
 
 from cornercase._common.typing import FloatArray, IntArray
 from cornercase.roads import LanePath, RoadNetwork
-from cornercase.simulators.builtin.tracks.lane_kernels import advance_on_path
-from cornercase.simulators.builtin.tracks.nearest_kernels import nearest_on_path
+from cornercase.simulators.builtin.tracks.lane_kernels import advance_on_lane_path
+from cornercase.simulators.builtin.tracks.nearest_kernels import project_on_lane_path
 from cornercase.simulators.builtin.tracks.track import Pose, Track
 
 # m; largest margin before the cut end of a path at which an entity changes to the next path.
-_AHEAD: Final = 1000.0
-_BACK: Final = 250.0
+_MAX_MARGIN_AHEAD: Final = 1000.0
+_MAX_MARGIN_BEHIND: Final = 250.0
 
 
 class LaneTrack(Track):
@@ -31,31 +31,31 @@ class LaneTrack(Track):
         begin, end = path.lane_span
         # A path that is cut is left at most halfway between its own lane and the cut.
         self.span = (
-            -np.inf if path.begins else min(_BACK, 0.5 * begin),
-            np.inf if path.ends else self.length - min(_AHEAD, 0.5 * (self.length - end)),
+            -np.inf if path.has_start else min(_MAX_MARGIN_BEHIND, 0.5 * begin),
+            np.inf if path.has_end else self.length - min(_MAX_MARGIN_AHEAD, 0.5 * (self.length - end)),
         )
-        self.goes_over = not (path.begins and path.ends)
+        self.is_continued = not (path.has_start and path.has_end)
 
     @classmethod
-    def of_lane(
+    def from_lane(
         cls, network: RoadNetwork, road: int, lane: int, s: float, along: bool, via: tuple[tuple[int, int, float], ...]
     ) -> LaneTrack | None:
         """Track through a point on a lane, along s or against it; None if there is no lane."""
-        path = network.path_of_lane(road, lane, s, along, via)
+        path = network.lane_path_from(road, lane, s, along, via)
         return None if path is None else cls(path)
 
-    def distance_of(self, s: FloatArray) -> FloatArray:
+    def distance_at_s(self, s: FloatArray) -> FloatArray:
         """Distance along the track for s on the road that it was made for."""
-        return self.path.distance_at(s)
+        return self.path.distance_of_s(s)
 
-    def at(self, distance: FloatArray, offset: FloatArray, rows: IntArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-        x, y, heading, _ = self.path.at(distance, offset)
+    def pose_at(self, distance: FloatArray, offset: FloatArray, rows: IntArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+        x, y, heading, _ = self.path.pose_at(distance, offset)
         return x, y, heading
 
-    def curvature(self, distance: FloatArray, rows: IntArray) -> FloatArray:
-        return self.path.at(distance, np.zeros_like(distance))[3]
+    def curvature_at(self, distance: FloatArray, rows: IntArray) -> FloatArray:
+        return self.path.pose_at(distance, np.zeros_like(distance))[3]
 
-    def advance(self, distance: FloatArray, offset: FloatArray, way: FloatArray) -> FloatArray:
+    def advance(self, distance: FloatArray, offset: FloatArray, step: FloatArray) -> FloatArray:
         """Distance along the track after a step, each (R,) in m.
 
         As in esmini, a step is made along the reference line, and scaled by the curvature at its beginning. If the
@@ -63,19 +63,19 @@ class LaneTrack(Track):
         the lane.
         """
         path = self.path
-        return np.asarray(advance_on_path(path.addresses, path.x.size, path.bend_at.size, distance, offset, way))
+        return np.asarray(advance_on_lane_path(path.array_addresses, path.x.size, path.curvature_distance.size, distance, offset, step))
 
-    def nearest(self, x: FloatArray, y: FloatArray, rows: IntArray, after: FloatArray | None = None) -> FloatArray:
+    def nearest_distance(self, x: FloatArray, y: FloatArray, rows: IntArray, after: FloatArray | None = None) -> FloatArray:
         path, start = self.path, np.full(len(x), -np.inf) if after is None else after
-        return np.asarray(nearest_on_path(path.addresses, path.x.size, path.chord, x, y, start))
+        return np.asarray(project_on_lane_path(path.array_addresses, path.x.size, path.max_chord, x, y, start))
 
-    def lane_pose(self, pose: Pose, rows: IntArray, distance: FloatArray, offset: FloatArray) -> Pose:
+    def update_road_coordinates(self, pose: Pose, rows: IntArray, distance: FloatArray, offset: FloatArray) -> Pose:
         """Return `pose` with the road coordinates of `rows` on this track."""
         assert pose.offset is not None
-        sample = self.path.sample_at(distance)
+        sample = self.path.sample_index(distance)
         road, lane, s = pose.road_coordinates()
         road, lane, s, t = road.copy(), lane.copy(), s.copy(), pose.offset.copy()
         road[rows], lane[rows] = self.path.road[sample], self.path.lane[sample]
         s[rows] = self.path.s_at(distance)
-        t[rows] = np.where(self.path.along[sample], offset, -offset)
+        t[rows] = np.where(self.path.forward[sample], offset, -offset)
         return replace(pose, road=road, lane=lane, s=s, offset=t)

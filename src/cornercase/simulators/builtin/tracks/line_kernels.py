@@ -7,79 +7,79 @@ from __future__ import annotations
 
 import math
 
-from cornercase._common.addresses import floats_at
+from cornercase._common.addresses import floats_at_address
 from cornercase._common.compiling import kernel
 from cornercase.simulators.builtin.tracks import columns
-from cornercase.simulators.builtin.tracks.polyline import CORNER, TINY
+from cornercase.simulators.builtin.tracks.polyline import CORNER_HALF_LENGTH, VERTEX_TOLERANCE
 
-_ALONG_LEGS, _AT_CORNERS = 0, 1
+_ALONG_SEGMENTS, _AT_CORNERS = 0, 1
 
 _kernel = kernel(error_model="numpy", forceinline=True, _nrt=False)
 
 
 @_kernel
-def place_on_line(tracks, g, n, distance, offset):
+def pose_on_polyline(tracks, row, n, distance, offset):
     """x, y (m) and heading (rad) at a distance along a polyline, and an offset to the left."""
-    table = floats_at(_row(tracks, g, n, columns.DISTANCE), tracks.size[g])
-    distance = _round(tracks, g, table, distance)
-    clipped, segment, fraction = _leg(table, distance, 0.0)
-    x = floats_at(_row(tracks, g, n, columns.X), tracks.size[g])
-    y = floats_at(_row(tracks, g, n, columns.Y), tracks.size[g])
+    table = floats_at_address(_vertex_array_address(tracks, row, n, columns.DISTANCE), tracks.size[row])
+    distance = _wrap_closed(tracks, row, table, distance)
+    clipped, segment, fraction = _locate_on_segment(table, distance, 0.0)
+    x = floats_at_address(_vertex_array_address(tracks, row, n, columns.X), tracks.size[row])
+    y = floats_at_address(_vertex_array_address(tracks, row, n, columns.Y), tracks.size[row])
     point_x = x[segment] + fraction * (x[segment + 1] - x[segment])
     point_y = y[segment] + fraction * (y[segment + 1] - y[segment])
     beyond = distance - clipped
     if beyond != 0.0 or offset != 0.0:
-        direction = floats_at(_legs(tracks, g, n), tracks.size[g] - 1)[segment]
+        direction = floats_at_address(_direction_array_address(tracks, row, n), tracks.size[row] - 1)[segment]
         cos, sin = math.cos(direction), math.sin(direction)
         point_x, point_y = point_x + beyond * cos - offset * sin, point_y + beyond * sin + offset * cos
-    return point_x, point_y, _heading(tracks, g, n, table, distance)
+    return point_x, point_y, _heading_on_polyline(tracks, row, n, table, distance)
 
 
 @_kernel
-def line_length(tracks, g, n):
+def polyline_length(tracks, row, n):
     """Length of a polyline in m, inf for a closed one."""
-    count, closed = tracks.size[g], tracks.closed[g]
-    length = floats_at(_row(tracks, g, n, columns.DISTANCE), count)[count - 1]
+    count, closed = tracks.size[row], tracks.closed[row]
+    length = floats_at_address(_vertex_array_address(tracks, row, n, columns.DISTANCE), count)[count - 1]
     return math.inf if closed else length
 
 
 @_kernel
-def direction_on(tracks, g, n, distance):
+def polyline_direction(tracks, row, n, distance):
     """Direction of the polyline in rad, whatever the entity's heading is."""
-    table = floats_at(_row(tracks, g, n, columns.DISTANCE), tracks.size[g])
-    segment = _leg(table, _round(tracks, g, table, distance), TINY)[1]
-    return floats_at(_legs(tracks, g, n), tracks.size[g] - 1)[segment]
+    table = floats_at_address(_vertex_array_address(tracks, row, n, columns.DISTANCE), tracks.size[row])
+    segment = _locate_on_segment(table, _wrap_closed(tracks, row, table, distance), VERTEX_TOLERANCE)[1]
+    return floats_at_address(_direction_array_address(tracks, row, n), tracks.size[row] - 1)[segment]
 
 
 @_kernel
-def oriented_on(tracks, g, n, distance):
+def polyline_has_heading(tracks, row, n, distance):
     """Whether the file gives the heading at a distance."""
-    table, last = floats_at(_row(tracks, g, n, columns.DISTANCE), tracks.size[g]), tracks.size[g] - 1
-    distance = _round(tracks, g, table, distance)
+    table, last = floats_at_address(_vertex_array_address(tracks, row, n, columns.DISTANCE), tracks.size[row]), tracks.size[row] - 1
+    distance = _wrap_closed(tracks, row, table, distance)
     # On a segment, the vertex at its beginning counts.
-    vertex = last if distance > table[last] - TINY else _leg(table, distance, TINY)[1]
-    return not math.isnan(floats_at(_row(tracks, g, n, columns.HEADING), tracks.size[g])[vertex])
+    vertex = last if distance > table[last] - VERTEX_TOLERANCE else _locate_on_segment(table, distance, VERTEX_TOLERANCE)[1]
+    return not math.isnan(floats_at_address(_vertex_array_address(tracks, row, n, columns.HEADING), tracks.size[row])[vertex])
 
 
 @_kernel
-def last_time(tracks, g, n):
+def polyline_end_time(tracks, row, n):
     """Time in s at which a polyline with times ends, on its own clock."""
-    return floats_at(_row(tracks, g, n, columns.TIME), tracks.size[g])[tracks.size[g] - 1]
+    return floats_at_address(_vertex_array_address(tracks, row, n, columns.TIME), tracks.size[row])[tracks.size[row] - 1]
 
 
 @_kernel
-def distance_at(tracks, g, n, time):
+def polyline_distance_at_time(tracks, row, n, time):
     """Distance in m along a polyline at a time in s of its own clock."""
-    count = tracks.size[g]
-    times = floats_at(_row(tracks, g, n, columns.TIME), count)
-    table = floats_at(_row(tracks, g, n, columns.DISTANCE), count)
+    count = tracks.size[row]
+    times = floats_at_address(_vertex_array_address(tracks, row, n, columns.TIME), count)
+    table = floats_at_address(_vertex_array_address(tracks, row, n, columns.DISTANCE), count)
     last = count - 1
     if time > times[last]:
         return table[last]
-    segment = _leg_begun(times, time, 0.0)
+    segment = _find_segment(times, time, 0.0)
     elapsed = max(time - times[segment], 0.0)
-    speed = floats_at(_row(tracks, g, n, columns.SPEED), count)[segment]
-    rate = floats_at(_row(tracks, g, n, columns.RATE), count)[segment]
+    speed = floats_at_address(_vertex_array_address(tracks, row, n, columns.SPEED), count)[segment]
+    rate = floats_at_address(_vertex_array_address(tracks, row, n, columns.SEGMENT_ACCELERATION), count)[segment]
     begin = table[segment]
     if rate == 0.0:
         span = times[segment + 1] - times[segment]
@@ -92,30 +92,30 @@ def distance_at(tracks, g, n, time):
 
 
 @_kernel
-def _row(tracks, g, n, column):
-    count = tracks.size[g]
-    return tracks.address[g, column] + (0 if tracks.alike[g] else 8 * count * n)
+def _vertex_array_address(tracks, row, n, column):
+    count = tracks.size[row]
+    return tracks.address[row, column] + (0 if tracks.alike[row] else 8 * count * n)
 
 
 @_kernel
-def _legs(tracks, g, n):
-    count = tracks.size[g] - 1
-    return tracks.address[g, columns.DIRECTION] + (0 if tracks.alike[g] else 8 * count * n)
+def _direction_array_address(tracks, row, n):
+    count = tracks.size[row] - 1
+    return tracks.address[row, columns.DIRECTION] + (0 if tracks.alike[row] else 8 * count * n)
 
 
 @_kernel
-def _round(tracks, g, table, distance):
+def _wrap_closed(tracks, row, table, distance):
     """Distance within one lap of a closed polyline, as `numpy.mod` computes it."""
-    return distance % table[table.size - 1] if tracks.closed[g] else distance
+    return distance % table[table.size - 1] if tracks.closed[row] else distance
 
 
 @_kernel
-def _leg_begun(table, place, beyond):
+def _find_segment(table, value, tolerance):
     """Last segment that begins `tolerance` before `value`; at least the first one."""
     low, high = 0, table.size - 1
     while high - low > 1:
         middle = (low + high) // 2
-        if table[middle] + beyond <= place:
+        if table[middle] + tolerance <= value:
             low = middle
         else:
             high = middle
@@ -123,29 +123,29 @@ def _leg_begun(table, place, beyond):
 
 
 @_kernel
-def _leg(table, distance, beyond):
+def _locate_on_segment(table, distance, tolerance):
     """Distance clipped to the line, its segment, and the fraction of the segment."""
     clipped = max(distance, 0.0)
     clipped = min(clipped, table[table.size - 1])
-    segment = _leg_begun(table, clipped, beyond)
+    segment = _find_segment(table, clipped, tolerance)
     span = table[segment + 1] - table[segment]
     return clipped, segment, (clipped - table[segment]) / span if span > 0.0 else 0.0
 
 
 @_kernel
-def _heading(tracks, g, n, table, distance):
-    clipped, segment, fraction = _leg(table, distance, TINY)
-    vertex_headings, last = floats_at(_row(tracks, g, n, columns.FACING), tracks.size[g]), tracks.size[g] - 2
+def _heading_on_polyline(tracks, row, n, table, distance):
+    clipped, segment, fraction = _locate_on_segment(table, distance, VERTEX_TOLERANCE)
+    vertex_headings, last = floats_at_address(_vertex_array_address(tracks, row, n, columns.VERTEX_HEADING), tracks.size[row]), tracks.size[row] - 2
     current, after = vertex_headings[segment], vertex_headings[segment + 1]
-    at_end = clipped > table[last + 1] - TINY
-    if tracks.turning[g] == _ALONG_LEGS:
+    at_end = clipped > table[last + 1] - VERTEX_TOLERANCE
+    if tracks.turning[row] == _ALONG_SEGMENTS:
         return current + (1.0 if at_end else fraction) * (after - current)
     if at_end:
         return after
-    if tracks.turning[g] != _AT_CORNERS:
+    if tracks.turning[row] != _AT_CORNERS:
         return current
     span = table[segment + 1] - table[segment]
-    reach = max(min(CORNER, 0.5 * span), TINY)
+    reach = max(min(CORNER_HALF_LENGTH, 0.5 * span), VERTEX_TOLERANCE)
     since_start = clipped - table[segment]
     until_end = span - since_start
     if since_start < reach:

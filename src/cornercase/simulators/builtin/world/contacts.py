@@ -9,22 +9,22 @@ from cornercase._common.typing import BoolArray, FloatArray
 from cornercase.simulators.builtin.world.state import World
 
 
-def find_contacts(world: World) -> None:
+def update_overlaps(world: World) -> None:
     """Update which boxes overlap."""
     entities = list(range(len(world.entities)))
-    x, y = _centers(world, entities)
+    x, y = _box_centers(world, entities)
     for a in entities:
         for b in entities[a + 1 :]:
-            world.touching[a, b] = world.touching[b, a] = _overlap(world, [a, b], x[[a, b]], y[[a, b]])
+            world.overlapping[a, b] = world.overlapping[b, a] = _do_pair_boxes_overlap(world, [a, b], x[[a, b]], y[[a, b]])
 
 
-def overlap(world: World, first: int, second: int) -> BoolArray:
+def do_boxes_overlap(world: World, first: int, second: int) -> BoolArray:
     """Check whether the boxes of two entities overlap now, also within a step, shape (N,)."""
     pair = [first, second]
-    return _overlap(world, pair, *_centers(world, pair))
+    return _do_pair_boxes_overlap(world, pair, *_box_centers(world, pair))
 
 
-def _centers(world: World, entities: list[int]) -> tuple[FloatArray, FloatArray]:
+def _box_centers(world: World, entities: list[int]) -> tuple[FloatArray, FloatArray]:
     """Centres of the boxes of K entities, each (K, N) in m; NaN if absent."""
     center_x = np.array([[world.entities[e].center_x] for e in entities])
     heading, is_present = world.heading[entities], world.present[entities]
@@ -32,7 +32,7 @@ def _centers(world: World, entities: list[int]) -> tuple[FloatArray, FloatArray]
     return np.where(is_present, x, np.nan), np.where(is_present, y, np.nan)
 
 
-def _overlap(world: World, pair: list[int], x: FloatArray, y: FloatArray) -> BoolArray:
+def _do_pair_boxes_overlap(world: World, pair: list[int], x: FloatArray, y: FloatArray) -> BoolArray:
     """Check whether the boxes of two entities with centres (2, N) overlap, shape (N,)."""
     length = np.array([[world.entities[e].length] for e in pair])
     width = np.array([[world.entities[e].width] for e in pair])
@@ -44,7 +44,7 @@ def _overlap(world: World, pair: list[int], x: FloatArray, y: FloatArray) -> Boo
     return result
 
 
-def entity_corners(world: World) -> FloatArray:
+def all_box_corners(world: World) -> FloatArray:
     """Corners of all boxes in m, shape (E, N, 4, 2)."""
     center_x = np.array([[entity.center_x] for entity in world.entities])
     length = np.array([[entity.length] for entity in world.entities])

@@ -8,30 +8,30 @@ import numpy as np
 import numpy.typing as npt
 from lxml import etree
 
-from cornercase._common.recorded_xml import adapt, below
+from cornercase._common.recorded_xml import note_adaptation, iter_descendants_untracked
 from cornercase.scenario import Scope
 
-_TRUTHS: Final = {"true": "true", "1": "true", "false": "false", "0": "false"}
+_BOOLEAN_TEXTS: Final = {"true": "true", "1": "true", "false": "false", "0": "false"}
 
 
-def as_held(element: etree._Element, scope: Scope, values: npt.NDArray[np.str_]) -> str:
+def read_text_value(element: etree._Element, scope: Scope, values: npt.NDArray[np.str_]) -> str:
     """Read the ``value`` of an element; ``"true"`` or ``"false"`` if the variable or parameter is boolean."""
-    text = scope.text(element, "value")
-    if not set(np.unique(values)) <= {"true", "false"} or text.lower() not in _TRUTHS:
+    text = scope.read_text(element, "value")
+    if not set(np.unique(values)) <= {"true", "false"} or text.lower() not in _BOOLEAN_TEXTS:
         return text
-    truth = _TRUTHS[text.lower()]
-    if text not in _TRUTHS:
+    truth = _BOOLEAN_TEXTS[text.lower()]
+    if text not in _BOOLEAN_TEXTS:
         rule = "a boolean is true, false, 1 or 0"
-        adapt(element, f"value of <{element.tag}>", f"'{text}' is read as {truth}", rule)
+        note_adaptation(element, f"value of <{element.tag}>", f"'{text}' is read as {truth}", rule)
     return truth
 
 
-def nobody_asks(element: etree._Element, *conditions: str) -> bool:
+def is_unused_by_conditions(element: etree._Element, *conditions: str) -> bool:
     """Check that no condition with one of the tags is in an element's file; False if catalogs could contain some."""
     root = element.getroottree().getroot()
     # This search must not mark elements as read.
-    found_conditions = below(root, *conditions)
-    groups = below(root, "ManeuverGroup")
+    found_conditions = iter_descendants_untracked(root, *conditions)
+    groups = iter_descendants_untracked(root, "ManeuverGroup")
     references = (
         reference for group in groups for reference in etree.ElementBase.iterchildren(group, "CatalogReference")
     )

@@ -14,7 +14,7 @@ from typing import Final
 ) = range(26)  # fmt: skip
 """Rows of `World.floats`."""
 
-ROWS_OF_FLOATS: Final = 26
+N_FLOAT_ROWS: Final = 26
 
 (
     PRESENT, CHANGES_LANES, STRANDED, MOVED, DECIDED, ACTIVATED, DRIVEN, VISIBLE, JUMPED,
@@ -24,10 +24,10 @@ ROWS_OF_FLOATS: Final = 26
 TRACK, ROUTE, LAST_ROAD, DRIVER, PULLED_BY = range(5)
 """Rows of `World.numbers`."""
 
-UNASKED: Final = -1.0
+UNKNOWN_ROAD_SPEED: Final = -1.0
 """Value of `World.road_speed` if it has not been computed."""
 
-FLOATS: Final = {
+FLOAT_ROWS: Final = {
     "x": (X, float("nan")),
     "y": (Y, float("nan")),
     "heading": (HEADING, float("nan")),
@@ -49,11 +49,11 @@ FLOATS: Final = {
     "from_y": (FROM_Y, float("nan")),
     "from_heading": (FROM_HEADING, float("nan")),
     "before": (BEFORE, 0.0),
-    "road_speed": (ROAD_SPEED, UNASKED),
+    "road_speed": (ROAD_SPEED, UNKNOWN_ROAD_SPEED),
 }
 """Row and initial value by name of the array in `World`; velocities have two rows each."""
 
-FLAGS: Final = {
+FLAG_ROWS: Final = {
     "present": (PRESENT, False),
     "changes_lanes": (CHANGES_LANES, False),
     "stranded": (STRANDED, False),
@@ -65,7 +65,7 @@ FLAGS: Final = {
     "jumped": (JUMPED, False),
 }
 
-NUMBERS: Final = {
+INTEGER_ROWS: Final = {
     "track": (TRACK, -1),
     "route": (ROUTE, 0),
     "last_road": (LAST_ROAD, -1),
@@ -73,5 +73,5 @@ NUMBERS: Final = {
     "pulled_by": (PULLED_BY, -1),
 }
 
-BESIDE: Final = 1.0
+MAX_LANE_OFFSET: Final = 1.0
 """Offset in m from the new lane beyond which the lane of an entity that changes lanes is looked up."""

@@ -14,29 +14,29 @@ import numpy.typing as npt
 from lxml import etree
 
 from cornercase._common.errors import SimulationError
-from cornercase._common.ledger import Label
-from cornercase._common.parts import format_instant
+from cornercase._common.ledger import NoticeLabel
+from cornercase._common.parts import format_time_of_failure
 from cornercase._common.typing import BoolArray, FloatArray, IntArray
 from cornercase.roads import RoadNetwork
 from cornercase.scenario import Scope
 from cornercase.simulators.builtin.tracks.lane import LaneTrack
 from cornercase.simulators.builtin.tracks.track import Track
 from cornercase.simulators.builtin.world.layout import (
-    FLAGS,
-    FLOATS,
+    FLAG_ROWS,
+    FLOAT_ROWS,
     GONE_X,
     GONE_Y,
-    NUMBERS,
+    INTEGER_ROWS,
     PULL_X,
     PULL_Y,
-    ROWS_OF_FLOATS,
+    N_FLOAT_ROWS,
 )
 from cornercase.simulators.builtin.world.signals import SignalController
 
 LONGITUDINAL, LATERAL = "longitudinal", "lateral"
 
 
-class Decision(Protocol):
+class SpeedController(Protocol):
     """Decides the speed of an entity while in control of it."""
 
     def step(self, dt: float) -> None:
@@ -50,7 +50,7 @@ class Entity:
 
     `kind`: vehicle category, ``"pedestrian"`` or ``"misc"``. Box in m; limits in m/s and m/s², infinite if not set.
     `slides`: follows trajectories with any heading they prescribe. `polyline_turning`: where its heading turns along a
-    polyline (`ALONG_LEGS`, `AT_CORNERS`, `AT_VERTICES`), or empty if the following mode decides. `body`: its element
+    polyline (`ALONG_SEGMENTS`, `AT_CORNERS`, `AT_VERTICES`), or empty if the following mode decides. `body`: its element
     and scope.
     """
 
@@ -63,7 +63,7 @@ class Entity:
     max_acceleration: float
     max_deceleration: float
     slides: bool = False
-    turning: str = ""
+    polyline_turning: str = ""
     body: tuple[etree._Element, Scope] | None = field(default=None, repr=False, compare=False)
 
 
@@ -81,7 +81,7 @@ class Tow:
 
 
 class World:
-    """State of E entities in N concrete scenarios; rows of the tables are documented in `layout`.
+    """State of E entities in N concrete scenarios; rows of the tables are documented in `layout_revision`.
 
     The (E, N) arrays are views of `floats`, `flags` and `numbers` (N, K, E): write into them, never replace them.
     `overlapping` (E, E, N) is a view of `overlaps` (N, E, E). `time` and `last_step` (N,) in s differ between
@@ -146,61 +146,61 @@ class World:
         self.network = network
         self.time, self.last_step = np.zeros(scenarios), np.zeros(scenarios)
         self.running = np.ones(scenarios, dtype=np.bool_)
-        self.stirred = np.zeros(scenarios, dtype=np.bool_)
-        self.begun = False
-        self.floats = np.zeros((scenarios, ROWS_OF_FLOATS, len(entities)))
-        self.flags = np.zeros((scenarios, len(FLAGS), len(entities)), dtype=np.bool_)
-        self.numbers = np.zeros((scenarios, len(NUMBERS), len(entities)), dtype=np.int64)
-        for table, rows in ((self.floats, FLOATS), (self.flags, FLAGS), (self.numbers, NUMBERS)):
+        self.changed = np.zeros(scenarios, dtype=np.bool_)
+        self.started = False
+        self.floats = np.zeros((scenarios, N_FLOAT_ROWS, len(entities)))
+        self.flags = np.zeros((scenarios, len(FLAG_ROWS), len(entities)), dtype=np.bool_)
+        self.numbers = np.zeros((scenarios, len(INTEGER_ROWS), len(entities)), dtype=np.int64)
+        for table, rows in ((self.floats, FLOAT_ROWS), (self.flags, FLAG_ROWS), (self.numbers, INTEGER_ROWS)):
             for name, (row, value) in rows.items():
                 table[:, row] = value
                 setattr(self, name, table[:, row].T)
-        self.gone = (self.floats[:, GONE_X].T, self.floats[:, GONE_Y].T)
-        self.pull = (self.floats[:, PULL_X].T, self.floats[:, PULL_Y].T)
+        self.step_velocity = (self.floats[:, GONE_X].T, self.floats[:, GONE_Y].T)
+        self.step_acceleration = (self.floats[:, PULL_X].T, self.floats[:, PULL_Y].T)
         self.overlaps = np.zeros((scenarios, len(entities), len(entities)), dtype=np.bool_)
-        self.touching = self.overlaps.transpose(1, 2, 0)
+        self.overlapping = self.overlaps.transpose(1, 2, 0)
         self.signals: dict[str, npt.NDArray[np.str_]] = {}
         self.signal_controllers: dict[str, SignalController] = {}
-        self.drivers: list[Decision] = []
-        self.kept = [False] * len(entities)
+        self.drivers: list[SpeedController] = []
+        self.has_fixed_driver = [False] * len(entities)
         self.tracks: list[list[Track]] = [[] for _ in entities]
         self.routes: list[tuple[tuple[int, int, float], ...]] = [()]
-        self.watches_roads = False
+        self.needs_road_check = False
         self.variables: dict[str, Any] = {}
         self.parameters: dict[str, Any] = {}
         self.selections: dict[str, list[int]] = {}
-        self.actor: int | None = None
+        self.positioned_entity: int | None = None
         self.lane_tracks: dict[tuple[object, ...], LaneTrack | None] = {}
         self.errors: dict[int, SimulationError] = {}
-        self.acting: str | None = None
-        self.remarks: dict[str, None] = {}
+        self.current_action: str | None = None
+        self.notices: dict[str, None] = {}
         for tow in tows:
             self.pulled_by[tow.trailer] = tow.vehicle
 
-    def followed(self, entity: int, where: BoolArray) -> Iterator[tuple[int, Track, IntArray]]:
+    def iter_followed_tracks(self, entity: int, where: BoolArray) -> Iterator[tuple[int, Track, IntArray]]:
         """Yield the tracks that an entity follows in the mask: number, track, and scenarios."""
         for number, track in enumerate(self.tracks[entity]):
             rows = np.flatnonzero(where & (self.track[entity] == number))
             if rows.size:
                 yield number, track, rows
 
-    def fail(self, where: BoolArray, why: str | SimulationError) -> None:
+    def fail(self, where: BoolArray, reason: str | SimulationError) -> None:
         """End the scenarios of a mask with an error."""
         for i in np.flatnonzero(where & self.running).tolist():
-            if isinstance(why, SimulationError):
-                self.errors[i] = why
+            if isinstance(reason, SimulationError):
+                self.errors[i] = reason
             else:
-                acting = "" if self.acting is None else f"{self.acting}: "
-                instant = "" if self.acting is None else format_instant(float(self.time[i]))
-                self.errors[i] = SimulationError(f"{acting}{why}{instant}")
+                acting = "" if self.current_action is None else f"{self.current_action}: "
+                instant = "" if self.current_action is None else format_time_of_failure(float(self.time[i]))
+                self.errors[i] = SimulationError(f"{acting}{reason}{instant}")
         self.running &= ~where
 
-    def remark(self, place: str, what: str, why: str, where: BoolArray) -> None:
+    def add_notice(self, location: str, subject: str, reason: str, where: BoolArray) -> None:
         """Record that `subject` at `location` (file and line) is not run as written, but as `reason` says."""
         first = np.flatnonzero(where & self.running)
-        sentence = f"{Label.ADAPTED}: {what} ({place}): {why}"
-        if first.size and not any(notice.startswith(f"{sentence}; ") for notice in self.remarks):
-            self.remarks[f"{sentence}; first at {self.time[first[0]]:.6g} s"] = None
+        sentence = f"{NoticeLabel.ADAPTED}: {subject} ({location}): {reason}"
+        if first.size and not any(notice.startswith(f"{sentence}; ") for notice in self.notices):
+            self.notices[f"{sentence}; first at {self.time[first[0]]:.6g} s"] = None
 
     def set_speed(self, entity: int, where: BoolArray, speed: FloatArray) -> None:
         """Set an entity's speed, or its driver's target speed, in the scenarios of the mask."""
@@ -209,7 +209,7 @@ class World:
         self.speed[entity][undriven] = speed[undriven]
         self.decided[entity] |= where
 
-    def control(self, entity: int, where: BoolArray, driver: int | None = None, activated: bool | None = None) -> None:
+    def assign_control(self, entity: int, where: BoolArray, driver: int | None = None, activated: bool | None = None) -> None:
         """Assign a driver (-1 for none) or activate longitudinal control; None leaves it unchanged."""
         if driver is not None:
             self.driver[entity][where] = driver

@@ -12,7 +12,7 @@ from cornercase._common.typing import BoolArray
 from cornercase.simulators.builtin.world.state import Entity, Tow, World
 
 # More trailers mean that a catalog entry pulls itself.
-MOST_TRAILERS: Final = 20
+MAX_TRAILERS: Final = 20
 
 
 def read_tow(vehicle: int, trailer: int, entities: Sequence[Entity]) -> Tow:
@@ -24,19 +24,19 @@ def read_tow(vehicle: int, trailer: int, entities: Sequence[Entity]) -> Tow:
     hitch, coupler = front.find("TrailerHitch"), rear.find("TrailerCoupler")
     if hitch is None or coupler is None:
         raise InputError(
-            f"{front_scope.source}: '{entities[vehicle].name}' cannot pull '{entities[trailer].name}', as it has no"
+            f"{front_scope.file_name}: '{entities[vehicle].name}' cannot pull '{entities[trailer].name}', as it has no"
             f" {'<TrailerHitch>' if hitch is None else '<TrailerCoupler>'}."
         )
-    return Tow(vehicle, trailer, front_scope.one_number(hitch, "dx"), rear_scope.one_number(coupler, "dx"))
+    return Tow(vehicle, trailer, front_scope.read_number(hitch, "dx"), rear_scope.read_number(coupler, "dx"))
 
 
-def front_first(tows: Sequence[Tow]) -> tuple[Tow, ...]:
+def sort_front_to_back(tows: Sequence[Tow]) -> tuple[Tow, ...]:
     """Sort trailers from front to back."""
     behind = {tow.trailer: tow.vehicle for tow in tows}
 
     def depth(entity: int) -> int:
         count = 0
-        while entity in behind and count < MOST_TRAILERS:
+        while entity in behind and count < MAX_TRAILERS:
             entity, count = behind[entity], count + 1
         return count
 

@@ -6,16 +6,16 @@ from dataclasses import replace
 
 import numpy as np
 
-from cornercase._common.geometry import looks_ahead
+from cornercase._common.geometry import is_facing_forward
 from cornercase._common.typing import BoolArray, FloatArray, IntArray
 from cornercase.roads import RoadNetwork
 from cornercase.simulators.builtin.tracks.lane import LaneTrack
 from cornercase.simulators.builtin.tracks.track import Pose
-from cornercase.simulators.builtin.world.layout import BESIDE
+from cornercase.simulators.builtin.world.layout import MAX_LANE_OFFSET
 from cornercase.simulators.builtin.world.state import World
 
 
-def on_lane(world: World, entity: int) -> BoolArray:
+def follows_lane(world: World, entity: int) -> BoolArray:
     """Check whether the entity follows a lane, shape (N,)."""
     result = np.zeros(world.scenarios, dtype=np.bool_)
     for k, track in enumerate(world.tracks[entity]):
@@ -24,14 +24,14 @@ def on_lane(world: World, entity: int) -> BoolArray:
     return result
 
 
-def lane_of(world: World, entity: int) -> Pose:
+def road_pose(world: World, entity: int) -> Pose:
     """Pose of an entity with its road position; without a road if there is no network."""
     pose = Pose(world.x[entity].copy(), world.y[entity].copy(), world.heading[entity].copy())
     if world.network is None:
         return pose
     # As in esmini, only a lane change leads to another lane, not a large offset.
-    near = ~world.changes_lanes[entity] | (np.abs(world.offset[entity]) < BESIDE)
-    along = on_lane(world, entity) & near & world.present[entity]
+    near = ~world.changes_lanes[entity] | (np.abs(world.offset[entity]) < MAX_LANE_OFFSET)
+    along = follows_lane(world, entity) & near & world.present[entity]
     n = world.scenarios
     road, lane, s, offset = np.full(n, -1), np.zeros(n, dtype=np.int64), np.zeros(n), np.zeros(n)
     free = np.flatnonzero(~along)
@@ -39,13 +39,13 @@ def lane_of(world: World, entity: int) -> Pose:
         location = world.network.locate(world.x[entity][free], world.y[entity][free])
         road[free], lane[free], s[free], offset[free] = location
     pose = replace(pose, road=road, lane=lane, s=s, offset=offset)
-    for _, track, rows in world.followed(entity, along):
+    for _, track, rows in world.iter_followed_tracks(entity, along):
         if isinstance(track, LaneTrack):
-            pose = track.lane_pose(pose, rows, world.distance[entity][rows], world.offset[entity][rows])
+            pose = track.update_road_coordinates(pose, rows, world.distance[entity][rows], world.offset[entity][rows])
     return pose
 
 
-def on_road(world: World, entity: int) -> BoolArray:
+def is_on_road(world: World, entity: int) -> BoolArray:
     """Check whether an entity's reference point is within the width of a road, shape (N,)."""
     assert world.network is not None
     location = world.network.locate(world.x[entity], world.y[entity])
@@ -73,12 +73,12 @@ def road_heading(world: World, pose: Pose) -> FloatArray:
     assert world.network is not None
     assert pose.road is not None
     assert pose.s is not None
-    return _heading_of(world.network, pose.road, pose.s)
+    return _road_headings(world.network, pose.road, pose.s)
 
 
-def looks_along(world: World, pose: Pose) -> BoolArray:
+def is_heading_along_road(world: World, pose: Pose) -> BoolArray:
     """Check whether a pose points along its road's s, shape (N,); exactly across counts as along."""
-    return looks_ahead(pose.heading - road_heading(world, pose))
+    return is_facing_forward(pose.heading - road_heading(world, pose))
 
 
 def speed_along_road(world: World, entity: int, where: BoolArray) -> FloatArray:
@@ -88,70 +88,70 @@ def speed_along_road(world: World, entity: int, where: BoolArray) -> FloatArray:
     """
     direction = world.heading[entity].copy()
     if world.network is not None:
-        lane = on_lane(world, entity)
+        lane = follows_lane(world, entity)
         if lane.any():
-            direction = np.where(lane, road_heading(world, lane_of(world, entity)), direction)
+            direction = np.where(lane, road_heading(world, road_pose(world, entity)), direction)
         at = np.flatnonzero(~lane & where & world.present[entity])
         x, y, heading = world.x[entity][at], world.y[entity][at], world.heading[entity][at]
-        road, s = world.network.road_from(world.last_road[entity][at], world.last_s[entity][at], x, y, heading)
+        road, s = world.network.track_road(world.last_road[entity][at], world.last_s[entity][at], x, y, heading)
         world.last_road[entity][at], world.last_s[entity][at] = road, s
-        direction[at] = _heading_of(world.network, road, s)
-    return np.asarray(np.abs(world.gone[0][entity] * np.cos(direction) + world.gone[1][entity] * np.sin(direction)))
+        direction[at] = _road_headings(world.network, road, s)
+    return np.asarray(np.abs(world.step_velocity[0][entity] * np.cos(direction) + world.step_velocity[1][entity] * np.sin(direction)))
 
 
-def _heading_of(network: RoadNetwork, road: IntArray, s: FloatArray) -> FloatArray:
+def _road_headings(network: RoadNetwork, road: IntArray, s: FloatArray) -> FloatArray:
     """Direction of the roads' s at positions on them, shape (R,)."""
     heading = np.zeros(len(s))
     for number in np.unique(road):
         rows = road == number
-        heading[rows] = network.roads[int(number)].reference(s[rows])[2]
+        heading[rows] = network.roads[int(number)].reference_pose(s[rows])[2]
     return heading
 
 
-def ahead_on_road(world: World, entity: int, target: Pose, otherwise: FloatArray) -> FloatArray:
+def distance_ahead_on_road(world: World, entity: int, target: Pose, default: FloatArray) -> FloatArray:
     """Distance in m to a target along the entity's reference line, (N,), negative behind.
 
     `default` applies if the target is on another road.
     """
     if world.network is None or target.road is None or target.s is None:
-        return otherwise
-    own_pose = lane_of(world, entity)
+        return default
+    own_pose = road_pose(world, entity)
     assert own_pose.road is not None
     assert own_pose.s is not None
-    forward = np.where(looks_along(world, own_pose), 1.0, -1.0)
-    return np.where(own_pose.road == target.road, forward * (target.s - own_pose.s), otherwise)
+    forward = np.where(is_heading_along_road(world, own_pose), 1.0, -1.0)
+    return np.where(own_pose.road == target.road, forward * (target.s - own_pose.s), default)
 
 
-def lanes_between(world: World, one: Pose, two: Pose) -> IntArray:
+def relative_lane(world: World, pose: Pose, other: Pose) -> IntArray:
     """Number of lanes from `pose` to `other`, positive to the left in driving direction, (N,)."""
-    assert one.lane is not None
-    assert two.lane is not None
+    assert pose.lane is not None
+    assert other.lane is not None
     # Lane 0 is the centre line, not a lane.
-    difference = two.lane - one.lane
-    crossing = np.sign(one.lane) != np.sign(two.lane)
+    difference = other.lane - pose.lane
+    crossing = np.sign(pose.lane) != np.sign(other.lane)
     difference = difference - np.where(crossing, np.sign(difference), 0)
-    return np.asarray(difference * np.where(looks_along(world, one), 1, -1))
+    return np.asarray(difference * np.where(is_heading_along_road(world, pose), 1, -1))
 
 
-def runs_against(world: World, entity: int, pose: Pose) -> BoolArray:
+def is_opposite_direction(world: World, entity: int, pose: Pose) -> BoolArray:
     """Check whether the pose's road runs opposite to the entity's road along its lane, (N,); False if not connected."""
     assert pose.road is not None
     result = np.zeros(world.scenarios, dtype=np.bool_)
-    for _, track, rows in world.followed(entity, world.present[entity]):
+    for _, track, rows in world.iter_followed_tracks(entity, world.present[entity]):
         if not isinstance(track, LaneTrack):
             continue
         path = track.path
-        sample = path.sample_at(world.distance[entity][rows])
+        sample = path.sample_index(world.distance[entity][rows])
         for road in np.unique(pose.road[rows]):
             samples = np.flatnonzero(path.road == road)
             on_road_rows = pose.road[rows] == road
             if samples.size:
                 near = samples[np.clip(np.searchsorted(samples, sample[on_road_rows]), 0, samples.size - 1)]
-                result[rows[on_road_rows]] = path.along[near] != path.along[sample[on_road_rows]]
+                result[rows[on_road_rows]] = path.forward[near] != path.forward[sample[on_road_rows]]
     return result
 
 
-def has_lane_between(world: World, pose: Pose, first: int, last: int, opposite: bool) -> BoolArray:
+def has_drivable_lane_in_range(world: World, pose: Pose, first: int, last: int, opposite: bool) -> BoolArray:
     """Check for a drivable lane from `first` to `last` lanes left of a pose (inclusive), shape (N,).
 
     `opposite`: whether lanes of the opposite direction count.
@@ -168,6 +168,6 @@ def has_lane_between(world: World, pose: Pose, first: int, last: int, opposite: 
             at = rows[section == k]
             lane = pose.lane[at]
             for number, other in road_geometry.sections[int(k)][1].items():
-                in_range = (number >= lane + first) & (number <= lane + last) & other.drivable
+                in_range = (number >= lane + first) & (number <= lane + last) & other.is_drivable
                 result[at] |= in_range & (opposite | (np.sign(number) == np.sign(lane)))
     return result
